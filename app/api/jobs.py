@@ -18,6 +18,7 @@ from app.api.models.job import (
     JobPage,
     ResultLinks,
     Stopped,
+    TrendLinks,
 )
 from app.api.models.job_request import JobRequest
 from app.api.models.plan import PlanOut
@@ -139,6 +140,7 @@ def describe_job(job: Job) -> JobOut:
         run_ids=list(job.run_ids),
         result=ResultLinks.of(id=job.id) if job.has_result else None,
         discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
+        trend=TrendLinks.of(id=job.id) if job.has_trend else None,
         error=Problem(**describe_failure(failure)) if failure else None,
         links=JobLinks.of(id=job.id, run_id=job.run_id),
     )

@@ -1,4 +1,4 @@
-"""What jobs found: the estimate on the way, error tables, reports, discoveries."""
+"""What jobs found: the estimate on the way, tables, reports, discoveries, trends."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
+from app.api.models.trend import TrendOut
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
@@ -95,13 +96,25 @@ def get_report(job_id: str, service: ServiceDep) -> FileResponse:
 @_serve_file("/{job_id}/discovery", "application/json", "object")
 def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `discovery.json`: the missing effects, the gap, where they disagree."""
-    return FileResponse(_find_file(service, job_id, "discovery.json", discovers=True))
+    return FileResponse(_find_file(service, job_id, "discovery.json", of="discovery"))
 
 
 @_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
 def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
-    return _send_page(_find_file(service, job_id, "report.html", discovers=True))
+    return _send_page(_find_file(service, job_id, "report.html", of="discovery"))
+
+
+@router.get("/{job_id}/trend", response_model=TrendOut, responses=declare_problems(404))
+def get_trend(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return `trend.json`: tables at each Run and later, when to calibrate again."""
+    return FileResponse(_find_file(service, job_id, "trend.json", of="trend"))
+
+
+@_serve_file("/{job_id}/trend/report.html", "text/html", "string")
+def get_trend_report(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return the report of a machine over time, one page that needs nothing else."""
+    return _send_page(_find_file(service, job_id, "report.html", of="trend"))
 
 
 def _send_page(report: Path) -> FileResponse:
@@ -113,12 +126,14 @@ def _read_result(service: Service, job_id: str) -> dict[str, Any]:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def _find_file(
-    service: Service, job_id: str, name: str, *, discovers: bool = False
-) -> Path:
+def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> Path:
     job = service.store.get(job_id)
     file = service.results / job.id / name
-    made = job.has_discovery if discovers else job.has_result
-    if not made or not file.is_file():
+    made = {
+        "result": job.has_result,
+        "discovery": job.has_discovery,
+        "trend": job.has_trend,
+    }
+    if not made[of] or not file.is_file():
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")
     return file

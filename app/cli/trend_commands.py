@@ -64,18 +64,22 @@ def trend(
     from app.files.bundle import read_bundle
     from app.reporting.analysis_files import read_runs
     from app.reporting.trend_report import write_trend
-    from app.results.trend import HOUR_S, Question, find_times, follow_machine
+    from app.results.trend import HOUR_S, Question, follow_machine
 
     require_folder(output, "the trend")
     with show_progress("trend") as on_progress:
         on_progress(0.0, "reading")
         runs = read_runs(bundles, read_bundle)
-        times = find_times(runs) if at is None else _parse_times(at, HOUR_S)
+        times = None if at is None else _parse_times(at, HOUR_S)
         ahead = [HOUR_S * hours for hours in (horizon, *(later or ()))]
         question = Question(
-            limit, ahead[0], tuple(ahead[1:]), _parse_temperatures(temperature or ())
+            times,
+            limit,
+            ahead[0],
+            tuple(ahead[1:]),
+            _parse_temperatures(temperature or ()),
         )
-        found = follow_machine(runs, times, question, on_progress=on_progress)
+        found = follow_machine(runs, question, on_progress=on_progress)
         content = write_trend(found, output)
     warn_of_verdict(content["verdict"])
     files = list_files(output)
@@ -86,9 +90,9 @@ def trend(
         print_files(files)
 
 
-def _parse_times(text: str, unit_s: float) -> list[float]:
+def _parse_times(text: str, unit_s: float) -> tuple[float, ...]:
     try:
-        return [unit_s * float(part) for part in text.split(",")]
+        return tuple(unit_s * float(part) for part in text.split(","))
     except ValueError as error:
         raise BadInput(f"--at {text}: write hours with commas between") from error
 

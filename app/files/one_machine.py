@@ -35,6 +35,14 @@ def one_machine(machines: Sequence[Machine], names: Sequence[str]) -> Machine:
     return replace(first, targets=tuple(targets))
 
 
+def have_same_targets(one: Machine, other: Machine) -> bool:
+    """Say whether two machines have the same targets, whatever they are called."""
+    return len(one.targets) == len(other.targets) and all(
+        any(_is_same(target, known) for known in other.targets)
+        for target in one.targets
+    )
+
+
 def _require_same(first: Machine, other: Machine, first_run: str, run: str) -> None:
     expected, found = (dict(_flatten(_state_identity(m))) for m in (first, other))
     for field in {**expected, **found}:

@@ -14,7 +14,7 @@ from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import plan_measurement
 from app.jobs.runs import RunCatalogue
-from app.jobs.science import check_station, discover_recorded
+from app.jobs.science import check_station, discover_recorded, follow_recorded
 from app.jobs.store import Store
 from app.jobs.transitions import State
 from app.jobs.workers import Workers
@@ -26,8 +26,8 @@ class JobContext:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
-    planner, science, discoverer, checker : called as `plan_measurement`,
-        `analyse_recorded`, `discover_recorded`, `check_station`
+    planner, science, discoverer, follower, checker : called as `plan_measurement`,
+        `analyse_recorded`, `discover_recorded`, `follow_recorded`, `check_station`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
     confirm_s : time in which the cell has to confirm each state
@@ -46,6 +46,7 @@ class JobContext:
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded
+    follower: Task = follow_recorded
     checker: Task = check_station
 
     def require_machine(self) -> Machine:

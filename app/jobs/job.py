@@ -25,7 +25,8 @@ class JobKind(StrEnum):
     """What a job does.
 
     `PLAN` chooses what a measuring job may drive. `MEASURE_EXTRA` drives the lines that
-    a discovery asks for and ends with a discovery in all their Runs.
+    a discovery asks for and ends with a discovery in all their Runs. `TREND` follows a
+    machine over Runs.
     """
 
     MEASURE_OTF = "measure-otf"
@@ -34,17 +35,18 @@ class JobKind(StrEnum):
     MEASURE_EXTRA = "measure-extra"
     ANALYSE = "analyse"
     DISCOVER = "discover"
+    TREND = "trend"
     PLAN = "plan"
 
     @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
-        return self not in (JobKind.ANALYSE, JobKind.DISCOVER, JobKind.PLAN)
+        return self.value.startswith("measure-")
 
     @property
     def analyses(self) -> bool:
         """Whether the job ends with error tables."""
-        return self is not JobKind.PLAN and not self.discovers
+        return self is JobKind.ANALYSE or (self.measures and not self.discovers)
 
     @property
     def discovers(self) -> bool:
@@ -62,6 +64,7 @@ class Stage(StrEnum):
     ESTIMATING = "estimating"
     VALIDATING = "validating"
     DISCOVERING = "discovering"
+    FOLLOWING = "following"
     REPORTING = "reporting"
 
 
@@ -159,7 +162,7 @@ class Job:
         named; of extra lines, those of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
-    verdict : state of its result or discovery, once that stands
+    verdict : state of its result, discovery or trend, once that stands
     station : of a measurement from several places of the tracker
     on_notice : what is done where its live estimate notices a change
     notices : what it has noticed
@@ -216,6 +219,11 @@ class Job:
     def has_discovery(self) -> bool:
         """Whether it has found what a model lacks, or that nothing is missing."""
         return self.state is State.SUCCEEDED and self.kind.discovers
+
+    @property
+    def has_trend(self) -> bool:
+        """Whether it has followed a machine over time."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.TREND
 
 
 @dataclass(frozen=True, slots=True)

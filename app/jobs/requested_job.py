@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
 from app.files.commanded_file import encode_commanded_json
+from app.files.runs_in_time import TimedRun, order_in_time
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
 from app.jobs.live_notice import OnNotice
@@ -37,7 +38,7 @@ class RequestedJob:
     discovery_id : of the job whose discovery asks for the extra lines to drive
     continues : job whose stations are measured that it has left out
     plan_request : what is asked of a plan or an adaptive measurement, as
-        `plan_orders` states it
+        `plan_orders` states it, or of a trend, as `Question.of` reads it
     on_notice : what is done where the live estimate notices a change
     """
 
@@ -76,6 +77,8 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
         order = _make_plan_order(request, context)
         return job, {**_find_rows(request, context), "request": order}
     first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
+    if kind is JobKind.TREND:
+        _check_order_of_time(request, context)
     job = Job(
         kind,
         run_id=first,
@@ -84,6 +87,17 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
         monte_carlo=request.monte_carlo,
     )
     return job, {"request": _make_plan_order(request, context)}
+
+
+def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:
+    """Raise BadInput where the Runs do not follow one machine in time."""
+    at_h = (request.plan_request or {}).get("at_h")
+    records = [context.runs.get(run_id) for run_id in request.run_ids]
+    timed = [
+        TimedRun.of(context.runs.open(one.id), f"{one.name} ({one.id})")
+        for one in records
+    ]
+    order_in_time(timed, at_h)
 
 
 def _find_rows(request: RequestedJob, context: JobContext) -> Json:

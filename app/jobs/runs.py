@@ -137,6 +137,10 @@ class RunCatalogue:
             raise NotFound(f"the file of run {run_id} has gone from the folder of runs")
         return file
 
+    def open(self, run_id: str) -> Run:
+        """Read a Run. Raises NotFound, BundleError."""
+        return open_recorded(self.file(run_id))
+
     def bundle(self, run_id: str) -> Path:
         """Return the Run as a zipped measurement bundle, packed once and kept."""
         file = self.file(run_id)

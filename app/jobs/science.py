@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,35 @@ def discover_recorded(
     return found.model.verdict.state
 
 
+def follow_recorded(
+    run_files: Sequence[str],
+    names: Sequence[str],
+    folder: str,
+    asked: Json,
+    *,
+    on_progress: Progress,
+) -> State:
+    """Follow a machine over Runs and write the answer, whole or not at all.
+
+    Returns the state of its verdict.
+
+    names : of the Runs, as the answer is to call them
+    asked : as `Question.of` reads it
+    """
+    # Imported where it computes: the service itself carries no science and no plots.
+    from app.reporting.analysis_files import read_runs
+    from app.reporting.trend_report import write_trend
+    from app.results.trend import Question, follow_machine
+
+    runs = [
+        replace(run, name=name)
+        for run, name in zip(read_runs(run_files, open_recorded), names, strict=True)
+    ]
+    found = follow_machine(runs, Question.of(asked), on_progress=on_progress)
+    _replace(Path(folder), lambda part: write_trend(found, part))
+    return found.verdict.state
+
+
 def check_station(
     file: str,
     before: str | None,
@@ -133,7 +163,7 @@ def prepare() -> None:
     import app.reporting.discovery_report  # noqa: F401
 
 
-def _replace(final: Path, write: Callable[[Path], None]) -> None:
+def _replace(final: Path, write: Callable[[Path], object]) -> None:
     """Write into a folder beside it, then put that in its place."""
     part = final.with_name(f"{final.name}.part")
     shutil.rmtree(part, ignore_errors=True)

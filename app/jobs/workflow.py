@@ -99,7 +99,7 @@ class _JobSteps:
     context: JobContext
 
     def run(self) -> None:
-        """Plan, measure, analyse, discover: what the kind of the job asks for."""
+        """Plan, measure, analyse, discover, follow: as the kind of the job asks."""
         job, context, run_ids = self.job, self.context, self.job.run_ids
         if job.kind.measures:
             context.require_cell()
@@ -115,6 +115,8 @@ class _JobSteps:
             self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
         if job.kind.discovers:
             self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
+        if job.kind is JobKind.TREND:
+            self._follow()
 
     def _plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
@@ -165,6 +167,16 @@ class _JobSteps:
         verdict = self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
         notices = self.context.store.get(self.job.id).notices
         add_to_result(Path(folder) / RESULT, notices)
+        self.active.store_values(verdict=verdict)
+
+    def _follow(self) -> None:
+        """Let a task write what the Runs say of the machine over time."""
+        context, job = self.context, self.job
+        files = [str(context.runs.file(run_id)) for run_id in job.run_ids]
+        names = [context.runs.get(run_id).name for run_id in job.run_ids]
+        asked = context.store.read_plan_request(job.id)
+        told = files, names, str(context.results / job.id), asked
+        verdict = self._compute(State.RUNNING, Stage.FOLLOWING, context.follower, *told)
         self.active.store_values(verdict=verdict)
 
     def _find_model(self) -> tuple[str | None, str | None]:

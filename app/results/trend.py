@@ -6,9 +6,9 @@ Each Run is estimated alone; what all tell together of the course of each entry 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -20,8 +20,8 @@ from app.estimation.disturbances import CheckedEstimate, estimate_checked
 from app.estimation.drift import Drift, estimate_drift
 from app.estimation.drift_course import Course
 from app.estimation.extrapolation import Ranges
-from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, number_names, summarize_run
+from app.files.runs_in_time import TimedRun, order_in_time
 from app.files.verdict import Verdict
 from app.kinematics.coarse_model import build_run_models
 from app.kinematics.machine import Machine
@@ -30,6 +30,7 @@ from app.results.outlook import LookAhead, Outlook, Quantiles, TablesAt
 from app.results.verdict import judge
 
 HOUR_S = 3600.0
+HORIZON_S = 24.0 * HOUR_S
 # Usual size of a state: what it moves an error motion by over the travel.
 USUAL_UM = 10.0
 
@@ -38,16 +39,30 @@ USUAL_UM = 10.0
 class Question:
     """What is asked of the time after the last Run; times are since that.
 
+    at_s : the middle of each Run since any begin; None to take it from the clocks
     limit_um : root mean square over the travel that the machine may be off
     horizon_s : how far to look; later_s : when the tables are predicted
     celsius : temperatures that stay from the last Run on, by sensor; where none are
         given, temperatures are not used
     """
 
+    at_s: tuple[float, ...] | None = None
     limit_um: float | None = None
-    horizon_s: float = 24.0 * HOUR_S
+    horizon_s: float = HORIZON_S
     later_s: tuple[float, ...] = ()
     celsius: dict[str, float] | None = None
+
+    @staticmethod
+    def of(asked: Mapping[str, Any]) -> Question:
+        """Read it from JSON, times in hours; what is left out is as by default."""
+        at_h, horizon_h = asked.get("at_h"), asked.get("horizon_h")
+        return Question(
+            None if at_h is None else tuple(HOUR_S * hours for hours in at_h),
+            asked.get("limit_um"),
+            HORIZON_S if horizon_h is None else HOUR_S * horizon_h,
+            tuple(HOUR_S * hours for hours in asked.get("later_h") or ()),
+            asked.get("temperature_degC"),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,21 +85,20 @@ class Trend:
 
 def follow_machine(
     runs: Sequence[Run],
-    time_s: Sequence[float],
     question: Question,
     *,
     on_progress: Progress = ignore_progress,
 ) -> Trend:
     """Follow a machine over Runs.
 
-    time_s : of the middle of each Run, in their order
-
-    Raises BadInput if the Runs are not of one machine with the same targets, or their
-    times do not increase.
+    Raises BadInput if a Run is given twice, if they are not of one machine with the
+    same targets, or if their order of time is not known.
     """
     names = number_names([run.name for run in runs])
-    since_s = _check_times(time_s, len(runs))
-    machine = one_machine([run.machine for run in runs], names)
+    timed = [TimedRun.of(run, name) for run, name in zip(runs, names, strict=True)]
+    ordered = order_in_time(timed, question.at_s)
+    machine = ordered.machine
+    since_s = np.array(ordered.time_s) - ordered.time_s[0]
     sensors, course = _make_course(runs, since_s, question)
     found: list[CheckedEstimate] = []
     for number, run in enumerate(runs):
@@ -133,17 +147,6 @@ def _judge(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
     )
 
 
-def _check_times(time_s: Sequence[float], runs: int) -> Float64[np.ndarray, " n"]:
-    times = np.array(time_s, float)
-    if len(times) != runs:
-        raise BadInput(f"{len(times)} times are given for {runs} Runs: one for each")
-    if runs < 2:
-        raise BadInput("one Run tells nothing of time: give two at least")
-    if not (np.diff(times) > 0.0).all():
-        raise BadInput("the times of the Runs do not increase: sort the Runs by time")
-    return times - times[0]
-
-
 def _make_course(
     runs: Sequence[Run],
     since_s: Float64[np.ndarray, " n"],
@@ -190,18 +193,3 @@ def _state_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
         name: Quantiles.of(scale * np.array([getattr(one, name) for one in sizes]))
         for name, scale in scales.items()
     }
-
-
-def find_times(runs: Sequence[Run]) -> list[float]:
-    """Return the middle of each Run on the tracker's clock.
-
-    Raises BadInput if the clock has begun anew between two Runs.
-    """
-    spans = [run.tracker.device_time_s[[0, -1]].tolist() for run in runs]
-    for before, after in pairwise(spans):
-        if after[0] <= before[1]:
-            raise BadInput(
-                "the tracker's clock has begun anew between the Runs, so that their "
-                "times are not known: state them (--at)"
-            )
-    return [0.5 * (first + last) for first, last in spans]

@@ -34,6 +34,7 @@ sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from scripted_cell import (
     CellMaker,
     Explorer,
+    Follower,
     Inline,
     Science,
     ScriptedLive,
@@ -72,6 +73,11 @@ def science():
 def explorer():
     """Finds backlash and, where a test gives it rows, asks for extra lines."""
     return Explorer()
+
+
+@pytest.fixture
+def follower():
+    return Follower()
 
 
 @pytest.fixture
@@ -114,6 +120,7 @@ def service(
     make_cell,
     science,
     explorer,
+    follower,
     planner,
     has_machine,
     empty_catalogue,
@@ -143,6 +150,7 @@ def service(
         live=live_estimation,
         planner=planner,
         discoverer=explorer,
+        follower=follower,
     )
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:

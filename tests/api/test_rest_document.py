@@ -257,6 +257,22 @@ def test_a_model_is_used_by_naming_it(curl, follow, bundle, tmp_path):
         assert curl(words).status_code == 202, words
 
 
+def test_a_machine_is_followed_over_time(curl, follow, bundle, tmp_path):
+    upload, *_ = section("Analyse a measurement from elsewhere")
+    for name, rows in (("RUN", 100), ("OTHER", 120)):
+        stream = "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(rows))
+        packed = bundle(tracker_csv="t_s,x_mm,y_mm,z_mm\n" + stream)
+        (tmp_path / "run.zip").write_bytes(packed)
+        curl.names[name] = curl(upload).json()["id"]
+    create, found, report = section("Follow the machine over time")
+    answer = curl(create)
+    assert answer.status_code == 202, answer.text
+    curl.take(answer.json())
+    follow("succeeded")
+    assert curl(found).json()["schema"] == "trend/1"
+    assert curl(report).status_code == 200
+
+
 def test_the_machine_is_asked_for_extra_lines(
     curl, follow, bundle, tmp_path, explorer, make_cell
 ):

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.api.models.trend import TrendOut
 from app.cli.command import run
+from app.files.bundle import read_bundle, zip_bundle
 from app.files.machine_file import machine_from_json
+from app.jobs.science import follow_recorded
 from app.planning.default_path import default_path
 from simulators import synthetic
 from simulators.bundle_files import write_bundle_files
@@ -65,6 +68,7 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(warming, tmp_path):
     grown_um = -1e3 * GROWTH * length_mm * np.expm1(-hours / TAU_H)
     assert np.abs(far_end_um - far_end_um[0] - grown_um).max() < 1.5
     assert content["outlook"]["state"] in ("due", "not-within-horizon")
+    TrendOut.model_validate(content, extra="forbid")
     page = (tmp_path / "report.html").read_text()
     assert content["outlook"]["sentence"] in page
     assert "spindle" in page
@@ -87,3 +91,30 @@ def test_what_is_wrong_with_times_and_temperatures_is_said(
 ):
     assert run(["trend", *warming, "-o", str(tmp_path / "out"), *options]) == 2
     assert problem in capsys.readouterr().err
+
+
+def test_the_same_bundle_twice_is_refused(warming, tmp_path, capsys):
+    asked = ["--at", "0,1,2", "-o", str(tmp_path / "out")]
+    assert run(["trend", *warming[:2], warming[0], *asked]) == 2
+    said = capsys.readouterr().err
+    assert "run0 (1) and run0 (3) are the same Run" in said
+
+
+def test_the_task_of_a_job_writes_what_the_command_writes(warming, tmp_path):
+    names = ["cold", "warm"]
+    zipped = [tmp_path / f"{name}.zip" for name in names]
+    for file, bundle in zip(zipped, warming, strict=False):
+        file.write_bytes(zip_bundle(read_bundle(bundle)))
+    asked = {"at_h": [8.0, 9.0], "limit_um": 4.0}
+    files, stages = list(map(str, zipped)), []
+
+    def note(share, stage):
+        stages.append(stage)
+
+    follow_recorded(files, names, str(tmp_path / "out"), asked, on_progress=note)
+    content = json.loads((tmp_path / "out" / "trend.json").read_text())
+    TrendOut.model_validate(content, extra="forbid")
+    assert [at["name"] for at in content["runs"]] == names
+    assert [at["time_h"] for at in content["runs"]] == [0.0, 1.0]
+    assert content["outlook"]["state"] == "not-known"
+    assert {"estimating", "following"} <= set(stages)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from app.errors import BadInput
 from app.estimation.common_basis import CommonBasis
 from app.estimation.drift import DriftData, DriftPosterior, estimate_drift
 from app.estimation.drift_course import Course, DriftSizes
@@ -12,7 +11,6 @@ from app.estimation.information import Information
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.model import MachineModel
-from app.results.trend import find_times
 from simulators.scenario import load_machine
 
 HOUR_S = 3600.0
@@ -151,14 +149,3 @@ def test_what_follows_the_temperature_is_predicted_at_another_temperature(model)
     off, sigma = theta - 4.0 * (B @ per_kelvin), np.sqrt(np.diag(covariance))
     assert (np.abs(off) < 2 * sigma).mean() > 0.85
     assert np.linalg.norm(off) < 0.2 * np.linalg.norm(4.0 * (B @ per_kelvin))
-
-
-def test_a_tracker_clock_that_began_anew_asks_for_the_times():
-    class Samples:
-        device_time_s = np.array([0.0, 5.0])
-
-    class Run:
-        tracker = Samples()
-
-    with pytest.raises(BadInput, match="--at"):
-        find_times([Run(), Run()])

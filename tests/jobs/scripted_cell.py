@@ -405,3 +405,32 @@ class Explorer:
         (place / "report.html").write_text(page)
         on_progress(1.0, "reporting")
         return self.verdict.state
+
+
+TREND = {
+    "schema": "trend/1",
+    "machine": {"name": "demo"},
+    "verdict": verdict_json(Verdict()),
+    "runs": [],
+    "later": [],
+    "states": {},
+    "sensors": [],
+    "outlook": {"state": "not-known", "sentence": "Too few Runs."},
+    "not_told": [],
+}
+
+
+class Follower:
+    """A task that writes the files of a machine over time; `calls` is what it got."""
+
+    def __init__(self):
+        self.calls: list[tuple] = []
+
+    def __call__(self, run_files, names, folder, asked, *, on_progress):
+        self.calls.append((run_files, names, asked))
+        on_progress(0.5, "following")
+        place = FilePath(folder)
+        place.mkdir(parents=True)
+        (place / "trend.json").write_text(json.dumps(TREND))
+        (place / "report.html").write_text("<!DOCTYPE html><title>Trend</title>")
+        return Verdict().state

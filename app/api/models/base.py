@@ -16,6 +16,9 @@ Mm = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Deg = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 Feed = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
 TargetUm = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
+Hours = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+HoursAhead = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
+Degrees = Annotated[float, Field(ge=-50, le=150, allow_inf_nan=False)]
 Dwell = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 Identifier = Annotated[
     str, StringConstraints(pattern=r"^[0-9a-zA-Z-]+$", max_length=36)

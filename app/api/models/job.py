@@ -49,6 +49,13 @@ class DiscoveryLinks(Links):
     model: Annotated[str, "/models/{id}"]
 
 
+class TrendLinks(Links):
+    """Where the machine over time is."""
+
+    trend: Annotated[str, "/jobs/{id}/trend"]
+    report_html: Annotated[str, "/jobs/{id}/trend/report.html"]
+
+
 class JobLinks(Links):
     """Where else to look."""
 
@@ -171,6 +178,9 @@ class JobOut(BaseModel):
     result: ResultLinks | None
     discovery: DiscoveryLinks | None = Field(
         description="Of a job of kind discover or measure-extra that has succeeded."
+    )
+    trend: TrendLinks | None = Field(
+        description="Of a job of kind trend that has succeeded."
     )
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."

@@ -9,7 +9,10 @@ from pydantic import ConfigDict, Field, model_validator
 from app.api.models.base import (
     JOB_ID,
     OTHER_ID,
+    Degrees,
     Feed,
+    Hours,
+    HoursAhead,
     Identifier,
     RequestBody,
     TargetUm,
@@ -24,6 +27,7 @@ from app.numerics.adaptive_trials import TrialPlan
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
 _MEASURED = {"plan_id", "target_um", "model_id", "continues", "on_notice"}
+_OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
@@ -31,6 +35,7 @@ _ALLOWED = {
     "measure-extra": {"discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
+    "trend": {"run_ids", *_OF_TREND},
 }
 
 
@@ -58,6 +63,12 @@ class JobRequest(RequestBody):
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
                 {"kind": "analyse", "run_id": JOB_ID, "model_id": OTHER_ID},
                 {"kind": "discover", "run_id": JOB_ID},
+                {
+                    "kind": "trend",
+                    "run_ids": [JOB_ID, OTHER_ID],
+                    "at_h": [8, 9.5],
+                    "limit_um": 5,
+                },
                 {"kind": "measure-extra", "discovery_id": JOB_ID},
                 {
                     "kind": "measure-otf",
@@ -78,6 +89,7 @@ class JobRequest(RequestBody):
         "measure-extra",
         "analyse",
         "discover",
+        "trend",
     ]
     run_id: Identifier | None = Field(
         None, description="The Run to analyse, or to discover in."
@@ -87,7 +99,32 @@ class JobRequest(RequestBody):
         min_length=1,
         max_length=MAX_RUNS,
         description="Runs of one machine, of either mode, to analyse together; in "
-        "place of run_id.",
+        "place of run_id. Of a trend two or more, in the order of time.",
+    )
+    at_h: list[Hours] | None = Field(
+        None,
+        max_length=MAX_RUNS,
+        description="Of a trend: the middle of each Run, in hours from any begin. "
+        "Without it by the clocks, if they tell.",
+    )
+    limit_um: TargetUm | None = Field(
+        None,
+        description="Of a trend: what the machine may be off the tables of its last "
+        "Run by, root mean square over the travel.",
+    )
+    horizon_h: HoursAhead | None = Field(
+        None, description="Of a trend: hours to look ahead after the last Run; 24."
+    )
+    later_h: list[HoursAhead] | None = Field(
+        None,
+        max_length=MAX_RUNS,
+        description="Of a trend: hours after the last Run at which tables are asked.",
+    )
+    temperature_degC: dict[str, Degrees] | None = Field(  # noqa: N815
+        None,
+        max_length=MAX_RUNS,
+        description="Of a trend: temperatures that stay from the last Run on, of "
+        "sensors that every Run has.",
     )
     path: list[Waypoint] | None = Field(
         None,
@@ -160,6 +197,8 @@ class JobRequest(RequestBody):
         runs = [self.run_id, *(self.run_ids or ())]
         if self.kind in ("analyse", "discover") and runs == [None]:
             raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
+        if self.kind == "trend" and len(self.run_ids or ()) < 2:
+            raise ValueError("a job of kind trend needs run_ids, two or more")
         if self.kind == "measure-extra" and self.discovery_id is None:
             raise ValueError("a job of kind measure-extra needs a discovery_id")
         again = self.on_notice in (OnNotice.CHECK, OnNotice.REPLAN)
@@ -194,6 +233,8 @@ class JobRequest(RequestBody):
             asked = self.planning.order() if self.planning else {"mode": "otf"}
             order = {"minutes": ADAPTIVE_MINUTES, **asked}
             order["perpendicular_only"] = self.perpendicular_only
+        if self.kind == "trend":
+            order = self.model_dump(include=_OF_TREND)
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id", "continues")
         return RequestedJob(
