@@ -176,7 +176,9 @@ class _JobSteps:
         names = [context.runs.get(run_id).name for run_id in job.run_ids]
         asked = context.store.read_plan_request(job.id)
         told = files, names, str(context.results / job.id), asked
-        verdict = self._compute(State.RUNNING, Stage.FOLLOWING, context.follower, *told)
+        verdict = self._compute(
+            State.RUNNING, Stage.ESTIMATING, context.follower, *told
+        )
         self.active.store_values(verdict=verdict)
 
     def _find_model(self) -> tuple[str | None, str | None]:

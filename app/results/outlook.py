@@ -21,6 +21,7 @@ from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.results.error_tables import ErrorTables, build_error_tables
 
 CHANCE = 0.05  # that the limit is exceeded, at which to calibrate again
+_GRADES = ("certain", 0.95), ("likely", 0.75), ("possible", 0.0)
 FEWEST_RUNS = 3  # two tell a difference, and nothing of its course
 _STEPS = 64  # of the time that is looked ahead
 _DRAWS = 16  # of each share
@@ -63,10 +64,13 @@ class Outlook:
 
     time_s : (n,) after the first Run, from the last Run on
     median_um, high_um : (n,) root mean square over the travel, 50 and 95 % of courses
-    state : `due`, `not-within-horizon`, `already` where what is not known at the last
-        Run is too much by itself, or `not-known` where Runs are too few
+    state : `not-within-horizon` where the chance that the limit is exceeded stays below
+        5 %; `due` where it reaches one half; `cannot-be-said` where it ends between;
+        `already` where what is not known at the last Run is too much by itself;
+        `not-known` where Runs are too few
     due_s : when the chance that the limit has been exceeded reaches 5 %
     expected_s : when it reaches one half, if it does
+    exceeded : the chance at the end, if a limit is stated and Runs are enough
     """
 
     time_s: Float64[np.ndarray, " n"]
@@ -76,6 +80,15 @@ class Outlook:
     state: str
     due_s: float | None
     expected_s: float | None
+    exceeded: float | None
+
+    @property
+    def grade(self) -> str | None:
+        """How sure `due` or `not-within-horizon` is."""
+        if self.exceeded is None or self.state not in ("due", "not-within-horizon"):
+            return None
+        chance = max(self.exceeded, 1.0 - self.exceeded)
+        return next(name for name, least in _GRADES if chance >= least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +136,17 @@ class LookAhead:
         at = self.at(*(begin + np.linspace(0.0, horizon_s, _STEPS)).tolist())
         off_um = self._measure_change_um(at)
         median, high = np.quantile(off_um, [0.5, 1.0 - CHANCE], axis=0)
-        due = expected = None
+        due = expected = end = None
         state = "not-known" if runs < FEWEST_RUNS else "not-within-horizon"
         if limit is not None and runs >= FEWEST_RUNS:
             exceeded = np.maximum.accumulate(off_um > limit, axis=1).mean(axis=0)
             due = _find_crossing(at.time_s, exceeded, CHANCE)
             expected = _find_crossing(at.time_s, exceeded, 0.5)
+            end = float(exceeded[-1])
             if due is not None:
-                state = "already" if due <= begin else "due"
-        return Outlook(at.time_s, median, high, limit, state, due, expected)
+                state = "cannot-be-said" if expected is None else "due"
+                state = "already" if due <= begin else state
+        return Outlook(at.time_s, median, high, limit, state, due, expected, end)
 
     def _measure_change_um(self, at: Course) -> Float64[np.ndarray, "c t"]:
         """Return how far drawn courses are off the tables of the last Run."""

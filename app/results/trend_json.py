@@ -69,7 +69,7 @@ def describe_outlook(outlook: Outlook) -> str:
     limit = f"{outlook.limit_um:g} µm"
     hours = f"{format_number(float(outlook.time_s[-1]) / HOUR_S)} h"
     if outlook.due_s is None:
-        return f"Not within the horizon: up to {hours} the machine stays below {limit}."
+        return f"Not due: the machine stays below {limit} up to {hours}."
     if outlook.state == "already":
         return (
             f"Already: what is not known at the last Run may exceed {limit}. Measure "
@@ -77,10 +77,17 @@ def describe_outlook(outlook: Outlook) -> str:
         )
     due = f"{format_number(outlook.due_s / HOUR_S)} h"
     chance = f"{100.0 * CHANCE:.0f} %"
-    text = f"Calibrate again at {due}: a chance of {chance} to exceed {limit} by then"
     if outlook.expected_s is None:
-        return f"{text}; an even chance is not reached within {hours}."
-    return f"{text}, an even chance by {format_number(outlook.expected_s / HOUR_S)} h."
+        end = f"{100.0 * (outlook.exceeded or 0.0):.0f} %"
+        return (
+            f"The machine stays below {limit} up to {due}. Later cannot be said: the "
+            f"chance to exceed it reaches {end} by {hours}. Measure once more by {due}."
+        )
+    expected = f"{format_number(outlook.expected_s / HOUR_S)} h"
+    return (
+        f"Calibrate again at {due} ({outlook.grade}): a chance of {chance} to exceed "
+        f"{limit} by then, an even chance by {expected}."
+    )
 
 
 def _encode_tables(trend: Trend, at: TablesAt) -> dict[str, Any]:
@@ -94,9 +101,11 @@ def _encode_outlook(outlook: Outlook) -> dict[str, Any]:
     due, expected = outlook.due_s, outlook.expected_s
     return {
         "state": outlook.state,
+        "grade": outlook.grade,
         "sentence": describe_outlook(outlook),
         "limit_um": outlook.limit_um,
         "chance": CHANCE,
+        "exceeded": outlook.exceeded,
         "due_h": None if due is None else due / HOUR_S,
         "expected_h": None if expected is None else expected / HOUR_S,
         "time_h": (outlook.time_s / HOUR_S).tolist(),

@@ -135,6 +135,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def job_discovery(job_id: str) -> Any:
         return service.discovery
 
+    @app.get(f"{API}/jobs/{{job_id}}/trend")
+    def job_trend(job_id: str) -> Any:
+        return service.trend
+
     @app.get(f"{API}/jobs/{{job_id}}/estimate")
     def job_estimate(job_id: str) -> Any:
         if job_id not in service.estimates:

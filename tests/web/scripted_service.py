@@ -25,7 +25,7 @@ from scripted_data import (
     result,
 )
 
-_STAGES = {"analyse": "aligning", "discover": "discovering"}
+_STAGES = {"analyse": "aligning", "discover": "discovering", "trend": "following"}
 ENDED = {"succeeded", "aborted", "failed", "faulted", "interrupted"}
 
 
@@ -51,6 +51,7 @@ class ScriptedService:
         self.machine: dict[str, Any] = MACHINE
         self.result = result()
         self.discovery: dict[str, Any] = DISCOVERY
+        self.trend: dict[str, Any] = {}
         self.estimates: dict[str, dict[str, Any]] = {}
         self._numbers = itertools.count(1)
         self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()
@@ -155,6 +156,7 @@ class ScriptedService:
             "name": f"VMC 500 {run_id}",
             "samples": 61600,
             "lost_samples": 0,
+            "machine": "VMC 500",
             "created": "2026-03-14T08:05:00.000Z",
         }
         self.runs.append(run)

@@ -64,10 +64,18 @@ class RunAtOut(TablesAtOut):
 class OutlookOut(BaseModel):
     """When to calibrate again; `time_h` with the median and 95 % of courses below."""
 
-    state: Literal["due", "not-within-horizon", "already", "not-known"]
+    state: Literal[
+        "due", "not-within-horizon", "cannot-be-said", "already", "not-known"
+    ]
+    grade: Literal["certain", "likely", "possible"] | None = Field(
+        description="Of due and not-within-horizon: by the chance at the horizon."
+    )
     sentence: str
     limit_um: float | None
     chance: float = Field(description="Of exceeding the limit, at which it is due.")
+    exceeded: float | None = Field(
+        description="The chance that the limit is exceeded by the horizon."
+    )
     due_h: float | None
     expected_h: float | None = Field(description="Where the chance is one half.")
     time_h: TableColumn

@@ -1,6 +1,6 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring } from "./flow.js";
+import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
@@ -61,7 +61,7 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null, discovery: null };
+    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null, discovery: null, trend: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();
@@ -95,8 +95,12 @@ export function createActions(store, go) {
   }
 
   async function fetchResult() {
-    const { job, result, discovery } = store.get();
-    if (job?.state !== "succeeded" || result || discovery) return;
+    const { job, result, discovery, trend } = store.get();
+    if (job?.state !== "succeeded" || result || discovery || trend) return;
+    if (isTrend(job)) {
+      await keep("trend", job, api.trend);
+      return;
+    }
     if (isDiscovery(job)) {
       await keep("discovery", job, api.discovery);
       return;

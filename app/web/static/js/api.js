@@ -66,6 +66,7 @@ export const grade = (id, place_mm) =>
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
 export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
+export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
@@ -95,6 +96,8 @@ export const links = {
   acceptedCsv: (id) => `${links.csv(id)}?accept_verdict=true`,
   json: (id) => `${ROOT}/jobs/${id}/result`,
   discoveryReport: (id) => `${ROOT}/jobs/${id}/discovery/report.html`,
+  trend: (id) => `${ROOT}/jobs/${id}/trend`,
+  trendReport: (id) => `${ROOT}/jobs/${id}/trend/report.html`,
   model: (id) => `${ROOT}/models/${id}`,
   report: (id) => `${ROOT}/jobs/${id}/result/report.html`,
   bundle: (run) => `${ROOT}/runs/${run}/bundle`,

@@ -1,14 +1,17 @@
 /* The steps, where a job belongs among them, and which can be reached. */
 export const STEPS = ["connect", "plan", "check", "run", "result", "discover"];
 
+/** Views that are no step. */
+const BESIDE = ["records", "trend"];
 const WAITS_FOR_ARMING = new Set(["ready", "awaiting-move"]);
 const BEFORE_MOTION = new Set(["queued", "preparing", ...WAITS_FOR_ARMING]);
 const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
-const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "reporting"]);
+const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "following", "reporting"]);
 
 export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
 export const isExtra = (job) => job?.kind === "measure-extra";
 export const isDiscovery = (job) => job?.kind === "discover" || isExtra(job);
+export const isTrend = (job) => job?.kind === "trend";
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);
@@ -24,6 +27,7 @@ export const rowsNow = (plan, job) =>
 /** The step that shows a job as it is now. */
 export function stepOf(job) {
   if (!job) return "connect";
+  if (job.state === "succeeded" && isTrend(job)) return "trend";
   if (job.state === "succeeded") return isDiscovery(job) ? "discover" : "result";
   if (isMeasuring(job) && BEFORE_MOTION.has(job.state)) return "check";
   return "run";
@@ -35,7 +39,7 @@ export const addressOf = (job) => (job ? `#/${stepOf(job)}/${job.id}` : "#/conne
 /** Step and job id of an address. */
 export function place(hash) {
   const [, step = "", id = null] = hash.match(/^#\/(\w+)(?:\/([\w-]+))?$/) ?? [];
-  const found = STEPS.includes(step) || step === "records" ? step : null;
+  const found = STEPS.includes(step) || BESIDE.includes(step) ? step : null;
   return { step: found, id };
 }
 
@@ -46,7 +50,7 @@ export function reach(step, { job, machine }) {
   if (!job) return null;
   const own = stepOf(job);
   if (step === own) return `#/${step}/${job.id}`;
-  if (step === "run" && ["result", "discover"].includes(own)) return `#/run/${job.id}`;
+  if (step === "run" && ["result", "discover", "trend"].includes(own)) return `#/run/${job.id}`;
   if (step === "discover" && own === "result") return `#/discover/${job.id}`;
   return null;
 }

@@ -13,13 +13,14 @@ import * as records from "./views/records.js";
 import * as result from "./views/result.js";
 import * as run from "./views/run.js";
 import { toggleSettings } from "./views/settings.js";
+import * as trend from "./views/trend.js";
 
-const VIEWS = { connect, plan, check, run, result, discover, records };
+const VIEWS = { connect, plan, check, run, result, discover, records, trend };
 const RETRY_MS = 2000;
 const RECENT_MS = 3600e3;
 
 const store = createStore({
-  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null,
+  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null,
   live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
   link: { stale: false, last: null },
 });

@@ -3,6 +3,7 @@ import { duration, number } from "../texts.js";
 import { shown } from "../units.js";
 import { colour, font } from "./colours.js";
 import { COVERAGE } from "./error-chart.js";
+import { drawLevel } from "./level.js";
 
 const SHORTEST_S = 30;
 
@@ -53,7 +54,7 @@ function options(element, drawn) {
     ],
     series: [{}, { stroke: colour("accent"), width: 2.25, pxAlign: 0,
       points: { show: true, size: 6, fill: colour("accent") } }],
-    hooks: { draw: [(chart) => drawTarget(chart, drawn.target)] },
+    hooks: { draw: [(chart) => drawLevel(chart, drawn.target)] },
   };
 }
 
@@ -73,18 +74,3 @@ function roundMarks(low, high) {
 }
 
 const decimalsOf = (mark) => Math.max(0, -Math.floor(Math.log10(mark) + 1e-9));
-
-function drawTarget(chart, target) {
-  if (target === null) return;
-  const y = Math.round(chart.valToPos(target, "y", true)) + 0.5;
-  const { left, width } = chart.bbox;
-  chart.ctx.save();
-  chart.ctx.strokeStyle = colour("text");
-  chart.ctx.lineWidth = 1.5 * devicePixelRatio;
-  chart.ctx.setLineDash([7 * devicePixelRatio, 5 * devicePixelRatio]);
-  chart.ctx.beginPath();
-  chart.ctx.moveTo(left, y);
-  chart.ctx.lineTo(left + width, y);
-  chart.ctx.stroke();
-  chart.ctx.restore();
-}

@@ -25,7 +25,8 @@ const UNITS = Object.entries({
 });
 
 /** How sure a name is. */
-const GRADES = {
+/** How sure something is, in words. */
+export const GRADES = {
   certain: () => t("discover.certain"),
   likely: () => t("discover.likely"),
   possible: () => t("discover.possible"),

@@ -5,6 +5,7 @@ import { addressOf, hasEnded } from "../flow.js";
 import { card, head, kindOf, linkButton, shapeOf, wordOf } from "../parts.js";
 import { dateTime, duration, number, t } from "../texts.js";
 import { dropZone } from "./drop.js";
+import { overTimeCard } from "./trend-form.js";
 import { verdictMark } from "./verdict-band.js";
 
 /** Button that leads on. */
@@ -16,14 +17,16 @@ export function lead({ job }, { go }) {
 export function mount(root, { store, actions, go }) {
   const jobs = h("div", { class: "table-scroll" });
   const runs = h("div", { class: "table-scroll" });
+  const over = h("div", { class: "stack" });
   root.append(head(t("records.title"), t("records.text")),
-    h("div", { class: "stack records" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs),
+    h("div", { class: "stack records" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs), over,
       card(t("connect.recorded"), dropZone(store, actions))));
   actions.loadRecords().catch(actions.refuse);
   const before = {};
   return {
     update(state) {
       if (state.jobs !== before.jobs) jobs.replaceChildren(jobTable(state.jobs, go));
+      if (state.runs !== before.runs) over.replaceChildren(...[overTimeCard(state.runs, go)].filter(Boolean));
       if (state.runs !== before.runs || state.busy !== before.busy) {
         runs.replaceChildren(runTable(state, actions));
       }

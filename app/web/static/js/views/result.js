@@ -10,6 +10,7 @@ import { figure, quantity, unitOf } from "../units.js";
 import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
+import { overTimeCard } from "./trend-form.js";
 import { trialsCard } from "./trials-card.js";
 import { usableMark, verdictBand } from "./verdict-band.js";
 
@@ -20,7 +21,7 @@ export function lead(state, { go }) {
 }
 
 /** Show the result of the job. */
-export function mount(root, { actions }) {
+export function mount(root, { actions, go }) {
   let charts = [];
   let drawn = null;
 
@@ -29,15 +30,15 @@ export function mount(root, { actions }) {
     charts = [];
   }
 
-  function draw(job, result, run) {
+  function draw(job, result, runs) {
     close();
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
     const band = verdictBand(result.verdict);
-    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), summary(run ?? job.health, result),
+    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), summary(runs.find((run) => run.id === job.run_id) ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
-    body.append(...[trialsCard(job, result, actions), askCard(job, actions)].filter(Boolean));
+    body.append(...[trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
@@ -45,7 +46,7 @@ export function mount(root, { actions }) {
     update({ job, result, runs }) {
       if (!result || result === drawn) return;
       drawn = result;
-      draw(job, result, runs.find((run) => run.id === job.run_id));
+      draw(job, result, runs);
     },
     close,
   };

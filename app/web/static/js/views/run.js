@@ -1,7 +1,7 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
 import {
-  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, rowsNow,
+  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, rowsNow,
 } from "../flow.js";
 import { holdToConfirm } from "../hold.js";
 import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
@@ -19,6 +19,7 @@ const STAGES = {
   analyse: ["aligning", "estimating", "reporting"],
   discover: ["discovering", "reporting"],
   extra: ["planning", "measuring", "discovering", "reporting"],
+  trend: ["estimating", "following", "reporting"],
   validate: ["aligning", "estimating", "validating", "reporting"],
 };
 
@@ -49,6 +50,14 @@ export const again = (job, plan, go) => (isExtra(job) && plan?.discovery_id
   : { key: "again", label: t("run.again"), run: () => go("#/plan") });
 
 const nextOf = (job) => t(isDiscovery(job) ? "run.next_discovery" : "run.next");
+
+/** Stages, title and text of a job that moves nothing. */
+function computing(job) {
+  if (isTrend(job)) return [STAGES.trend, t("run.trend_title"), t("run.trend_text")];
+  if (isDiscovery(job)) return [STAGES.discover, t("run.discovery_title"), t("run.discovery_text")];
+  const stages = job.monte_carlo ? STAGES.validate : STAGES.analyse;
+  return [stages, t("run.analysis_title"), t("run.analysis_text")];
+}
 
 /** Show the job under way. */
 export function mount(root, context) {
@@ -123,11 +132,9 @@ function mountMeasuring(root, { store, actions }, extra) {
 }
 
 function mountAnalysis(root, job) {
-  const usual = job.monte_carlo ? STAGES.validate : STAGES.analyse;
-  const progress = progressCard(isDiscovery(job) ? STAGES.discover : usual);
+  const [stages, title, text] = computing(job);
+  const progress = progressCard(stages);
   const ending = h("div");
-  const [title, text] = isDiscovery(job) ? [t("run.discovery_title"), t("run.discovery_text")]
-    : [t("run.analysis_title"), t("run.analysis_text")];
   root.append(head(title, text), ending, progress.element);
   let ended = "";
   return {
