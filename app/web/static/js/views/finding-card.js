@@ -25,8 +25,7 @@ const UNITS = Object.entries({
 });
 
 /** How sure a name is. */
-/** How sure something is, in words. */
-export const GRADES = {
+const GRADES = {
   certain: () => t("discover.certain"),
   likely: () => t("discover.likely"),
   possible: () => t("discover.possible"),

@@ -8,7 +8,6 @@ import { drawOverTime } from "../plots/time-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
 import { number, t } from "../texts.js";
 import { quantity, shown, unitOf } from "../units.js";
-import { GRADES } from "./finding-card.js";
 import { trendForm } from "./trend-form.js";
 import { verdictBand } from "./verdict-band.js";
 
@@ -68,7 +67,7 @@ export function sentence(outlook) {
 }
 
 function outlookCard(outlook) {
-  const grade = GRADES[outlook.grade]?.();
+  const grade = outlook.grade && t(`trend.sure.${outlook.grade}`);
   const tone = { due: "held", already: "held", "cannot-be-said": "held" }[outlook.state] ?? null;
   const shown = notice(tone, t(`trend.answer.${outlook.state}`), sentence(outlook), grade && t("trend.grade", { grade }));
   shown.dataset.state = outlook.state;
