@@ -21,6 +21,7 @@ _NOTES = {
     StreamState.GOOD: "",
     StreamState.SILENT: "no samples",
     StreamState.DEAD: "no samples",
+    StreamState.DAMAGED: "samples bad or lost",
     StreamState.BEAM_LOST: "beam lost",
 }
 

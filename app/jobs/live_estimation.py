@@ -33,7 +33,13 @@ from app.jobs.live_process import (
 )
 from app.jobs.planned_rows import PlannedRows
 from app.measurement.cell import Cell
-from app.measurement.messages import BlockRecorded, CellEvent, CellVerb, PartRequested
+from app.measurement.messages import (
+    BlockRecorded,
+    CellEvent,
+    CellVerb,
+    LinesDamaged,
+    PartRequested,
+)
 from app.motion.configurations import Commanded, append_part
 from drivers.interfaces.records import Path, TrackerSamples
 
@@ -192,6 +198,10 @@ class LiveSteering:
         match event:
             case BlockRecorded(samples):
                 self.live.offer(samples)
+            case LinesDamaged(_, again) if again is not None:
+                self.live.extend(again)
+            case LinesDamaged(row) if self.planned is not None:
+                self.planned.repeat(row)
             case PartRequested() if self.planned is not None:
                 self._is_next_due = True
             case PartRequested() if self.commanded is not None:

@@ -80,6 +80,18 @@ POINTS_ONLY = Fault(
     "plan for standstill points, or use a tracker that streams",
     latched=False,
 )
+DAMAGED = Fault(
+    "stream-damaged",
+    "more than 1 % of the tracker's samples are bad or lost; the feed is held",
+    "nothing: it goes on by itself and drives the line again; look at the cable",
+    latched=False,
+)
+STAYS_DAMAGED = Fault(
+    "stream-damaged",
+    "too many of the tracker's samples stay bad or lost",
+    "check cable, shielding and baud rate of the tracker, then measure again",
+    latched=True,
+)
 SLOW_DISK = Fault(
     "slow-disk",
     "the disk cannot keep up; the feed is held until it has",
@@ -100,8 +112,8 @@ BEAM_LOST = Fault(
 )
 NO_BEAM = Fault(
     "not-resumed",
-    "the tracker sends no valid samples, the machine stays held",
-    "lock the beam on the reflector, then press Resume",
+    "the tracker sends no valid samples or damaged ones, the machine stays held",
+    "lock the beam on the reflector, look at the cable, then press Resume",
     latched=False,
 )
 NO_WATCHDOG = Fault(

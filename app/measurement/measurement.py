@@ -82,6 +82,8 @@ class Measurement:
             self._measure()
             if self._steps is not None and self._steps.is_concluding:
                 text = "ended early: enough is known"
+            elif self._steps is not None and self._steps.has_repeated:
+                text += "; some twice, for the stream was damaged meanwhile"
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
             self._stop(self._motion.hold if self._is_halted else self._motion.abort)

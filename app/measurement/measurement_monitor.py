@@ -8,6 +8,7 @@ feeds no watchdog, so the machine holds.
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -16,9 +17,11 @@ import numpy as np
 from app.errors import MeasurementFailed
 from app.measurement.faults import (
     BEAM_LOST,
+    DAMAGED,
     POINTS_ONLY,
     SILENT,
     SLOW_DISK,
+    STAYS_DAMAGED,
     STILL_HELD,
     Aborted,
     Fault,
@@ -43,6 +46,8 @@ from drivers.interfaces.errors import (
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import AxisSamples, MotionState, MotionStatus
 from drivers.interfaces.tracker import AnyTracker, EventSource, PolledTracker, Tracker
+
+_TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed late
 
 
 class ControllerMonitor:
@@ -126,6 +131,9 @@ class MeasurementMonitor:
         self._failures = 0  # of a polled tracker, one after another
         self._point_s = 0.0
         self._is_machine_hold_reported = False
+        self._damaged = Stopwatch(settings.clock)
+        self._rows: deque[int] = deque(maxlen=_TICKS_HIT)
+        self._hit_row: int | None = None
         self._unconfirmed_hold = Stopwatch(settings.clock)
         self._unconfirmed_resume = Stopwatch(settings.clock)
 
@@ -155,6 +163,11 @@ class MeasurementMonitor:
             except DeviceError as error:
                 self._record_event("tracker", str(error))
         self._machine.flush()
+
+    def take_hit_row(self) -> int | None:
+        """Return the first row since the last call with a damaged stream, if any."""
+        row, self._hit_row = self._hit_row, None
+        return row
 
     @property
     def is_polled(self) -> bool:
@@ -266,9 +279,23 @@ class MeasurementMonitor:
             self._hold_feed(HoldReason.SILENCE, SILENT)
         elif state is StreamState.BEAM_LOST:
             self._hold_feed(HoldReason.BEAM, BEAM_LOST)
-        elif HoldReason.SILENCE in self.state.holds:
+        elif state is StreamState.GOOD:
             # Too short for anybody to have walked up to the machine: go on by itself.
-            self._release_hold(HoldReason.SILENCE, "the stream is back")
+            for reason in {HoldReason.SILENCE, HoldReason.DAMAGE} & self.state.holds:
+                self._release_hold(reason, "the stream is good again")
+        self._follow_damage(is_damaged=state is StreamState.DAMAGED)
+
+    def _follow_damage(self, *, is_damaged: bool) -> None:
+        """Hold while the stream is damaged; keep the row that it began in."""
+        self._rows.append(self.progress.row)
+        if not is_damaged:
+            self._damaged.reset()
+            return
+        self._hold_feed(HoldReason.DAMAGE, DAMAGED)
+        if self.progress.stage == "measuring" and self._hit_row is None:
+            self._hit_row = self._rows[0]
+        if self._damaged.measure_s() > self.settings.timeouts.damaged_s:
+            raise STAYS_DAMAGED
 
     def _tell_events(self) -> None:
         """Record what happens at the tracker; report what somebody has to look at."""
@@ -287,9 +314,7 @@ class MeasurementMonitor:
             self._machine.command(self.motion.hold)
 
     def _release_hold(self, reason: HoldReason, text: str) -> None:
-        self._record_event(
-            "stream" if reason is HoldReason.SILENCE else "storage", text
-        )
+        self._record_event("storage" if reason is HoldReason.DISK else "stream", text)
         self._is_machine_hold_reported = False  # it may be the only reason left
         self.state.release(reason, text=text)
 

@@ -29,6 +29,7 @@ class HoldReason(StrEnum):
 
     OPERATOR = "operator"
     SILENCE = "silence"
+    DAMAGE = "damage"
     BEAM = "beam"
     DISK = "disk"
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release

@@ -14,17 +14,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.faults import NO_BEAM, POINTS_ONLY, UNSTOPPED, Fault
+from app.measurement.faults import (
+    NO_BEAM,
+    POINTS_ONLY,
+    STAYS_DAMAGED,
+    UNSTOPPED,
+    Fault,
+)
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import HoldReason
 from app.measurement.messages import (
     CellVerb,
+    LinesDamaged,
     MeasurementCommand,
     MeasurementOrder,
     PartRequested,
 )
 from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations, append_part
+from app.motion.driven_again import drive_again
 from app.motion.travel import check_travel
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from drivers.interfaces.records import MotionState, MotionStatus, Path
@@ -34,6 +42,7 @@ _STANDING = frozenset(MotionState) - {
     MotionState.HELD,
     MotionState.ALARM,
 }
+_AGAIN = 3  # times that lines are driven again: a measurement has to end
 
 
 class MeasurementSteps:
@@ -56,6 +65,12 @@ class MeasurementSteps:
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self.is_concluding = False  # the rest is to be left out
         self._concluded_row: int | None = None
+        self._again_left = _AGAIN
+
+    @property
+    def has_repeated(self) -> bool:
+        """Whether lines were driven again."""
+        return self._again_left < _AGAIN
 
     def run(self, commanded: Commanded) -> None:
         """Make the whole measurement; the rows are in the controller's axes."""
@@ -76,10 +91,27 @@ class MeasurementSteps:
         self.motion.load(path)
         self.open_stream()
         self.run_path(path)
-        while isinstance(part := self.request_part(), Path):
+        while isinstance(part := self._choose_part(), Path):
             self.motion.load(part)
             self.run_path(part)
         self.finish()
+
+    def _choose_part(self) -> Commanded | None:
+        """Return what comes next: lines with a damaged stream again, or a new part."""
+        row = self._monitor.take_hit_row()
+        if row is None or self.is_concluding:
+            return self.request_part()
+        self._again_left -= 1
+        if self._again_left < 0:
+            raise STAYS_DAMAGED
+        first = max(row, 1)
+        self._recorder.event("again", f"from row {first + 1} on")
+        if self._order.grows:
+            self._monitor.report(LinesDamaged(first, None))
+            return self.request_part()
+        again = drive_again(self._commanded, first)
+        self._monitor.report(LinesDamaged(first, again))
+        return self._extend(again)
 
     def _step_through(self, points: Configurations) -> None:
         """Stand at every point in turn while the stream runs, then at further ones.
@@ -204,6 +236,10 @@ class MeasurementSteps:
         part = self._wait_for_part() if self._order.grows else None
         if part is None:
             return None
+        return self._extend(part)
+
+    def _extend(self, part: Commanded) -> Commanded:
+        """Check and record a part; return it in the controller's axes."""
         check_travel(self._order.machine, part)
         self._commanded = append_part(self._commanded, part)
         self._recorder.extend(self._commanded)

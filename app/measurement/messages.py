@@ -35,6 +35,8 @@ class CellState(StrEnum):
 class StreamTimeouts:
     """For how long, in seconds that the host has run, a stream may be less than good.
 
+    damaged_share : of a second's samples that may be bad or lost; damaged_s : for how
+        long more may be, before the measurement ends
     late_s : what counts at most of a time in which the host did not run: a suspended or
         starved process reads nothing, and finds all data waiting afterwards
     point_s : how much longer than its dwell a point of a polled tracker may take
@@ -43,6 +45,8 @@ class StreamTimeouts:
     silent_s: float = 0.5
     dead_s: float = 5.0
     beam_s: float = 0.25
+    damaged_share: float = 0.01
+    damaged_s: float = 10.0
     late_s: float = 0.25
     point_s: float = 20.0
 
@@ -177,6 +181,18 @@ class PartRequested:
 
 
 @dataclass(frozen=True, slots=True)
+class LinesDamaged:
+    """Event: lines were driven while the stream was damaged; they are driven again.
+
+    row : the first of them
+    again : what is driven now; None where the order grows: who extends it decides
+    """
+
+    row: int
+    again: Commanded | None
+
+
+@dataclass(frozen=True, slots=True)
 class FaultReported:
     """Event: something is wrong; the state says whether this is the end.
 
@@ -215,6 +231,7 @@ CellEvent = (
     | LivePoints
     | BlockRecorded
     | PartRequested
+    | LinesDamaged
     | FaultReported
     | RunClosed
 )

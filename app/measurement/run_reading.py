@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from app.errors import BundleError
 from app.files.run import PointRows, Run, RunEvent
 from app.files.whole_files import sync_to_disk
-from app.measurement.faults import NO_WATCHDOG
+from app.measurement.faults import DAMAGED, NO_WATCHDOG
 from app.measurement.messages import RunClosed
 from app.measurement.run_file import (
     AXES_STREAM,
@@ -52,6 +52,7 @@ _LEAST_ROW_BYTES = 64  # no row of the file is smaller
 _NAMED_PROBLEMS = 100  # beyond them nobody reads on
 _ROWS = "row", "count", "covariance_mm2"
 _TORN = "torn"  # outcome of a Run whose writer was killed
+_NOTES = {NO_WATCHDOG.code: "watchdog", DAMAGED.code: "stream"}  # kinds of events
 _NO_RUN = ("no such table", "not a database")
 
 Row = tuple[Any, ...]
@@ -99,7 +100,7 @@ def open_run(file: str | Path) -> Run:
             "source": place.name,
             "started": started,
             "outcome": closed.get("outcome", _TORN),
-            **_describe_watchdog(content.events),
+            **_describe_notes(content.events),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
                 for name, who in header.devices.items()
@@ -287,9 +288,10 @@ def _make_events(missing: list[str]) -> list[RunEvent]:
     ]
 
 
-def _describe_watchdog(events: list[RunEvent]) -> dict[str, str]:
-    texts = [event.text for event in events if event.kind == NO_WATCHDOG.code]
-    return {"watchdog": texts[0]} if texts else {}
+def _describe_notes(events: list[RunEvent]) -> dict[str, str]:
+    """Return what a report has to say of the way it was measured."""
+    texts = {event.kind: event.text for event in reversed(events)}
+    return {name: texts[kind] for kind, name in _NOTES.items() if kind in texts}
 
 
 def _salvage(file: Path, content: _Content) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from app.errors import MeasurementFailed
 from app.measurement.messages import StreamTimeouts
 from app.measurement.recorder import Recorder
+from app.measurement.stream_damage import StreamDamage
 from app.measurement.timing import RunningClock
 from drivers.interfaces.errors import DeviceError, DeviceTimeout
 from drivers.interfaces.records import TrackerSamples
@@ -29,6 +30,7 @@ class StreamState(Enum):
     GOOD = "good"
     SILENT = "silent"  # nothing came for a while: hold the feed
     DEAD = "dead"  # nothing came for so long that it will not come by itself
+    DAMAGED = "damaged"  # too many samples are bad or lost: hold the feed
     BEAM_LOST = "beam-lost"  # samples come, none of them valid
 
 
@@ -57,6 +59,7 @@ class StreamReader:
         # A process that did not run has not read either: that is no silence.
         self._clock = RunningClock(timeouts.late_s, clock)
         self._lock = threading.Lock()
+        self._damage: StreamDamage | None = None
         self._received_s = self._valid_s = self._clock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(
@@ -71,6 +74,7 @@ class StreamReader:
         while len(self._tracker.read(0.0)):
             pass  # left over from an earlier stream
         self._take_link_bytes()
+        self._damage = StreamDamage(rate_hz, self._timeouts.damaged_share)
         self._tracker.start(rate_hz)
         self._thread.start()
 
@@ -88,10 +92,13 @@ class StreamReader:
             silence_s = now_s - self._received_s
             # A beam is assessed by the samples that came, not by their absence.
             without_beam_s = self._received_s - self._valid_s
+            is_damaged = self._damage is not None and self._damage.is_over_limit
         if silence_s > self._timeouts.dead_s:
             return StreamState.DEAD
         if silence_s > self._timeouts.silent_s:
             return StreamState.SILENT
+        if is_damaged:
+            return StreamState.DAMAGED
         if without_beam_s > self._timeouts.beam_s:
             return StreamState.BEAM_LOST
         return StreamState.GOOD
@@ -119,8 +126,11 @@ class StreamReader:
         now_s = self._clock()
         if not len(block):
             return
+        crc_errors = self._tracker.health.crc_errors
         with self._lock:
             self._received_s = now_s
+            if self._damage is not None:
+                self._damage.note(block, crc_errors)
             self.device_time_s = float(block.device_time_s[-1])
             if np.any(block.status == 0):
                 self._valid_s, self.has_valid = now_s, True

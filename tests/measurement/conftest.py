@@ -83,6 +83,7 @@ class FakeTracker(Tracker, ByteLink):
     def __init__(self, speed: float = 20.0) -> None:
         self.speed = speed
         self.silent = False
+        self.damaged = False  # of twenty samples one arrives
         self.beam = True
         self.error: Exception | None = None
         self.refusal: Exception | None = None
@@ -140,12 +141,13 @@ class FakeTracker(Tracker, ByteLink):
         if self.restarted:
             sequence -= first
         self._bytes += bytes(count - first)
-        return TrackerSamples(
+        samples = TrackerSamples(
             sequence,
             100.0 + np.arange(first, count) / self._rate_hz,
             np.tile([1.0, 2.0, 3.0], (count - first, 1)),
             np.full(count - first, 0 if self.beam else 4, np.int64),
         )
+        return samples.select(sequence % 20 == 0) if self.damaged else samples
 
 
 class FakeMotion(MotionController):

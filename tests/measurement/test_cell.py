@@ -448,6 +448,19 @@ def test_a_closed_connection_of_the_controller_costs_nothing(bench, watchful, or
     assert closed.lost_samples == 0
 
 
+def test_a_stream_of_bad_frames_is_held_and_named(bench, watchful, order):
+    watchful.cell.begin(order)
+    watchful.until_line(1)
+    bench.inject(f"tracker:bit-flip+{0.5 * SPEED}s*0.95")
+    watchful.until_state("paused")
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert set(watchful.faults) == {"stream-damaged"}
+    run = open_run(closed.run_file)
+    assert len(run.commanded) > len(order.commanded)
+    assert "bad or lost" in run.provenance["stream"]
+
+
 @contextmanager
 def suspended(*process_ids: int) -> Iterator[None]:
     """Let processes not run meanwhile."""

@@ -15,6 +15,7 @@ from app.measurement.measurement import Measurement, arrange_axes
 from app.measurement.messages import (
     CellVerb,
     FaultReported,
+    LinesDamaged,
     LivePoints,
     MeasurementOrder,
     MeasurementProgress,
@@ -557,6 +558,55 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(
     assert journal.faults == ["tracker-silent", "tracker-silent"]
     assert "check the tracker and its cable" in journal.of(FaultReported)[-1].action
     assert running.run.provenance["outcome"] == "faulted"
+
+
+def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
+    begin, short_order, tracker, motion, journal
+):
+    running = begin(short_order)
+    running.until_moving()
+    tracker.damaged = True
+    running.until_state("paused")
+    assert "hold" in motion.calls
+    assert journal.faults == ["stream-damaged"]
+    tracker.damaged = False
+    running.finished()
+    commanded = running.run.commanded.position
+    rows = len(short_order.commanded)
+    assert np.array_equal(commanded[:rows], short_order.commanded.position)
+    assert len(commanded) > rows
+    assert motion.calls.count("start") == 2
+    assert "again" in [event.kind for event in running.run.events]
+    assert "bad or lost" in running.run.provenance["stream"]
+    assert journal.of(LinesDamaged)[0].again is not None
+    ends = [event for event in journal.of(StateChanged) if event.state == "finished"]
+    assert "some twice" in ends[0].text
+
+
+def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
+    begin, long_order, tracker, motion, journal
+):
+    clock = HandClock()
+    settings = replace(JUDGED, link_s=1e9, confirm_s=1e9)
+    running = begin(long_order, settings=settings, clock=clock)
+    running.until_moving()
+    tracker.damaged = True
+    running.until_state("paused")
+    running.pass_until(lambda: bool(journal.of(RunClosed)))
+    assert running.ended() == "faulted"
+    assert set(journal.faults) == {"stream-damaged"}
+    assert motion.status().state == "held"
+
+
+def test_a_damaged_stream_before_the_path_costs_no_line(
+    begin, short_order, tracker, motion, journal
+):
+    tracker.damaged = True
+    running = begin(short_order)
+    running.until_state("paused")
+    tracker.damaged = False
+    running.finished()
+    assert motion.calls.count("start") == 1
 
 
 def test_a_lost_beam_holds_until_somebody_resumes(
