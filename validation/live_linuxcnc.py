@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path as FilePath
@@ -33,15 +33,12 @@ from app.measurement.messages import (
     RunClosed,
 )
 from app.measurement.run_reading import open_run
-from drivers.interfaces.records import Path
+from app.planning.default_path import default_path
 from simulators.bench import Bench
 from simulators.linuxcnc.files import LinuxCncMachine
 from simulators.linuxcnc.rig import LinuxCncRig
-from simulators.machine_file import MachineFile, parse_machine
-from simulators.paths import chord_path
+from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
-from simulators.timeline import Program
-from simulators.turning_paths import turning_path
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3
@@ -86,18 +83,18 @@ class LiveRig:
 
 
 @contextmanager
-def live_rig(content: Mapping[str, Any], seed: int, **more: Any) -> Iterator[LiveRig]:
-    """Start LinuxCNC with the travel of a machine file, and a tracker beside it.
-
-    more : of `LinuxCncMachine`
-    """
+def live_rig(content: Mapping[str, Any], seed: int, case: Case) -> Iterator[LiveRig]:
+    """Start LinuxCNC with the travel of a machine file, and a tracker beside it."""
     machine = parse_machine(content)
     travel = {
         axis.name: (low - _BEYOND, high + _BEYOND)
         for axis, low, high in zip(machine.axes, machine.low, machine.high, strict=True)
     }
+    machine_on_linuxcnc = LinuxCncMachine(
+        travel, kinematics=case.kinematics, hal=case.hal
+    )
     with (
-        LinuxCncRig(LinuxCncMachine(travel, **more), samples=True) as linuxcnc,
+        LinuxCncRig(machine_on_linuxcnc, samples=True) as linuxcnc,
         Bench(
             content,
             seed,
@@ -106,6 +103,7 @@ def live_rig(content: Mapping[str, Any], seed: int, **more: Any) -> Iterator[Liv
         ) as bench,
     ):
         ready = {"reset_at_connect": True, "home_at_connect": True}
+        ready["prologue"] = case.prologue
         yield LiveRig(linuxcnc, bench, linuxcnc.motion_options | ready)
 
 
@@ -162,28 +160,17 @@ def turn_tracker(
     return later
 
 
-def stand_for_turns(program: Program) -> Program:
-    """Return a program that stands longer before and at each change of the target."""
-    target = np.array(program.target or [""] * len(program))
-    changed = np.append(False, target[1:] != target[:-1])
-    dwell_s = np.where(
-        changed | np.append(changed[1:], False), TURN_DWELL_S, program.dwell_s
-    )
-    return replace(program, dwell_s=dwell_s)
-
-
 def make_order(
-    content: Mapping[str, Any], program: Program, file: FilePath
+    content: Mapping[str, Any], lines: int, seed: int, file: FilePath
 ) -> MeasurementOrder:
-    """Return the order to drive a program of the simulators."""
+    """Return the order to drive the default path, standing longer for each turn."""
     machine = machine_from_json(dict(content))
-    path = Path(
-        machine.axis_names,
-        program.position,
-        60.0 * program.feed_mm_s,
-        program.dwell_s,
-        program.target,
-    )
+    path = default_path(machine, FEED_MM_MIN, lines=lines, seed=seed)
+    target = np.array(path.target or [""] * len(path))
+    changed = np.append(False, target[1:] != target[:-1])
+    stands = changed | np.append(changed[1:], False)
+    dwell_s = np.where(stands, TURN_DWELL_S, path.dwell_s)
+    path = replace(path, dwell_s=dwell_s)
     return MeasurementOrder("live", str(file), machine, path)
 
 
@@ -256,37 +243,34 @@ def run(*arguments: object) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """A machine of the simulators' scenarios and how it is driven."""
+    """A machine of the simulators' scenarios and how LinuxCNC drives it.
+
+    prologue : what the driver says before each motion
+    """
 
     name: str
-    kinematics: str
-    hal: str
-    program: Callable[[MachineFile, int], Program]
+    lines: int
+    kinematics: str = ""
+    hal: str = ""
+    prologue: str = ""
 
 
-def _drive_chords(machine: MachineFile, seed: int) -> Program:
-    return chord_path(machine, seed, 60, FEED_MM_MIN)
-
-
-def _drive_all_axes(machine: MachineFile, seed: int) -> Program:
-    return stand_for_turns(turning_path(machine, seed, 144, FEED_MM_MIN))
-
-
-THREE_AXES = Case("demo", "", "", _drive_chords)
+THREE_AXES = Case("demo", 60)
 FIVE_AXES = Case(
     "trunnion",
+    96,
     "xyzac-trt-kins sparm=identityfirst",
+    "setp xyzac-trt-kins.y-offset 20\nsetp xyzac-trt-kins.z-offset 10\n"
     "net kinstype motion.analog-out-03 => motion.switchkins-type\n",
-    _drive_all_axes,
+    "M68 E3 Q0; M66 E0 L0",
 )
 
 
 def run_case(case: Case, seed: int, folder: FilePath) -> Outcome:
     """Calibrate a machine of a seed on a LinuxCNC of its own."""
     content = load_machine(case.name)
-    program = case.program(parse_machine(content), seed)
-    with live_rig(content, seed, kinematics=case.kinematics, hal=case.hal) as rig:
-        order = make_order(content, program, folder / "run.sqlite")
+    with live_rig(content, seed, case) as rig:
+        order = make_order(content, case.lines, seed, folder / "run.sqlite")
         return calibrate(rig, order, folder, 1500.0)
 
 

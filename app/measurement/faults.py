@@ -14,6 +14,7 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
+from drivers.interfaces.records import UNABLE, MotionStatus
 
 
 class Aborted(MeasurementFailed):
@@ -143,6 +144,15 @@ def make_held_fault(reason: str) -> Fault:
         "look why, then release it there or press Resume",
         latched=False,
     )
+
+
+def make_unable_fault(status: MotionStatus, *, latched: bool) -> Fault:
+    """Return the fault of a machine that cannot be driven."""
+    why = UNABLE[status.state]
+    said = status.alarm.strip()
+    text = f"{why.text}: {said}" if said and said != str(why) else why.text
+    action = f"{why.remedy}, then measure again"
+    return Fault(f"motion-{status.state}", text, action, latched=latched)
 
 
 def make_silence_fault(after_s: float) -> Fault:

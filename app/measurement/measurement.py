@@ -9,7 +9,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath
 
 from app.errors import MeasurementFailed
-from app.measurement.faults import NO_WATCHDOG, Aborted, Fault, classify_fault
+from app.measurement.faults import (
+    NO_WATCHDOG,
+    Aborted,
+    Fault,
+    classify_fault,
+    make_unable_fault,
+)
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import MeasurementState
 from app.measurement.measurement_steps import MeasurementSteps, arrange_axes
@@ -29,7 +35,7 @@ from app.measurement.timing import EngineSettings
 from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import Identity, MotionState
+from drivers.interfaces.records import UNABLE, Identity, MotionState
 from drivers.interfaces.tracker import AnyTracker
 
 log = logging.getLogger(__name__)
@@ -109,6 +115,8 @@ class Measurement:
         if not (is_watched or self._settings.allow_no_watchdog):
             raise NO_WATCHDOG
         status = self._motion.status()
+        if status.state in UNABLE:
+            raise make_unable_fault(status, latched=False)
         if status.state is MotionState.RUNNING:
             raise Fault(
                 "motion-busy",

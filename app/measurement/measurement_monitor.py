@@ -29,6 +29,7 @@ from app.measurement.faults import (
     make_beam_fault,
     make_held_fault,
     make_silence_fault,
+    make_unable_fault,
 )
 from app.measurement.measurement_state import HoldReason, MeasurementState
 from app.measurement.messages import CellState, ReportEvent
@@ -44,7 +45,12 @@ from drivers.interfaces.errors import (
     DeviceTimeout,
 )
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import AxisSamples, MotionState, MotionStatus
+from drivers.interfaces.records import (
+    UNABLE,
+    AxisSamples,
+    MotionState,
+    MotionStatus,
+)
 from drivers.interfaces.tracker import AnyTracker, EventSource, PolledTracker, Tracker
 
 _TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed late
@@ -319,10 +325,8 @@ class MeasurementMonitor:
         self.state.release(reason, text=text)
 
     def _apply_status(self, status: MotionStatus) -> None:
-        if status.state is MotionState.ALARM:
-            action = "clear the alarm at the machine, then measure again"
-            text = f"the controller is in alarm: {status.alarm or 'no text'}"
-            raise Fault("motion-alarm", text, action, latched=True)
+        if status.state in UNABLE:
+            raise make_unable_fault(status, latched=True)
         self._view.axes = status.position
         self.progress.follow(status.line)
         self.progress.pass_time(active=self.state.state is CellState.RUNNING)

@@ -35,12 +35,12 @@ from app.motion.configurations import Commanded, Configurations, append_part
 from app.motion.driven_again import drive_again
 from app.motion.travel import check_travel
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.interfaces.records import MotionState, MotionStatus, Path
+from drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
 
 _STANDING = frozenset(MotionState) - {
     MotionState.RUNNING,
     MotionState.HELD,
-    MotionState.ALARM,
+    *UNABLE,
 }
 _AGAIN = 3  # times that lines are driven again: a measurement has to end
 

@@ -146,15 +146,31 @@ class MotionState(StrEnum):
     DOOR = "door"
 
 
-# States in which a machine cannot be driven: what is so, and what to do.
-UNABLE: Mapping[MotionState, str] = MappingProxyType(
+@dataclass(frozen=True, slots=True)
+class Hindrance:
+    """Why a machine cannot be driven, and what to do."""
+
+    text: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.remedy}"
+
+
+# The states in which a machine cannot be driven.
+UNABLE: Mapping[MotionState, Hindrance] = MappingProxyType(
     {
-        MotionState.ALARM: "the controller is in alarm; clear it at the machine",
-        MotionState.NOT_READY: "the drives are off; switch the machine on, or reset it",
-        MotionState.UNHOMED: "the machine is not homed; home it",
-        MotionState.ESTOP: "the emergency stop is active; release it at the machine, "
-        "then reset",
-        MotionState.DOOR: "a door is open; close it",
+        MotionState.ALARM: Hindrance(
+            "the controller is in alarm", "clear the alarm at the machine"
+        ),
+        MotionState.NOT_READY: Hindrance(
+            "the drives are off", "switch the machine on, or reset it"
+        ),
+        MotionState.UNHOMED: Hindrance("the machine is not homed", "home it"),
+        MotionState.ESTOP: Hindrance(
+            "the emergency stop is active", "release it at the machine, then reset"
+        ),
+        MotionState.DOOR: Hindrance("a door is open", "close it"),
     }
 )
 

@@ -32,6 +32,7 @@ from drivers.interfaces.errors import (
     OutOfTravel,
     Refused,
 )
+from drivers.interfaces.records import MotionState
 
 # Nothing is judged by the clock of a busy computer: where a test is not about patience,
 # there is plenty of it; where it is, the test passes the time by hand.
@@ -687,6 +688,36 @@ def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
     assert running.ended() == "faulted"
     assert journal.faults == ["motion-alarm"]
     assert "1201 following error X" in journal.of(FaultReported)[0].text
+    assert len(running.run.tracker) > 100
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (MotionState.ESTOP, ("emergency stop is active", "release it")),
+        (MotionState.UNHOMED, ("not homed", "home it")),
+        (MotionState.NOT_READY, ("drives are off", "switch the machine on")),
+        (MotionState.DOOR, ("door is open", "close it")),
+    ],
+)
+def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
+    begin, long_order, motion, journal, state, said
+):
+    motion._state = state
+    assert begin(long_order).ended() == "failed"
+    assert motion.calls == []
+    (fault,) = journal.of(FaultReported)
+    assert fault.code == f"motion-{state}"
+    assert said[0] in fault.text
+    assert said[1] in fault.action
+
+
+def test_an_emergency_stop_under_way_is_a_fault(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    motion._state = MotionState.ESTOP
+    assert running.ended() == "faulted"
+    assert journal.faults == ["motion-estop"]
     assert len(running.run.tracker) > 100
 
 

@@ -54,7 +54,7 @@ class MotionMemory:
             self.ended = MotionState.FINISHED if arrived else MotionState.ABORTED
         state, text, reason = self.ended, self.text, ""
         if look.unable is not None:
-            state, text = look.unable, self.text or UNABLE[look.unable]
+            state, text = look.unable, self.text or str(UNABLE[look.unable])
         elif moves:
             state = MotionState.RUNNING
         elif is_held:
