@@ -20,7 +20,12 @@ from drivers.cnc.modbus.registers import (
 from drivers.interfaces.records import MotionState
 from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
 from simulators.machine_file import Axis, RotaryAxis
-from simulators.modbus_wire import ILLEGAL_ADDRESS, ModbusError, Registers
+from simulators.modbus_wire import (
+    ILLEGAL_ADDRESS,
+    ILLEGAL_VALUE,
+    ModbusError,
+    Registers,
+)
 from simulators.timeline import Program
 
 _BLOCKS = (
@@ -77,6 +82,8 @@ class CncRegisters(Registers):
     def write(self, address: int, values: list[int]) -> None:
         """Write registers, then do what they order."""
         self._check(address, len(values), _WRITABLE)
+        if address == regmap.COMMAND.address:
+            self._check_covered(values)
         before = self._value("heartbeat")
         self._words[address : address + len(values)] = values
         if self._value("heartbeat") != before:
@@ -102,6 +109,20 @@ class CncRegisters(Registers):
     def _check(self, address: int, count: int, allowed: frozenset[int]) -> None:
         if not allowed.issuperset(range(address, address + count)):
             raise ModbusError(ILLEGAL_ADDRESS)
+
+    def _check_covered(self, values: list[int]) -> None:
+        """Refuse a new number without its verb, or a verb without its arguments."""
+        if values[0] in (0, self._value("command_ack")):
+            return
+        try:
+            command = Command(values[1])
+            row_count = values[3] if command is Command.PUT_ROWS else 0
+        except ValueError:
+            return  # answered as UNKNOWN_COMMAND
+        except IndexError as error:
+            raise ModbusError(ILLEGAL_VALUE) from error
+        if len(values) < regmap.count_command_words(command, row_count):
+            raise ModbusError(ILLEGAL_VALUE)
 
     def _describe(self, serial: str) -> None:
         machine = self._controller.machine
@@ -184,6 +205,10 @@ class CncRegisters(Registers):
         return Result.DONE
 
     def _start(self, now_s: float) -> Result:
+        path = self._controller.path
+        asked = self._value("row_count"), self._value("crc")
+        if path is not None and asked != (len(path), self._path_crc):
+            return Result.CRC_MISMATCH
         return self._controller.start(now_s)
 
     def _hold(self, now_s: float) -> Result:

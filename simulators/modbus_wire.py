@@ -79,8 +79,9 @@ def _answer(pdu: bytes, registers: Registers) -> bytes:
 
 
 def _values(pdu: bytes, count: int) -> list[int]:
-    data = pdu[_REQUEST.size + 1 :]
-    if not 1 <= count <= _MAX_WRITE or len(data) != 2 * count:
+    said, data = pdu[_REQUEST.size : _REQUEST.size + 1], pdu[_REQUEST.size + 1 :]
+    fits = said == bytes([len(data) & 0xFF]) and len(data) == 2 * count
+    if not 1 <= count <= _MAX_WRITE or not fits:
         raise ModbusError(ILLEGAL_VALUE)
     return list(struct.unpack(f">{count}H", data))
 

@@ -9,7 +9,7 @@ from drivers.interfaces.records import MotionState, Path
 from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
 from simulators.cnc_registers import Clocks, CncRegisters
 from simulators.machine_file import MachineFile
-from simulators.modbus_wire import ModbusError
+from simulators.modbus_wire import ILLEGAL_VALUE, ModbusError
 from simulators.profile import Limits
 from simulators.timeline import Timeline
 
@@ -62,6 +62,10 @@ class Master:
         rows: np.ndarray | None = None,
     ) -> Result:
         self.number += 1
+        if verb is Command.START:
+            row_count, crc = self.value("path_rows"), self.value("path_crc")
+        if verb in (Command.MOVE_TO, Command.PUT_ROWS) and rows is None:
+            rows = np.zeros(regmap.ROWS_A_BLOCK * regmap.ROW_WORDS, np.uint16)
         words = [self.number, int(verb), first_row, row_count, crc >> 16, crc & 0xFFFF]
         if rows is not None:
             words += rows.ravel().tolist()
@@ -358,3 +362,48 @@ def test_what_is_not_in_the_map_cannot_be_read(
 def test_what_is_only_told_cannot_be_written(master: Master, name: str) -> None:
     with pytest.raises(ModbusError, match="2"):
         master.registers.write(BY_NAME[name].address, [1])
+
+
+def test_a_number_alone_never_replays_a_verb_with_edited_arguments(
+    master: Master,
+) -> None:
+    assert master.move_to([20.0, 0.0, 0.0]) is Result.DONE
+    assert master.wait_still() is MotionState.FINISHED
+    here = master.value("position")
+    rows = BY_NAME["rows"].address
+    master.registers.write(rows + 1, [0])  # another goal in the arguments
+    with pytest.raises(ModbusError) as refused:
+        master.write("command_sequence", master.number + 1)
+    assert refused.value.code == ILLEGAL_VALUE
+    assert master.state is MotionState.FINISHED
+    assert master.value("position") == here
+    assert master.value("command_ack") == master.number
+
+
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [
+        (Command.MOVE_TO, 21),
+        (Command.PUT_ROWS, 21),
+        (Command.COMMIT, 5),
+        (Command.START, 5),
+        (Command.RESUME, 1),
+        (Command.HOLD, 1),
+    ],
+)
+def test_a_verb_without_all_its_arguments_is_refused(
+    master: Master, verb: Command, words: int
+) -> None:
+    request = [master.number + 1, int(verb), 0, 1, *[0] * 40][:words]
+    master.write("command", int(verb))
+    with pytest.raises(ModbusError):
+        master.registers.write(BY_NAME["command_sequence"].address, request)
+    assert master.value("command_ack") == master.number
+
+
+def test_start_runs_the_path_that_is_meant_and_no_other(master: Master) -> None:
+    assert master.load(LINE) is Result.DONE
+    request = [7, int(Command.START), 0, len(LINE), 1, 2]
+    master.registers.write(BY_NAME["command_sequence"].address, request)
+    assert master.value("command_result") == Result.CRC_MISMATCH
+    assert master.state is MotionState.READY

@@ -130,7 +130,7 @@ def test_it_polls_and_moves_the_machine_once(
     pins = run_mb2hal(folder, where, orders)
 
     identity = [pins[f"identity.{i:02d}.int"] for i in range(5)]
-    assert identity == [0x5450, 0x4331, 0x0102, 0x0304, 1]
+    assert identity == [0x5450, 0x4331, 0x0102, 0x0304, 2]
     status = [pins[f"status.{i:02d}.int"] for i in range(24)]
     assert status[0] == FINISHED
     assert (status[5], status[6]) == (number, Result.DONE)

@@ -85,7 +85,7 @@ def test_it_reads_the_identity(poll: Poll) -> None:
         0x4331,
         0x0102,
         0x0304,
-        1,
+        2,
     ]
 
 
@@ -105,8 +105,8 @@ def test_it_writes_what_it_reads_back(poll: Poll) -> None:
 
 def test_it_gives_commands(poll: Poll) -> None:
     assert order(poll, Command.RESUME) is Result.DONE
-    assert order(poll, Command.START) is Result.NO_PATH
-    assert order(poll, Command.PUT_ROWS, 0, 0) is Result.BAD_ARGUMENT
+    assert order(poll, Command.START, 0, 0, 0, 0) is Result.NO_PATH
+    assert order(poll, Command.PUT_ROWS, 0, 0, 0, 0) is Result.BAD_ARGUMENT
     assert order(poll, Command.RESET) is Result.DONE
 
 

@@ -65,6 +65,7 @@ class ModbusController(MotionController):
         )
         self._poll_s = poll_s
         self._aborts = 0
+        self._loaded = (0, 0)  # rows and CRC
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -116,10 +117,12 @@ class ModbusController(MotionController):
                 f"{self._channel.name}: holds {status.path_rows} rows with CRC "
                 f"{status.path_crc:08x}, {len(words)} with {crc:08x} were loaded"
             )
+        self._loaded = len(words), crc
 
     def start(self) -> None:
-        """Run the loaded path from its first row."""
-        self._channel.command(r.Command.START)
+        """Run the path that was loaded here from its first row, and no other."""
+        rows, crc = self._loaded
+        self._channel.command(r.Command.START, [0, rows, *r.encode("crc", crc)])
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, beating meanwhile."""

@@ -20,7 +20,7 @@ from drivers.interfaces.records import MotionState, Path
 
 MAGIC = 0x54504331  # "TPC1"
 ORDER_TEST = 0x01020304
-MAP_VERSION = 1
+MAP_VERSION = 2
 
 MAX_AXES = 6
 MAX_WAYPOINTS = 4096
@@ -163,7 +163,7 @@ _FEED_UNIT = "0.001 mm/min"
 REGISTERS: tuple[Register, ...] = (
     Register("magic", 0, _U32, "0x54504331, ASCII `TPC1`: this map answers"),
     Register("order_test", 2, _U32, "0x01020304: shows a wrong word or byte order"),
-    Register("map_version", 4, _U16, "1"),
+    Register("map_version", 4, _U16, "2"),
     Register("axis_count", 5, _U16, "axes in use, 1 to 6"),
     Register("axis_names", 6, _U16, "ASCII code of each axis name", count=MAX_AXES),
     Register("axis_kinds", 12, _U16, "0 linear, 1 rotary", count=MAX_AXES),
@@ -198,7 +198,7 @@ REGISTERS: tuple[Register, ...] = (
         "command_sequence",
         200,
         _U16,
-        "number of this command, 1 to 65535; a change runs it",
+        "number of this command, 1 to 65535; a new one runs it",
         "",
         Access.WRITE,
     ),
@@ -208,11 +208,11 @@ REGISTERS: tuple[Register, ...] = (
         "row_count",
         203,
         _U16,
-        "PUT_ROWS: rows that follow, 1 to 7; COMMIT: rows in all",
+        "PUT_ROWS: rows that follow, 1 to 7; COMMIT, START: rows in all",
         "",
         Access.WRITE,
     ),
-    Register("crc", 204, _U32, "COMMIT: CRC-32 of all rows", "", Access.WRITE),
+    Register("crc", 204, _U32, "COMMIT, START: CRC-32 of all rows", "", Access.WRITE),
     Register(
         "rows",
         206,
@@ -230,7 +230,25 @@ IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
 ALARM_TEXT = Block(130, 32)
 CONTROL = Block(180, 2)
-COMMAND = Block(200, 6 + ROWS_A_BLOCK * ROW_WORDS)
+_VERB_WORDS, _HEAD_WORDS = 2, 6  # number and verb; those and all before the rows
+COMMAND = Block(200, _HEAD_WORDS + ROWS_A_BLOCK * ROW_WORDS)
+
+
+def count_command_words(command: Command, row_count: int) -> int:
+    """Return how many registers one request has to cover for a command, number first.
+
+    A number alone, or a verb without its arguments, would run with what an earlier
+    request has left there.
+    """
+    match command:
+        case Command.MOVE_TO:
+            return _HEAD_WORDS + ROW_WORDS
+        case Command.PUT_ROWS:
+            return _HEAD_WORDS + ROW_WORDS * min(row_count, ROWS_A_BLOCK)
+        case Command.COMMIT | Command.START:
+            return _HEAD_WORDS
+        case _:
+            return _VERB_WORDS
 
 
 def encode(name: str, value: int | str | Sequence[int]) -> list[int]:

@@ -33,7 +33,7 @@ class CncModel:
         self.keeps_watchdog_ms: int | None = None
         self._ends_s = 0.0
         self._beat_s = 0.0
-        self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 1, 3,
+        self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 2, 3,
                                 *b"XYZ", 0, 0, 0, *[0] * 6, 4096))  # fmt: skip
         for address, text in ((20, "Truepath"), (28, "loopback"), (36, "CNC-1")):
             self.put(address, text.encode().ljust(16, b"\0"))

@@ -174,7 +174,10 @@ static int run(int verb) {
     case MOVE_TO: return (fault = parse_row(206, &move)) ? fault : begin(&move, 1);
     case PUT_ROWS: return put_rows();
     case COMMIT: return commit();
-    case START: return path_rows ? begin(path, path_rows) : NO_PATH;
+    case START:
+        if (!path_rows) return NO_PATH;
+        if (words[203] != path_rows || get32(204) != get32(108)) return CRC_MISMATCH;
+        return begin(path, path_rows);
     case HOLD:
         if (state == RUNNING) words[100] = HELD, words[101] = 3;
         return DONE;
@@ -196,7 +199,7 @@ static void describe(void) {
     words = map->tab_registers;
     put32(0, 0x54504331);
     put32(2, 0x01020304);
-    words[4] = 1, words[5] = AXES, words[18] = ROWS, words[181] = 1000;
+    words[4] = 2, words[5] = AXES, words[18] = ROWS, words[181] = 1000;
     for (int i = 0; i < AXES; i++) {
         words[6 + i] = "XYZ"[i];
         put32(52 + 2 * i, low[i]);
@@ -214,6 +217,19 @@ static int is_allowed(int function, int first, int count) {
     return (first >= 180 && first + count <= 182) || (first >= 200 && first + count <= WORDS);
 }
 
+/* A new number comes with its verb and all that the verb reads, or is refused. */
+static int is_whole(int function, const uint8_t *pdu, int count) {
+    const uint8_t *data = pdu + (function == MODBUS_FC_WRITE_SINGLE_REGISTER ? 3 : 6);
+    int number = data[0] << 8 | data[1], needed = 2;
+    if (!number || number == words[105]) return 1;
+    if (count < 2) return 0;
+    int verb = data[2] << 8 | data[3];
+    if (verb == COMMIT || verb == START) needed = 6;
+    if (verb == MOVE_TO) needed = 22;
+    if (verb == PUT_ROWS) needed = 6 + 16 * (count > 3 ? data[6] << 8 | data[7] : 0);
+    return count >= (needed < WORDS - 200 ? needed : WORDS - 200);
+}
+
 static void reply(modbus_t *link, uint8_t *query, int length) {
     int head = modbus_get_header_length(link), function = query[head];
     int first = query[head + 1] << 8 | query[head + 2];
@@ -229,6 +245,11 @@ static void reply(modbus_t *link, uint8_t *query, int length) {
     }
     if (!is_allowed(function, first, count)) {
         modbus_reply_exception(link, query, MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS);
+        return;
+    }
+    if (first == 200 && function != MODBUS_FC_READ_HOLDING_REGISTERS
+        && !is_whole(function, query + head, count)) {
+        modbus_reply_exception(link, query, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
         return;
     }
     modbus_reply(link, query, length, map);

@@ -50,7 +50,7 @@ def test_commands_of_the_page_work(bench, link, command):
 def test_the_identity_reads_as_the_page_says(bench):
     shown = by_hand(bench, "tcp", COMMANDS[0])
     values = [line.split()[-1] for line in shown.splitlines() if line.startswith("[")]
-    assert values == ["0x5450", "0x4331", "0x0102", "0x0304", "0x0001"]
+    assert values == ["0x5450", "0x4331", "0x0102", "0x0304", "0x0002"]
 
 
 def test_a_hold_by_hand_holds_and_the_driver_goes_on(bench):
