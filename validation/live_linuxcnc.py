@@ -9,18 +9,18 @@ them. Needs Debian's linuxcnc-uspace and root.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+from document import table, write_section
 
 from app.files.bundle import write_bundle
 from app.files.machine_file import machine_from_json
@@ -46,6 +46,18 @@ _POINTS = 400
 TURN_DWELL_S = 1.5
 FEED_MM_MIN = 9000.0
 FIRST_SEED = 1001
+PAGE = FilePath(__file__).resolve().parent.parent / "docs" / "linuxcnc.md"
+HEAD = (
+    "machine",
+    "lines",
+    "time s",
+    "samples",
+    "lost",
+    "before µm",
+    "left µm",
+    "factor",
+    "inside 2u",
+)
 _MAIN = "import sys; from app.cli.command import main; sys.exit(main())"
 
 
@@ -274,20 +286,37 @@ def run_case(case: Case, seed: int, folder: FilePath) -> Outcome:
         return calibrate(rig, order, folder, 1500.0)
 
 
+def describe(case: Case, outcome: Outcome) -> list[str]:
+    """Return a row of the table."""
+    return [
+        f"`{case.name}`, {len(load_machine(case.name)['axes'])} axes",
+        str(case.lines),
+        f"{outcome.seconds:.0f}",
+        str(outcome.samples),
+        str(outcome.lost),
+        f"{outcome.before_um:.1f}",
+        f"{outcome.left_um:.2f}",
+        f"{outcome.factor:.0f}",
+        f"{100 * outcome.inside:.1f} %",
+    ]
+
+
 def main() -> None:
-    """Print a case, or write the table of all."""
+    """Calibrate and write the table; one case alone is printed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--case", choices=["demo", "trunnion"])
+    parser.add_argument("--case", choices=[THREE_AXES.name, FIVE_AXES.name])
     parser.add_argument("--seed", type=int, default=FIRST_SEED)
     options = parser.parse_args()
+    rows: list[list[str]] = []
     for case in (THREE_AXES, FIVE_AXES):
         if options.case in (None, case.name):
+            # Not below /tmp, which LinuxCNC does not see.
             with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
                 outcome = run_case(case, options.seed, FilePath(folder))
-            print(
-                json.dumps({"case": case.name, "seed": options.seed} | asdict(outcome)),
-                flush=True,
-            )
+            rows.append(describe(case, outcome))
+            print(" | ".join(rows[-1]), flush=True)
+    if options.case is None:
+        write_section("live", table(HEAD, rows), PAGE)
 
 
 if __name__ == "__main__":

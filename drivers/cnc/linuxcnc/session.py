@@ -170,14 +170,23 @@ class LinuxCncSession:
 
     def open_program(self, file: FilePath) -> None:
         """Have a program opened. Raises Refused if another one is open then."""
+        errors = self._try_to_open(file)
+        if errors:
+            # The interpreter may still have the one before open, which an abort closes.
+            self.demand("abort")
+            self._rsh.take_errors()
+            errors = self._try_to_open(file)
+        if errors:
+            raise Refused(
+                f"{self.name} does not open {file}: {'; '.join(errors)}; check "
+                "program_folder and remote_folder"
+            )
+
+    def _try_to_open(self, file: FilePath) -> list[str]:
         self.demand(f"open {file}")
         errors = self._rsh.take_errors()
-        if errors or self._rsh.read("program") != str(file):
-            text = "; ".join(errors) or "another program is open"
-            raise Refused(
-                f"{self.name} does not open {file}: {text}; check program_folder and "
-                "remote_folder"
-            )
+        is_open = self.holds_program(file)
+        return errors or ([] if is_open else ["another program is open"])
 
     def holds_program(self, file: FilePath) -> bool:
         """Tell whether this program is the open one."""

@@ -257,6 +257,41 @@ def test_the_override_is_read_and_limited(driver):
     driver._session.demand("feed_override 100")
 
 
+@pytest.mark.long
+@needs_linuxcnc
+def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
+    travel = dict.fromkeys("XYZ", (-300, 300)) | {"A": (-100, 50), "C": (-360, 360)}
+    machine = LinuxCncMachine(
+        travel,
+        kinematics="xyzac-trt-kins sparm=identityfirst",
+        hal="setp xyzac-trt-kins.y-offset 20\nsetp xyzac-trt-kins.z-offset 10\n"
+        "net kinstype motion.analog-out-03 => motion.switchkins-type\n",
+    )
+    goal = (30.0, 20.0, -10.0, 10.0, 5.0)
+    path = Path(tuple(travel), np.array([goal]), np.array([6000.0]), np.zeros(1))
+    switched = {"prologue": "M68 E3 Q0; M66 E0 L0"}
+    with LinuxCncRig(machine) as rig:
+        with LinuxCncController(**rig.motion_options, **READY) as driver:
+            driver.move_to((10, 50, -30, -30, 45), 6000)
+            assert driver.wait(10.0).state is MotionState.FINISHED
+            driver._session.demand("mdi M68 E3 Q1")
+            with pytest.raises(Refused, match="RTCP"):
+                driver.move_to(goal, 6000)
+            driver.load(path)
+            with pytest.raises(Refused, match="RTCP"):
+                driver.start()
+        with LinuxCncController(**rig.motion_options, **switched) as driver:
+            driver.load(path)
+            driver.start()
+            status = driver.wait(10.0)
+            assert status.state is MotionState.FINISHED
+            assert status.position == pytest.approx(goal, abs=1e-3)
+            driver._session.demand("mdi M68 E3 Q1")
+            driver.move_to((10, 50, -30, -30, 45), 6000)
+            status = driver.wait(10.0)
+            assert status.position == pytest.approx((10, 50, -30, -30, 45), abs=1e-3)
+
+
 def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():
     path = path_to((20.1, 10, -10), (30, 10.25, -10), dwell=(0.3, 0), feed=1234.5)
     program = write_program(path, ())
