@@ -18,7 +18,7 @@ from drivers.cnc.modbus.registers import (
     HoldReason,
     Result,
 )
-from drivers.interfaces.records import MotionState
+from drivers.interfaces.records import UNABLE, MotionState
 from simulators import interruption
 from simulators.machine_file import MachineFile
 from simulators.profile import Limits
@@ -97,8 +97,9 @@ class Controller:
         """Return why a command cannot be done in this state, None if it can."""
         if self.state in ALLOWED[command]:
             return None
-        in_alarm = self.state is MotionState.ALARM
-        return Result.IN_ALARM if in_alarm else Result.WRONG_STATE
+        if self.state is MotionState.ALARM:
+            return Result.IN_ALARM
+        return Result.NOT_READY if self.state in UNABLE else Result.WRONG_STATE
 
     def fault_of(self, program: Program) -> Result | None:
         """Return what is wrong with rows, None if nothing is."""
@@ -161,7 +162,7 @@ class Controller:
 
     def abort(self, now_s: float) -> None:
         """Stop and forget the path."""
-        if self.state is MotionState.ALARM:
+        if self.state in UNABLE:
             return
         self.path = None
         if self.state is not MotionState.RUNNING:
@@ -175,19 +176,28 @@ class Controller:
     def alarm(self, code: int, text: str, now_s: float) -> None:
         """Stop by a fault of the machine."""
         self.alarm_code, self.alarm_text = code, text
+        self.disable(MotionState.ALARM, now_s)
+
+    def disable(self, state: MotionState, now_s: float) -> None:
+        """Stop for a state in which the machine cannot be driven."""
         if self.state is not MotionState.RUNNING:
-            self.state, self.hold_reason = MotionState.ALARM, HoldReason.NONE
+            self.state, self.hold_reason = state, HoldReason.NONE
         elif self._stopping_for is None:
-            self._brake(MotionState.ALARM, now_s)
+            self._brake(state, now_s)
         else:
-            self._stopping_for = MotionState.ALARM
+            self._stopping_for = state
             self._stopping_reason = HoldReason.NONE
 
-    def reset(self) -> None:
-        """Leave an alarm whose cause has gone."""
-        if self.state is MotionState.ALARM:
+    def enable(self) -> None:
+        """Leave a state whose cause has gone; the path is forgotten."""
+        if self.state in UNABLE:
             self.state, self.path = MotionState.IDLE, None
             self.alarm_code, self.alarm_text = 0, ""
+
+    @property
+    def feed_override(self) -> float:
+        """The factor on the feed."""
+        return self._override
 
     def override(self, factor: float, now_s: float) -> None:
         """Turn the feed override; 1 is the programmed feed."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.cnc.modbus.registers import HoldReason
+from drivers.interfaces.records import MotionState
 from simulators.board import BoardWriter
 from simulators.child import LifeLine, is_question
 from simulators.cnc_controller import Controller
@@ -22,6 +23,13 @@ PERIOD_S = 0.01
 _LEAD_S = 0.02
 _LATE_S = 0.1  # ten periods: a busy computer, not yet one that stands
 _ALARM_TEXT = "Servo alarm: following error of an axis"
+_DISABLING = {
+    "alarm": MotionState.ALARM,
+    "estop": MotionState.ESTOP,
+    "drives-off": MotionState.NOT_READY,
+    "unhomed": MotionState.UNHOMED,
+    "door": MotionState.DOOR,
+}
 
 
 class Panel:
@@ -39,6 +47,7 @@ class Panel:
         self._faults = faults
         self._clock = clock
         self._held: Fault | None = None
+        self._disabled_by: Fault | None = None
         self._overridden: Fault | None = None
 
     def inject(self, line: str) -> None:
@@ -89,10 +98,19 @@ class Panel:
         return answer(pdu, self._registers)
 
     def _raise_alarms(self, now_s: float) -> None:
-        alarm = self._strikes("alarm", now_s)
-        if alarm and not self._registers.cause_of_alarm_stays:
-            self._controller.alarm(int(alarm.amount), _ALARM_TEXT, now_s)
-        self._registers.cause_of_alarm_stays = bool(alarm and alarm.lasts)
+        stays: MotionState | None = None
+        for kind, state in _DISABLING.items():
+            fault = self._strikes(kind, now_s)
+            if fault and fault is not self._disabled_by:
+                self._disabled_by = fault
+                if state is MotionState.ALARM:
+                    self._controller.alarm(int(fault.amount), _ALARM_TEXT, now_s)
+                else:
+                    self._controller.disable(state, now_s)
+            stays = state if fault and fault.lasts else stays
+        if self._controller.state is MotionState.DOOR and stays is not MotionState.DOOR:
+            self._controller.enable()
+        self._registers.staying_cause = stays
 
     def _operate(self, now_s: float) -> None:
         held = self._strikes("feed-hold", now_s)

@@ -46,6 +46,7 @@ _WRITABLE = frozenset(
 )
 _SHORTEST_WATCHDOG_MS = 100
 _LONGEST_WATCHDOG_MS = 10_000
+_LEFT_BY_RESET = (MotionState.ALARM, MotionState.ESTOP, MotionState.NOT_READY)
 _BEATING = frozenset({Command.MOVE_TO, Command.START, Command.RESUME})
 
 
@@ -61,7 +62,7 @@ class CncRegisters(Registers):
     """Holding registers of one controller, the same for every master."""
 
     def __init__(self, controller: Controller, clocks: Clocks, serial: str) -> None:
-        self.cause_of_alarm_stays = False
+        self.staying_cause: MotionState | None = None
         self._controller = controller
         self._clocks = clocks
         self._words = [0] * (max(_EXISTING) + 1)
@@ -151,6 +152,8 @@ class CncRegisters(Registers):
         path = controller.path
         self._put("path_rows", 0 if path is None else len(path))
         self._put("path_crc", 0 if path is None else self._path_crc)
+        override = round(controller.feed_override * regmap.OVERRIDE_COUNTS)
+        self._put("override", override)
         feed = round(controller.feed_mm_min(now_s) * regmap.FEED_COUNTS)
         self._put("feed", feed)
         position = controller.position(now_s).tolist()
@@ -224,9 +227,17 @@ class CncRegisters(Registers):
         return Result.DONE
 
     def _reset(self, _now_s: float) -> Result:
-        if self._controller.state is MotionState.ALARM and self.cause_of_alarm_stays:
+        state = self._controller.state
+        if state is self.staying_cause:
             return Result.NOT_READY
-        self._controller.reset()
+        if state in _LEFT_BY_RESET:
+            self._controller.enable()
+        return Result.DONE
+
+    def _home(self, _now_s: float) -> Result:
+        """Be homed at once, where the axes stand."""
+        if self._controller.state is MotionState.UNHOMED:
+            self._controller.enable()
         return Result.DONE
 
     _VERBS: ClassVar[dict[Command, Callable[[CncRegisters, float], Result]]] = {
@@ -238,6 +249,7 @@ class CncRegisters(Registers):
         Command.RESUME: _resume,
         Command.ABORT: _abort,
         Command.RESET: _reset,
+        Command.HOME: _home,
     }
 
     def _rows_sent(self, count: int) -> np.ndarray:

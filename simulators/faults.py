@@ -55,6 +55,10 @@ TRACKER_KINDS = {
 }
 CNC_KINDS = {
     "alarm": Kind("alarm with this code; its cause stays", 1001.0, lasts=False),
+    "estop": Kind("the emergency stop is pressed; its button stays", lasts=False),
+    "door": Kind("a door is open"),
+    "drives-off": Kind("the drives are switched off", lasts=False),
+    "unhomed": Kind("it has lost where its axes are", lasts=False),
     "feed-hold": Kind("the operator holds the feed, then lets it go"),
     "override": Kind("the operator turns the feed to this factor", 0.5),
     "silence": Kind("requests are not answered"),

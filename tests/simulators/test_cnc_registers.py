@@ -321,9 +321,9 @@ def test_an_alarm_stops_is_told_and_stays(moving: Master) -> None:
     assert moving.move_to([0.0, 0.0, 0.0]) is Result.IN_ALARM
     assert moving.command(Command.ABORT) is Result.DONE
     assert moving.state is MotionState.ALARM
-    moving.registers.cause_of_alarm_stays = True
+    moving.registers.staying_cause = MotionState.ALARM
     assert moving.command(Command.RESET) is Result.NOT_READY
-    moving.registers.cause_of_alarm_stays = False
+    moving.registers.staying_cause = None
     assert moving.command(Command.RESET) is Result.DONE
     assert moving.state is MotionState.IDLE
     assert moving.value("path_rows") == 0

@@ -28,7 +28,7 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import MotionState, MotionStatus
+from drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
 log = logging.getLogger(__name__)
 
@@ -270,6 +270,10 @@ class CommandChannel:
                 raise OutOfTravel(f"{place}: beyond the travel of an axis")
             case r.Result.IN_ALARM:
                 raise MotionFault(f"{place}: {self._alarm(status.motion)}")
+            case r.Result.NOT_READY if verb is not r.Command.RESET and (
+                why := UNABLE.get(status.motion.state)
+            ):
+                raise MotionFault(f"{place}: {why}")
             case code:
                 reason = _REASONS.get(code, f"result {code}")
                 raise Refused(f"{place} in state {status.motion.state}: {reason}", code)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.cnc.modbus import registers as r
 from drivers.interfaces.errors import WrongDevice
-from drivers.interfaces.records import Identity, MotionState, MotionStatus
+from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus
 
 _HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
 _HOLD_REASONS[r.HoldReason.NONE] = ""
@@ -107,8 +107,9 @@ def parse_status(words: Sequence[int]) -> ControllerStatus:
         r.STATES[state],
         tuple(count / r.POSITION_COUNTS for count in positions),
         number("line"),
-        f"alarm {alarm}" if r.STATES[state] is MotionState.ALARM else "",
+        _explain(r.STATES[state], alarm),
         _HOLD_REASONS.get(reason, f"reason {reason}"),
+        number("override") / r.OVERRIDE_COUNTS or None,
     )
     return ControllerStatus(
         motion,
@@ -117,6 +118,12 @@ def parse_status(words: Sequence[int]) -> ControllerStatus:
         number("path_rows"),
         number("path_crc"),
     )
+
+
+def _explain(state: MotionState, alarm: int) -> str:
+    if state is MotionState.ALARM:
+        return f"alarm {alarm}"
+    return str(UNABLE[state]) if state in UNABLE else ""
 
 
 def _halves(value: int) -> tuple[int, int]:

@@ -27,7 +27,7 @@ from drivers.interfaces.errors import (
     Refused,
 )
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import Identity, MotionState, MotionStatus, Path
+from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus, Path
 
 log = logging.getLogger(__name__)
 
@@ -130,7 +130,7 @@ class ModbusController(MotionController):
         while True:
             self.send_heartbeat()
             status = self.status()
-            if status.state is MotionState.ALARM:
+            if status.state in UNABLE:
                 raise MotionFault(f"{self._channel.name}: {status.alarm}")
             if status.state is not MotionState.RUNNING:
                 return status
@@ -159,6 +159,15 @@ class ModbusController(MotionController):
         self._aborts += 1
         if self._channel.controller is not None:
             self._channel.command(r.Command.ABORT, urgent=True)
+
+    def reset(self) -> None:
+        """Clear an alarm or emergency stop whose cause has gone, drives on."""
+        self._channel.command(r.Command.RESET)
+
+    def home(self, timeout_s: float) -> None:
+        """Home the axes and wait for it. The machine may move."""
+        self._channel.command(r.Command.HOME)
+        self.wait(timeout_s)
 
     def send_heartbeat(self) -> None:
         """Write a new number for the watchdog."""

@@ -28,6 +28,7 @@ ROW_WORDS = 2 * MAX_AXES + 4
 ROWS_A_BLOCK = 7
 
 POSITION_COUNTS = 10_000  # a mm or a deg
+OVERRIDE_COUNTS = 1_000  # a factor of 1
 FEED_COUNTS = 1_000  # a mm/min, or a deg/min where only rotary axes move
 DWELL_COUNTS = 1_000  # a second
 LONGEST_DWELL_S = (2**31 - 1) / DWELL_COUNTS
@@ -92,6 +93,7 @@ class Command(IntEnum):
     RESUME = 6
     ABORT = 7
     RESET = 8
+    HOME = 9
 
 
 class Result(IntEnum):
@@ -133,6 +135,10 @@ STATES = (
     MotionState.FINISHED,
     MotionState.ABORTED,
     MotionState.ALARM,
+    MotionState.NOT_READY,
+    MotionState.UNHOMED,
+    MotionState.ESTOP,
+    MotionState.DOOR,
 )
 
 _STANDING = frozenset(
@@ -143,8 +149,9 @@ _STANDING = frozenset(
         MotionState.ABORTED,
     }
 )
-# Elsewhere the answer is WRONG_STATE (IN_ALARM in alarm). HOLD, RESUME, ABORT and RESET
-# are done everywhere; where there is nothing to do they do nothing.
+# Elsewhere the answer is WRONG_STATE; in alarm IN_ALARM; in NOT_READY, UNHOMED, ESTOP
+# and DOOR NOT_READY. HOLD, RESUME, ABORT and RESET are done everywhere; where there is
+# nothing to do they do nothing.
 ALLOWED: dict[Command, frozenset[MotionState]] = {
     Command.MOVE_TO: _STANDING,
     Command.PUT_ROWS: _STANDING,
@@ -154,6 +161,7 @@ ALLOWED: dict[Command, frozenset[MotionState]] = {
     Command.RESUME: frozenset(STATES),
     Command.ABORT: frozenset(STATES),
     Command.RESET: frozenset(STATES),
+    Command.HOME: _STANDING | {MotionState.UNHOMED},
 }
 
 _U16, _U32, _I32, _TEXT = Kind.U16, Kind.U32, Kind.I32, Kind.TEXT
@@ -186,6 +194,7 @@ REGISTERS: tuple[Register, ...] = (
     Register("path_rows", 104, _U16, "rows of the committed path, 0 without one"),
     Register("command_ack", 105, _U16, "number of the last command taken"),
     Register("command_result", 106, _U16, "what became of it, see below"),
+    Register("override", 107, _U16, "feed override; 0 where it is not told", "0.1 %"),
     Register("path_crc", 108, _U32, "CRC-32 of the committed path, 0 without one"),
     Register("feed", 110, _U32, "feed now", _FEED_UNIT),
     Register("position", 112, _I32, "position now", _POSITION_UNIT, count=MAX_AXES),

@@ -19,6 +19,7 @@ from drivers.interfaces.errors import (
     WrongDevice,
 )
 from drivers.interfaces.records import Identity, MotionState, Path
+from simulators.bench import Bench
 
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 
@@ -688,3 +689,36 @@ def test_a_reply_with_too_few_registers_is_not_taken(tcp_peer, tcp_controller):
     tcp_peer.mangle = shortened
     with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
         tcp_controller.status()
+
+
+@pytest.mark.parametrize(
+    ("fault", "state", "remedy", "cure"),
+    [
+        ("estop", MotionState.ESTOP, "release it", lambda c: c.reset()),
+        (
+            "drives-off",
+            MotionState.NOT_READY,
+            "switch the machine on",
+            lambda c: c.reset(),
+        ),
+        ("unhomed", MotionState.UNHOMED, "home it", lambda c: c.home(5.0)),
+        ("door+0.3s", MotionState.DOOR, "close it", lambda c: time.sleep(0.5)),
+    ],
+)
+def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
+    until, fault, state, remedy, cure
+):
+    with Bench() as bench, ModbusController(**bench.motion_options) as controller:
+        assert controller.status().override == 1.0
+        bench.inject(f"cnc:{fault}")
+        until(lambda: controller.status().state is state)
+        for verb in (
+            lambda: controller.move_to((1.0, 1.0, 1.0), 3000.0),
+            lambda: controller.wait(1.0),
+        ):
+            with pytest.raises(MotionFault, match=remedy):
+                verb()
+        cure(controller)
+        until(lambda: controller.status().state is MotionState.IDLE)
+        controller.move_to((1.0, 1.0, 1.0), 3000.0)
+        assert controller.wait(5.0).state is MotionState.FINISHED
