@@ -32,4 +32,6 @@ closed form from seed and time alone, at any speed of the clock.
     tracker_*       the tracker behind its wire
     cnc_*, modbus_* the CNC behind its wire
     bench, command  both processes together, for tests and for test rigs
+    replay*         devices that repeat a recorded Run
+    control_*, rig  a rig worked from outside; pytest_plugin: fixtures on it
 """

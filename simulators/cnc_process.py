@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import select
-from pathlib import Path
 from typing import Any
 
 from drivers.cnc.modbus.registers import HoldReason
@@ -15,7 +14,7 @@ from simulators.cnc_registers import Clocks, CncRegisters
 from simulators.faults import Fault, Schedule, parse_fault
 from simulators.machine_clock import AwakeClock, MachineClock
 from simulators.machine_file import parse_machine
-from simulators.modbus_ports import ModbusPort, ModbusRtuPort, ModbusTcpPort
+from simulators.modbus_ports import ModbusPort, make_modbus_ports
 from simulators.modbus_wire import READ_HOLDING, answer, exception
 from simulators.profile import Limits
 
@@ -138,7 +137,7 @@ def main() -> None:
     if not orders:
         return
     try:
-        ports = _ports(orders["link"])
+        ports = make_modbus_ports(orders["link"])
     except OSError as error:
         life.report_failure(error)
         return
@@ -167,14 +166,6 @@ def _serve(life: LifeLine, ports: list[ModbusPort], panel: Panel) -> None:
             port.serve(panel.answer)
         waited = [life.descriptor, *(d for port in ports for d in port.descriptors())]
         select.select(waited, [], [], PERIOD_S)
-
-
-def _ports(link: dict[str, Any]) -> dict[str, ModbusPort]:
-    ports: dict[str, ModbusPort] = {"tcp": ModbusTcpPort(link["host"], link["port"])}
-    if link["rtu"]:
-        symlink = link["rtu_symlink"]
-        ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None)
-    return ports
 
 
 def _panel(orders: dict[str, Any], board: BoardWriter) -> Panel:

@@ -23,6 +23,8 @@ from simulators.control_socket import ControlSocket
 from simulators.errors import SimulatorError
 from simulators.faults import KINDS, parse_fault
 from simulators.hidden.drawing import EFFECTS
+from simulators.processes import DeviceProcesses
+from simulators.replay import Replay
 from simulators.scenario import list_machines, load_machine
 
 _CHECK_S = 0.5
@@ -32,13 +34,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run until a signal comes. Exit status 2 on a bad machine, fault or port."""
     options = _parser().parse_args(argv)
     try:
-        bench = _bench(options)
+        bench = _rig(options)
         with _signals() as signalled, bench, _control(options, bench) as control:
             _announce(bench, as_json=options.json)
             return _serve(bench, signalled, control)
     except (SimulatorError, OSError) as error:
         print(f"truepath simulate: {error}", file=sys.stderr)
         return 2
+
+
+def _rig(options: argparse.Namespace) -> DeviceProcesses:
+    if options.replay is None:
+        return _bench(options)
+    if options.fault or options.hide or options.follow:
+        raise SimulatorError("--replay only repeats: no --fault, --hide or --follow")
+    return Replay(
+        options.replay,
+        options.speed,
+        options.links,
+        tracker=options.tracker,
+        host=options.host,
+        tracker_port=options.tracker_port,
+        modbus_port=options.modbus_port,
+        rtu=options.rtu,
+    )
 
 
 def _bench(options: argparse.Namespace) -> Bench:
@@ -62,7 +81,7 @@ def _bench(options: argparse.Namespace) -> Bench:
 
 @contextmanager
 def _control(
-    options: argparse.Namespace, bench: Bench
+    options: argparse.Namespace, bench: DeviceProcesses
 ) -> Iterator[ControlSocket | None]:
     """Yield the control socket, if one is asked for."""
     if options.control is None:
@@ -72,7 +91,9 @@ def _control(
         yield control
 
 
-def _serve(bench: Bench, signalled: int, control: ControlSocket | None) -> int:
+def _serve(
+    bench: DeviceProcesses, signalled: int, control: ControlSocket | None
+) -> int:
     """Wait for a signal, obeying standard input and the control socket meanwhile."""
     lines = _LineReader(sys.stdin.fileno()) if sys.stdin else None
     while True:
@@ -94,9 +115,11 @@ def _serve(bench: Bench, signalled: int, control: ControlSocket | None) -> int:
             lines = None if lines.ended else lines
 
 
-def _inject(bench: Bench, texts: list[str]) -> None:
+def _inject(bench: DeviceProcesses, texts: list[str]) -> None:
     for text in texts:
         try:
+            if not isinstance(bench, Bench):
+                raise SimulatorError(f"{text}: a replay only repeats")
             if text.startswith("move "):
                 _move(bench, text.removeprefix("move "))
             else:
@@ -153,7 +176,7 @@ def _signals() -> Iterator[int]:
         os.close(write)
 
 
-def _announce(bench: Bench, *, as_json: bool) -> None:
+def _announce(bench: DeviceProcesses, *, as_json: bool) -> None:
     where = bench.describe()
     if as_json:
         print(json.dumps(where), flush=True)
@@ -184,6 +207,12 @@ def _parser() -> argparse.ArgumentParser:
         "--machine",
         default="demo",
         help=f"machine.json, or one of {', '.join(list_machines())}",
+    )
+    add(
+        "--replay",
+        type=Path,
+        metavar="RUN",
+        help="repeat this recorded Run in place of simulating; --speed is its pace",
     )
     add("--seed", type=int, default=1, help="of the errors, the noise and the pose")
     add("--speed", type=float, default=1.0, help="device seconds in a wall second")

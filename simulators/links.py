@@ -10,7 +10,9 @@ import os
 import socket
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 _BLOCK = 1 << 16
 
@@ -203,3 +205,10 @@ class TcpPort(Port):
         """Close connection and listener."""
         self.disconnect()
         self._listener.close()
+
+
+def make_port(link: Mapping[str, Any]) -> Port:
+    """Return the port of a tracker's link, as a bench states it."""
+    if link["kind"] == "tcp":
+        return TcpPort(link["host"], link["port"])
+    return PtyPort(Path(link["symlink"]) if link["symlink"] else None)

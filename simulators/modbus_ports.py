@@ -6,8 +6,9 @@ import contextlib
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from simulators.links import PtyPort
 from simulators.modbus_wire import (
@@ -158,3 +159,12 @@ class ModbusRtuPort(ModbusPort):
     def close(self) -> None:
         """Close the terminal."""
         self._pty.close()
+
+
+def make_modbus_ports(link: Mapping[str, Any]) -> dict[str, ModbusPort]:
+    """Return the ports of a CNC's link, as a bench states it."""
+    ports: dict[str, ModbusPort] = {"tcp": ModbusTcpPort(link["host"], link["port"])}
+    if link["rtu"]:
+        symlink = link["rtu_symlink"]
+        ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None)
+    return ports

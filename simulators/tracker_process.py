@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import select
 import time
-from pathlib import Path
 from typing import Any
 
 from simulators import tracker_head
@@ -16,7 +15,7 @@ from simulators.followed_positions import FollowedPositions
 from simulators.geocom_station import GeoComStation
 from simulators.hidden.drawing import from_json
 from simulators.line_instrument import LineInstrument
-from simulators.links import Port, PtyPort, TcpPort
+from simulators.links import Port, make_port
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.polled_head import PolledHead
@@ -39,7 +38,7 @@ def main() -> None:
     if not orders:
         return
     try:
-        port = _port(orders["link"])
+        port = make_port(orders["link"])
     except OSError as error:
         life.report_failure(error)
         return
@@ -115,12 +114,6 @@ def _source(orders: dict[str, Any]) -> BoardReader | FollowedPositions:
         return BoardReader(orders["board"])
     axes = len(orders["machine"]["axes"])
     return FollowedPositions(orders["board"], axes, orders["source_unit_s"])
-
-
-def _port(link: dict[str, Any]) -> Port:
-    if link["kind"] == "tcp":
-        return TcpPort(link["host"], link["port"])
-    return PtyPort(Path(link["symlink"]) if link["symlink"] else None)
 
 
 def _device(orders: dict[str, Any], faults: Schedule) -> Device:

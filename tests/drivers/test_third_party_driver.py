@@ -30,6 +30,8 @@ from drivers.conformance import device, tracker
 from drivers.conformance.tracker import TRACKER_CHECKS
 from drivers.interfaces.errors import Refused
 from drivers.interfaces.records import Path as MotionPath
+from simulators.errors import SimulatorError
+from simulators.recorded_run import read_recorded_run
 from simulators.rig import Rig, running_rig
 from simulators.scenario import load_machine
 
@@ -172,6 +174,8 @@ def test_it_measures_by_the_settings_alone(
     # Right-handed, in mm and s: the lines are found, and each is as long as it was.
     passes = align(run).passes
     assert [p.row for p in passes] == [1, 2, 3, 4]
+    with pytest.raises(SimulatorError, match="GST/1"):  # it is another protocol
+        read_recorded_run(run_file)
 
 
 def measure(settings_file: Path, run_file: Path) -> RunClosed:

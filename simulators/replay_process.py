@@ -1,0 +1,116 @@
+"""Tracker and CNC of a Run as one process: `python -m simulators.replay_process`."""
+
+from __future__ import annotations
+
+import select
+import time
+from pathlib import Path
+from typing import Any
+
+from simulators.child import LifeLine, is_question
+from simulators.cnc_registers import Clocks, CncRegisters
+from simulators.errors import SimulatorError
+from simulators.links import Port, make_port
+from simulators.machine_clock import AwakeClock
+from simulators.machine_file import parse_machine
+from simulators.modbus_ports import ModbusPort, make_modbus_ports
+from simulators.modbus_wire import answer
+from simulators.recorded_run import RecordedRun, read_recorded_run
+from simulators.replay_clock import ReplayClock
+from simulators.replay_controller import ReplayController
+from simulators.replay_tracker import ReplayTracker
+
+_PERIOD_S = 0.02
+_LATE_S = 0.1
+
+
+class ReplayRegisters(CncRegisters):
+    """Registers that know when the status was read."""
+
+    def __init__(
+        self, controller: ReplayController, clocks: Clocks, serial: str
+    ) -> None:
+        super().__init__(controller, clocks, serial)
+        self._replayed, self._wall_s = controller, clocks.wall_s
+
+    def _refresh(self, now_s: float) -> None:
+        super()._refresh(now_s)
+        self._replayed.note_look(self._wall_s())
+
+
+def main() -> None:
+    """Serve until the parent ends."""
+    life = LifeLine()
+    orders = life.orders()
+    if not orders:
+        return
+    try:
+        run = read_recorded_run(Path(orders["run"]))
+        port = make_port(orders["tracker_link"])
+        ports = make_modbus_ports(orders["cnc_link"]) if run.moves else {}
+    except (OSError, SimulatorError) as error:
+        life.report_failure(error)
+        return
+    try:
+        _serve(life, run, port, ports, orders["speed"])
+    finally:
+        for one in (port, *ports.values()):
+            one.close()
+
+
+def _serve(
+    life: LifeLine,
+    run: RecordedRun,
+    port: Port,
+    ports: dict[str, ModbusPort],
+    speed: float,
+) -> None:
+    clock = ReplayClock(run.moves, speed)
+    tracker = ReplayTracker(run, clock)
+    registers = _registers(run, clock) if ports else None
+    life.report(_describe(run, port, ports))
+    while not life.ended:
+        for line in life.lines():
+            if is_question(line):
+                life.report(tracker.read_state())
+        _converse(tracker, port)
+        port.send(tracker.due(time.monotonic()))
+        for one in ports.values():
+            one.serve(lambda pdu: answer(pdu, registers) if registers else None)
+        if registers:
+            registers.watch()
+        readable = [life.descriptor, *port.descriptors()]
+        readable += [d for one in ports.values() for d in one.descriptors()]
+        select.select(readable, port.list_blocked_descriptors(), [], _PERIOD_S)
+
+
+def _converse(tracker: ReplayTracker, port: Port) -> None:
+    data = port.receive()
+    while data != b"":
+        if data is None:
+            tracker.forget_host()
+        else:
+            port.send(tracker.receive(data, time.monotonic()))
+        data = port.receive()
+
+
+def _registers(run: RecordedRun, clock: ReplayClock) -> ReplayRegisters:
+    controller = ReplayController(parse_machine(run.machine), run, clock)
+    serial = run.devices["motion"]["serial_number"]
+    clocks = Clocks(lambda: clock.now_s, AwakeClock(_LATE_S))
+    return ReplayRegisters(controller, clocks, serial)
+
+
+def _describe(
+    run: RecordedRun, port: Port, ports: dict[str, ModbusPort]
+) -> dict[str, Any]:
+    return {
+        "tracker": port.address,
+        "cnc": {name: one.address for name, one in ports.items()},
+        "machine": run.machine,
+        "run": {"name": run.name, "samples": run.samples, "is_exact": run.is_exact},
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Runs repeated by simulated devices: the same samples, the same tables."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.measurement.cell import Cell
+from app.measurement.messages import (
+    CellConfig,
+    FaultReported,
+    MeasurementOrder,
+    RunClosed,
+    StreamTimeouts,
+)
+from app.measurement.run_reading import open_run
+from app.motion.configurations import Commanded, Configurations
+from drivers.interfaces.errors import Refused
+from drivers.interfaces.records import Path
+from drivers.tracker.streaming.driver import StreamingTracker
+from simulators.bench import Bench
+from simulators.command import main
+from simulators.errors import SimulatorError
+from simulators.processes import DeviceProcesses
+from simulators.recorded_run import read_recorded_run
+from simulators.replay import Replay
+from simulators.scenario import load_machine
+
+AXES = ("X", "Y", "Z")
+CORNERS = np.array(
+    [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]], float
+)
+PATH = Path(AXES, CORNERS, np.full(5, 12_000.0), np.full(5, 1.0))
+POINTS = Configurations(AXES, CORNERS[:4], np.full(4, 2.0))
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+SPEED = 10.0
+
+
+def record(devices: DeviceProcesses, file: FilePath, commanded: Commanded) -> Run:
+    """Measure through a cell; return the Run."""
+    motion = devices.motion_options
+    config = CellConfig("streaming", devices.tracker_options, "modbus", motion, CALM)
+    machine, cell = machine_from_json(load_machine("demo")), Cell(config)
+    cell.start()
+    try:
+        cell.connect()
+        cell.begin(MeasurementOrder(file.stem, str(file), machine, commanded))
+        deadline_s = time.monotonic() + 50.0
+        while time.monotonic() < deadline_s:
+            for event in cell.poll(0.1):
+                assert not isinstance(event, FaultReported), event
+                if isinstance(event, RunClosed):
+                    return open_run(file)
+        raise AssertionError("the Run was not closed")
+    finally:
+        cell.close()
+
+
+@pytest.fixture(scope="module")
+def make_run(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[Commanded], FilePath]:
+    """Record a Run with damaged and lost frames, once for each order."""
+    made: dict[int, FilePath] = {}
+
+    def make(commanded: Commanded) -> FilePath:
+        if id(commanded) not in made:
+            file = tmp_path_factory.mktemp("recorded") / "run.sqlite"
+            made[id(commanded)] = record_with_faults(file, commanded)
+        return made[id(commanded)]
+
+    return make
+
+
+def record_with_faults(file: FilePath, commanded: Commanded) -> FilePath:
+    faults = [
+        "tracker:bit-flip+60s*0.01",
+        "tracker:drop+60s*0.01",
+        "tracker:spike@800n",
+    ]
+    with Bench(seed=8, speed=SPEED, faults=faults, rtu=False) as bench:
+        record(bench, file, commanded)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("commanded", "speed"),
+    [
+        (PATH, 2.0),
+        pytest.param(PATH, 1.0, marks=pytest.mark.long),
+        pytest.param(POINTS, 1.0, marks=pytest.mark.long),
+        pytest.param(POINTS, 3.0, marks=pytest.mark.long),
+    ],
+    ids=["path-2", "path-1", "points-1", "points-3"],
+)
+def test_a_replay_is_recorded_as_the_same_samples(
+    make_run: Callable[[Commanded], FilePath],
+    tmp_path: FilePath,
+    commanded: Commanded,
+    speed: float,
+) -> None:
+    recorded = make_run(commanded)
+    first = open_run(recorded)
+    with Replay(recorded, speed) as replay:
+        second = record(replay, tmp_path / "again.sqlite", first.commanded)
+    n = len(first.tracker)
+    assert len(second.tracker) >= n
+    for name in ("sequence", "device_time_s", "position_mm", "status"):
+        once, again = (getattr(run.tracker, name) for run in (first, second))
+        np.testing.assert_array_equal(again[:n], once)
+    # Where the host has gone on for longer than the recording: nothing that counts.
+    assert (second.tracker.status[n:] != 0).all()
+    assert second.provenance["tracker"] == first.provenance["tracker"]
+    aligned = [align(run) for run in (first, second)]
+    for field in ("tracker_mm", "count", "row"):
+        once, again = (getattr(a, field) for a in aligned)
+        np.testing.assert_array_equal(again, once)
+
+
+def test_what_the_bytes_hold_is_what_the_run_holds(
+    make_run: Callable[[Commanded], FilePath],
+) -> None:
+    run = read_recorded_run(make_run(PATH))
+    assert run.is_exact
+    assert run.samples == len(open_run(make_run(PATH)).tracker)
+    assert len(run.moves) == 1
+    assert run.moves[0].goal == pytest.approx(CORNERS[-1])
+
+
+def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(
+    make_run: Callable[[Commanded], FilePath],
+) -> None:
+    with (
+        Replay(make_run(PATH), tracker="tcp") as replay,
+        StreamingTracker(**replay.tracker_options) as tracker,
+    ):
+        assert tracker.connect().serial_number == "SIM-000008"
+        with pytest.raises(Refused, match="recorded at 500"):
+            tracker.start(100.0)
+        assert replay.describe()["replay"]["is_exact"]
+        assert not replay.read_state()["replay"]["streaming"]
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ("DELETE FROM batch WHERE stream = 'tracker.link'", "holds no bytes"),
+        ("DELETE FROM manifest WHERE key = 'closed'", "is not closed"),
+        ("UPDATE batch SET payload = X'00' WHERE stream = 'tracker.link'", "no bytes"),
+        ("DROP TABLE batch", "is not a Run"),
+    ],
+)
+def test_a_run_that_cannot_be_repeated_is_a_clear_line(
+    make_run: Callable[[Commanded], FilePath],
+    tmp_path: FilePath,
+    order: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "run.sqlite"
+    file.write_bytes(make_run(PATH).read_bytes())
+    with sqlite3.connect(file) as database:
+        database.execute(order)
+    database.close()
+    with pytest.raises(SimulatorError, match=said):
+        read_recorded_run(file)
+    assert main(["--replay", str(file)]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_replay_takes_no_faults(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--replay", "run.sqlite", "--fault", "tracker:silence"]) == 2
+    assert "only repeats" in capsys.readouterr().err
