@@ -12,6 +12,7 @@ Commands import what they need when they run, so that `truepath --help` answers 
     terminal            options, progress and tables that commands share
     summary             a result, and an effect, in a few lines
     demo                a measurement on simulated devices, without a service
+    import_command      a recording of other software, as a bundle
     recording           the tracker alone, beside a CNC without a link
     client              the service as its REST clients see it; a calibration through it
 """

@@ -12,6 +12,7 @@ import typer
 
 from app.cli import (
     analysis_commands,
+    import_command,
     planning_commands,
     result_commands,
     service_commands,
@@ -82,6 +83,7 @@ app.command()(result_commands.export)
 app.command()(trend_commands.trend)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
+app.command("import")(import_command.import_recording)
 
 
 def run_command(call: Callable[[], int | None]) -> int:

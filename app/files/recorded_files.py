@@ -28,6 +28,7 @@ _COVARIANCE = {  # of one shot about the mean
     "cov_yz_um2": (1, 2),
     "cov_zz_um2": (2, 2),
 }
+MAX_STREAM_TEXT_BYTES = 1 << 30  # a stream as text, in one piece in memory
 _UM2 = 1e6  # in a mm²
 _DEGC = "_degC"
 _SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")

@@ -1,0 +1,59 @@
+"""Cells to numbers: decimal point or comma, groups of thousands, no value as NaN."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.errors import BundleError
+from app.files.tracker_text.cells import Cells, is_none
+
+_THREES = re.compile(r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
+
+
+def find_decimal(cells: Cells, columns: Iterable[int]) -> str:
+    """Return `point` or `comma`. Raises BundleError where it could be either."""
+    found: dict[str, str] = {}
+    threes = ""
+    for index in columns:
+        for cell in cells.column(index):
+            point, comma = cell.rfind("."), cell.rfind(",")
+            if point < 0 and comma < 0:
+                continue
+            if point > comma:
+                if comma >= 0 or cell.count(".") == 1:
+                    found.setdefault("point", cell)
+            elif point >= 0 or not _THREES.match(cell):
+                found.setdefault("comma", cell)
+            else:
+                threes = threes or cell
+    if len(found) == 2 and not ("." in found["comma"] or "," in found["point"]):
+        shown = " and ".join(found.values())
+        problem = f"has decimal points and decimal commas: {shown}"
+    elif threes and not found:
+        problem = f"{threes} is a number with a decimal comma, or with thousands"
+    else:
+        return "comma" if "comma" in found else "point"
+    raise BundleError(
+        problem,
+        file=cells.file,
+        remedy="say --decimal comma or --decimal point",
+    )
+
+
+def read_numbers(cells: Cells, index: int, decimal: str) -> NDArray[np.float64]:
+    """Return a column; cells without a value are NaN."""
+    group, mark = (".", ",") if decimal == "comma" else (",", ".")
+    values = np.empty(len(cells.rows))
+    for row, cell in enumerate(cells.column(index)):
+        text = cell.replace(group, "").replace("'", "").replace(mark, ".")
+        try:
+            values[row] = np.nan if is_none(cell) else float(text)
+        except ValueError as error:
+            remedy = "correct the cell, or choose another column by --column"
+            shown = f"is {cell[:40]!r}, not a number"
+            raise cells.error(shown, row, index, remedy) from error
+    return values

@@ -1,0 +1,253 @@
+"""`import`: files as several makers' software writes them, made by hand from truth."""
+
+import json
+
+import numpy as np
+import pytest
+
+from app.cli.command import run
+from app.files.bundle import read_bundle, write_bundle
+from app.motion.nc_programs.programs import write_program
+
+HZ = 500.0
+
+
+def rows_of(run_of_truth):
+    stream = run_of_truth.tracker
+    return zip(stream.device_time_s, stream.position_mm, stream.status, strict=True)
+
+
+def word(value, digits=4):
+    return f"{value:.{digits}f}"
+
+
+def leica(run_of_truth):
+    """BOM, Windows line ends, a preamble, ISO times, units in brackets, air."""
+    text = ["Leica Tracker Pilot export", "Operator,A. Smith", ""]
+    text += ["Index,X [mm],Y [mm],Z [mm],Timestamp,Air Temperature [°C],Pressure [hPa]"]
+    for k, (t, p, _) in enumerate(rows_of(run_of_truth)):
+        clock = np.datetime64("2026-03-01T23:59:50") + np.timedelta64(
+            round(t * 1e6), "us"
+        )
+        cells = [str(k + 1), *map(word, p), str(clock), "20.5", "1013.2"]
+        text.append(",".join(cells))
+    return ("\r\n".join(text) + "\r\n").encode("utf-8-sig")
+
+
+def german(run_of_truth):
+    """Semicolons, decimal commas, metres, ms, a footer, the header twice, cp1252."""
+    head = "Nr.;Zeit [ms];X-Ist [m];Y-Ist [m];Z-Ist [m];Temperatur Z (°C)"
+    text = ["Einheit: m", head, head]
+    for k, (t, p, status) in enumerate(rows_of(run_of_truth)):
+        cells = [word(v / 1e3, 7) for v in p] if status == 0 else ["---"] * 3
+        cells = [str(k + 1), word(1e3 * t, 3), *cells, "21.25"]
+        text.append(";".join(cells).replace(".", ","))
+    text += ["", f"Anzahl Punkte: {k + 1}", "Ende"]
+    return "\n".join(text).encode("cp1252")
+
+
+def spatial(run_of_truth):
+    """Comment lines, blanks between columns, inches named above, a name of a frame."""
+    text = ["// SpatialAnalyzer ASCII export", "// Units: inches", "// Frame: TRACKER"]
+    text += ["Units: inches", "X Y Z Elapsed[s] Status"]
+    for t, p, status in rows_of(run_of_truth):
+        cells = [word(v / 25.4, 7) for v in p] if status == 0 else ["NaN"] * 3
+        text.append("  ".join([*cells, word(t, 6), "OK" if status == 0 else "LOST"]))
+    return "\n".join(text).encode()
+
+
+def french(run_of_truth):
+    """Tabs, decimal commas, a line of units, the time of day."""
+    text = ["Heure\tPosition X\tPosition Y\tPosition Z", "\tmm\tmm\tmm"]
+    for t, p, _ in rows_of(run_of_truth):
+        clock = f"10:{int(t // 60):02d}:{t % 60:09.6f}"
+        text.append("\t".join([clock, *map(word, p)]).replace(".", ","))
+    return "\n".join(text).encode("utf-16")
+
+
+STYLES = [leica, german, spatial, french]
+
+
+@pytest.fixture
+def bring(tmp_path, record):
+    """Import text beside machine and path of a recording; the exit status."""
+    write_bundle(record(1, rows=24)[0], tmp_path / "truth")
+
+    def bring(data, *options, path="path.csv", truth="truth"):
+        (tmp_path / "export.txt").write_bytes(data)
+        source = tmp_path / truth
+        place = source / path if (source / path).exists() else tmp_path / path
+        return run([
+            "import", str(tmp_path / "export.txt"), "--machine",
+            str(source / "machine.json"), "--path", str(place), "-o",
+            str(tmp_path / "bundle"), *options,
+        ])  # fmt: skip
+
+    return bring
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_the_stream_of_an_export_is_the_one_that_was_recorded(
+    style, bring, record, tmp_path
+):
+    truth = record(1, rows=24)[0]
+    assert bring(style(truth)) == 0
+    read = read_bundle(tmp_path / "bundle").tracker
+    valid = truth.tracker.status == 0
+    assert (read.status == 0).tolist() == valid.tolist()
+    gap = read.position_mm[valid] - truth.tracker.position_mm[valid]
+    assert np.abs(gap).max() < 2e-4
+    time_s = truth.tracker.device_time_s
+    np.testing.assert_allclose(read.device_time_s, time_s - time_s[0], atol=1.1e-6)
+
+
+def test_temperatures_of_an_export_are_in_the_bundle(bring, record, tmp_path):
+    assert bring(german(record(1, rows=24)[0])) == 0
+    told = read_bundle(tmp_path / "bundle").temperature
+    assert told.names == ("Z",)
+    assert told.celsius.ravel().tolist() == [21.25, 21.25]
+
+
+def test_an_export_and_an_nc_program_give_the_tables_of_the_machine(
+    bring, record, tmp_path
+):
+    truth = record(1, rows=24)[0]
+    program = write_program(truth.commanded, truth.machine, "heidenhain")
+    (tmp_path / "program.h").write_text(program)
+    assert bring(german(truth), path="program.h") == 0
+    tables = []
+    for name in ("truth", "bundle"):
+        out = tmp_path / f"{name}-result"
+        assert run(["analyse", str(tmp_path / name), "-o", str(out)]) == 0
+        tables.append(json.loads((out / "result.json").read_text())["error_tables"])
+    for symbol in ("EXX", "EYX", "EZZ"):
+        ours, theirs = (np.array(table[symbol]["value_um"]) for table in tables)
+        assert np.abs(ours - theirs).max() < 0.1
+
+
+def test_a_list_of_points_is_a_bundle_of_points(bring, record, tmp_path):
+    truth = record(2, "standstill", rows=30)[0]
+    write_bundle(truth, tmp_path / "points")
+
+    position = truth.commanded.position
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    text = ["Name;X [mm];Y [mm];Z [mm]"]
+    for k, p in enumerate(position @ turn.T + [3000.0, 100.0, -50.0]):
+        for shot in (-1, 1):
+            x, y, z = (f"{v + shot * 1e-3:.4f}".replace(".", ",") for v in p)
+            text.append(f"P{k + 1};{x};{y};{z}")
+    data = "\n".join(text).encode()
+    assert bring(data, path="points.csv", truth="points") == 0
+    read = read_bundle(tmp_path / "bundle")
+    assert read.points.row.tolist() == list(range(len(position)))
+    assert set(read.points.count.tolist()) == {2}
+    np.testing.assert_allclose(read.points.covariance_mm2, 2e-6, rtol=1e-3)
+
+
+def edit(style, *pairs):
+    def make(truth):
+        data = style(truth)
+        for old, new in pairs:
+            assert old in data
+            data = data.replace(old, new)
+        return data
+
+    return make
+
+
+def plain(truth, head="t_s,x_mm,y_mm,z_mm", scale=(1.0, 1.0, 1.0), time="{:.6f}", d=4):
+    rows = [head] if head else []
+    for t, p, _ in rows_of(truth):
+        rows.append(
+            ",".join(
+                [
+                    time.format(t),
+                    *(word(v * s, d) for v, s in zip(p, scale, strict=True)),
+                ]
+            )
+        )
+    return "\n".join(rows).encode()
+
+
+def late(truth, day=""):
+    rows = ["Time,X[mm],Y[mm],Z[mm]"]
+    for t, p, _ in rows_of(truth):
+        s = (86395.0 + t - truth.tracker.device_time_s[0]) % 86400
+        rows.append(
+            ",".join(
+                [
+                    f"{int(s // 3600):02d}:{int(s // 60 % 60):02d}:{s % 60:09.6f}",
+                    *map(word, p),
+                ]
+            )
+        )
+    return "\n".join(rows).encode()
+
+
+AMBIGUOUS = {
+    "no unit": (lambda t: plain(t, "t_s,x,y,z"), "--unit", "--unit mm"),
+    "wrong unit": (
+        lambda t: plain(t, "t_s,x_m,y_m,z_m"), "extend over", "--unit mm",
+    ),
+    "unit of time": (
+        lambda t: plain(t, "time,x_mm,y_mm,z_mm"), "ms: ", "--time-unit s",
+    ),
+    "no header": (
+        lambda t: plain(t, ""), "--column x=NUMBER",
+        "--column time=1 --column x=2 --column y=3 --column z=4 --unit mm "
+        "--time-unit s",
+    ),
+    "two columns of x": (
+        lambda t: plain(t, "x measured,x_mm,y_mm,z_mm"), "'x measured' (1)",
+        "--column x=2 --column time=1 --time-unit s",
+    ),
+    "left-handed": (
+        lambda t: plain(t, scale=(1, -1, 1)), "--axes", "--axes x,-y,z",
+    ),
+    "midnight": (late, "--across-midnight", "--across-midnight"),
+    "times that are rounded": (
+        lambda t: plain(t, time="{:.1f}"), "--rate", "--rate 500",
+    ),
+    "a status nobody knows": (
+        edit(spatial, (b"OK", b"4")), "--valid", "--valid 4",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", AMBIGUOUS)
+def test_what_is_ambiguous_is_refused_and_the_named_option_settles_it(
+    case, bring, record, capsys, tmp_path
+):
+    make, words, option = AMBIGUOUS[case]
+    data = make(record(1, rows=24)[0])
+    assert bring(data) == 2
+    text = capsys.readouterr().err
+    assert words in text, text
+    assert not (tmp_path / "bundle").exists()
+    assert bring(data, *option.split()) == 0, capsys.readouterr().err
+
+
+REFUSED = {
+    "commas for both": lambda t: german(t).replace(b";", b","),
+    "a broken line": lambda t: plain(t).replace(b"\n", b"\n1.0,2.0\n", 5),
+    "a word for a number": edit(plain, (b"\n", b"\nabc,")),
+    "a picture": lambda t: b"\x89PNG\0\0",
+    "nothing": lambda t: b"",
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_read_is_refused(case, bring, record, capsys, tmp_path):
+    assert bring(REFUSED[case](record(1, rows=24)[0])) == 2
+    assert "export.txt" in capsys.readouterr().err
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_a_dry_run_shows_what_is_recognised_and_writes_nothing(
+    bring, record, capsys, tmp_path
+):
+    assert bring(leica(record(1, rows=24)[0]), "--dry-run") == 0
+    shown = capsys.readouterr().out
+    assert "X [mm]" in shown
+    assert "left out" in shown
+    assert not (tmp_path / "bundle").exists()
