@@ -165,8 +165,16 @@ def _check_alignment(run: Run) -> None:
 
 
 def _print_recording(read: Recording, source: str) -> None:
+    from rich.markup import escape  # else "[mm]" is taken for a style
+
     rows = [
-        (c.name, str(c.index + 1), c.role or "left out", c.unit or "", cell)
+        (
+            escape(c.name),
+            str(c.index + 1),
+            c.role or "left out",
+            c.unit,
+            escape(cell),
+        )
         for c, cell in zip(read.columns, read.first_row, strict=True)
     ]
     print_table("columns", ["name", "number", "read as", "unit", "first row"], rows)

@@ -71,7 +71,7 @@ STYLES = [leica, german, spatial, french]
 @pytest.fixture
 def bring(tmp_path, record):
     """Import text beside machine and path of a recording; the exit status."""
-    write_bundle(record(1, rows=24)[0], tmp_path / "truth")
+    write_bundle(record(1, rows=12)[0], tmp_path / "truth")
 
     def bring(data, *options, path="path.csv", truth="truth"):
         (tmp_path / "export.txt").write_bytes(data)
@@ -90,7 +90,7 @@ def bring(tmp_path, record):
 def test_the_stream_of_an_export_is_the_one_that_was_recorded(
     style, bring, record, tmp_path
 ):
-    truth = record(1, rows=24)[0]
+    truth = record(1, rows=12)[0]
     assert bring(style(truth)) == 0
     read = read_bundle(tmp_path / "bundle").tracker
     valid = truth.tracker.status == 0
@@ -102,7 +102,7 @@ def test_the_stream_of_an_export_is_the_one_that_was_recorded(
 
 
 def test_temperatures_of_an_export_are_in_the_bundle(bring, record, tmp_path):
-    assert bring(german(record(1, rows=24)[0])) == 0
+    assert bring(german(record(1, rows=12)[0])) == 0
     told = read_bundle(tmp_path / "bundle").temperature
     assert told.names == ("Z",)
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
@@ -111,7 +111,7 @@ def test_temperatures_of_an_export_are_in_the_bundle(bring, record, tmp_path):
 def test_an_export_and_an_nc_program_give_the_tables_of_the_machine(
     bring, record, tmp_path
 ):
-    truth = record(1, rows=24)[0]
+    truth = record(1, rows=12)[0]
     program = write_program(truth.commanded, truth.machine, "heidenhain")
     (tmp_path / "program.h").write_text(program)
     assert bring(german(truth), path="program.h") == 0
@@ -219,7 +219,7 @@ def test_what_is_ambiguous_is_refused_and_the_named_option_settles_it(
     case, bring, record, capsys, tmp_path
 ):
     make, words, option = AMBIGUOUS[case]
-    data = make(record(1, rows=24)[0])
+    data = make(record(1, rows=12)[0])
     assert bring(data) == 2
     text = capsys.readouterr().err
     assert words in text, text
@@ -238,7 +238,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_read_is_refused(case, bring, record, capsys, tmp_path):
-    assert bring(REFUSED[case](record(1, rows=24)[0])) == 2
+    assert bring(REFUSED[case](record(1, rows=12)[0])) == 2
     assert "export.txt" in capsys.readouterr().err
     assert not (tmp_path / "bundle").exists()
 
@@ -246,7 +246,7 @@ def test_what_cannot_be_read_is_refused(case, bring, record, capsys, tmp_path):
 def test_a_dry_run_shows_what_is_recognised_and_writes_nothing(
     bring, record, capsys, tmp_path
 ):
-    assert bring(leica(record(1, rows=24)[0]), "--dry-run") == 0
+    assert bring(leica(record(1, rows=12)[0]), "--dry-run") == 0
     shown = capsys.readouterr().out
     assert "X [mm]" in shown
     assert "left out" in shown
