@@ -90,7 +90,8 @@ class Controller:
     def line(self, now_s: float) -> int:
         """Return the row of the path that the machine moves towards or dwells at."""
         if self._runs_path:
-            self._line = int(self._timeline.rows(np.array([now_s]))[0])
+            at_s = max(now_s, self._begin_s)  # until then it shows an earlier program
+            self._line = int(self._timeline.rows(np.array([at_s]))[0])
         return self._line
 
     def refusal(self, command: Command) -> Result | None:

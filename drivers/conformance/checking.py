@@ -7,11 +7,40 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 
 from drivers.interfaces.errors import DeviceError
 
-# Beyond a timeout that was asked for: the scheduler of a busy computer.
-PATIENCE_S = 1.0
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What the checks ask for, and how long they wait.
+
+    rate_hz : of streams
+    patience_s : beyond a timeout that was asked for, the scheduler of a busy computer
+    motion_s : longest motion of a few mm
+    watchdog_s : by then a watchdog that gets no beat holds the feed
+    """
+
+    rate_hz: float = 500.0
+    patience_s: float = 1.0
+    motion_s: float = 30.0
+    watchdog_s: float = 5.0
+
+
+_USUAL = Terms()
+TERMS: ContextVar[Terms] = ContextVar("TERMS", default=_USUAL)
+
+
+@contextmanager
+def on_terms(**terms: float) -> Iterator[None]:
+    """Run checks on other terms: `with on_terms(rate_hz=100.0): check(make)`."""
+    token = TERMS.set(Terms(**terms))
+    try:
+        yield
+    finally:
+        TERMS.reset(token)
 
 
 class NotConforming(AssertionError):
@@ -41,7 +70,7 @@ def soon(doing: str, limit_s: float) -> Iterator[None]:
     begin_s = time.monotonic()
     yield
     took_s = time.monotonic() - begin_s
-    require(took_s <= limit_s + PATIENCE_S, f"{doing} took {took_s:.2f} s")
+    require(took_s <= limit_s + TERMS.get().patience_s, f"{doing} took {took_s:.2f} s")
 
 
 @contextmanager
@@ -55,7 +84,7 @@ def running(verb: Callable[[], None]) -> Iterator[None]:
 
 def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
     """Wait for a condition, with patience."""
-    deadline_s = time.monotonic() + PATIENCE_S
+    deadline_s = time.monotonic() + TERMS.get().patience_s
     while not condition():
         require(time.monotonic() < deadline_s, otherwise)
         time.sleep(0.01)

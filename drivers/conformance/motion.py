@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.conformance.checking import expect, require, running, soon
+from drivers.conformance.checking import TERMS, expect, require, running, soon
 from drivers.conformance.device import DEVICE_CHECKS
 from drivers.interfaces.errors import (
     ConnectionLost,
@@ -20,8 +20,7 @@ from drivers.interfaces.records import MotionState, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
-MOTION_TIMEOUT_S = 30.0
-WATCHDOG_S = 5.0
+STAND = 1e-3  # how far an axis that stands may move, mm or deg
 
 MakeController = Callable[[], MotionController]
 
@@ -76,7 +75,7 @@ def a_move_ends_where_it_was_sent(make: MakeController) -> None:
     with make() as controller:
         there = _near(controller)
         controller.move_to(there, FEED_MM_MIN)
-        status = controller.wait(MOTION_TIMEOUT_S)
+        status = controller.wait(TERMS.get().motion_s)
     require(status.state is MotionState.FINISHED, f"the move ended in {status}")
     off = np.abs(np.subtract(status.position, there)).max()
     require(bool(off <= 1e-3), f"the move ended at {status.position}, not {there}")
@@ -91,7 +90,7 @@ def a_path_runs_to_its_last_row(make: MakeController) -> None:
         state = controller.status().state
         require(state is MotionState.READY, f"a loaded path is {state}, not ready")
         controller.start()
-        status = controller.wait(MOTION_TIMEOUT_S)
+        status = controller.wait(TERMS.get().motion_s)
     require(status.state is MotionState.FINISHED, f"the path ended in {status}")
     off = np.abs(np.subtract(status.position, here)).max()
     require(bool(off <= 1e-3), f"the path ended at {status.position}, not {here}")
@@ -103,13 +102,47 @@ def hold_and_resume_are_absolute(make: MakeController) -> None:
         controller.move_to(_near(controller), _slow())
         controller.hold()
         controller.hold()
-        status = controller.wait(MOTION_TIMEOUT_S)
+        status = controller.wait(TERMS.get().motion_s)
         require(status.state is MotionState.HELD, f"hold ended in {status}")
         require(bool(status.hold_reason), "a hold has no reason")
         controller.resume()
         controller.resume()
-        status = controller.wait(MOTION_TIMEOUT_S)
+        status = controller.wait(TERMS.get().motion_s)
     require(status.state is MotionState.FINISHED, f"resume ended in {status}")
+
+
+def held_means_standing(make: MakeController) -> None:
+    """Once a status says HELD, the axes stand: none is still braking."""
+    with make() as controller:
+        controller.move_to(_near(controller), FEED_MM_MIN / 2)
+        controller.hold()
+        held = controller.wait(TERMS.get().motion_s)
+        time.sleep(0.3)
+        later = controller.status()
+        controller.abort()
+    moved = np.abs(np.subtract(later.position, held.position)).max()
+    require(bool(moved <= STAND), f"HELD, it went on by {moved:.4f}")
+
+
+def the_line_is_the_row_moved_towards(make: MakeController) -> None:
+    """`line` tells on which row the axes are under way; at the end it is the last."""
+    with make() as controller:
+        here = np.array(controller.axis_positions())
+        step = np.array(_near(controller)) - here
+        rows = [list(here + share * step) for share in (0.0, 0.5, 1.0)]
+        controller.load(_path(controller, rows, _slow()))
+        controller.start()
+        status = controller.status()
+        while status.state is MotionState.RUNNING:
+            share = float((np.array(status.position) - here) @ step / (step @ step))
+            off = abs(share - 0.5 * status.line + 0.25)
+            told = f"at {share:.2f} of the path it says line {status.line} of 2"
+            require(status.line == 0 or off <= 0.3, told)
+            controller.send_heartbeat()
+            time.sleep(0.05)
+            status = controller.status()
+    last = f"the path of 3 rows ended in {status}, not on line 2"
+    require(status.line == 2, last)
 
 
 def resume_of_nothing_does_nothing(make: MakeController) -> None:
@@ -129,7 +162,7 @@ def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
         controller.load(path)
         controller.start()
         with running(controller.abort):
-            status = controller.wait(MOTION_TIMEOUT_S)
+            status = controller.wait(TERMS.get().motion_s)
         require(status.state is MotionState.ABORTED, f"abort ended in {status}")
         expect(Refused, controller.start)
 
@@ -141,11 +174,11 @@ def wait_ends_in_time(make: MakeController) -> None:
         with soon("wait(0.1)", 0.1):
             expect(DeviceTimeout, lambda: controller.wait(0.1))
         controller.abort()
-        controller.wait(MOTION_TIMEOUT_S)
+        controller.wait(TERMS.get().motion_s)
 
 
 def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
-    """A claimed watchdog holds within `WATCHDOG_S` of the last beat, with a reason."""
+    """A claimed watchdog holds within `watchdog_s` of the last beat, with a reason."""
     with make() as controller:
         if not controller.connect().has_watchdog:
             return
@@ -154,7 +187,10 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
         begin_s = time.monotonic()
         while status.state is MotionState.RUNNING:
             waited_s = time.monotonic() - begin_s
-            require(waited_s < WATCHDOG_S, f"no beat for {waited_s:.1f} s, no hold")
+            require(
+                waited_s < TERMS.get().watchdog_s,
+                f"no beat for {waited_s:.1f} s, no hold",
+            )
             time.sleep(0.05)
             status = controller.status()
         controller.abort()
@@ -169,7 +205,7 @@ def close_stops_the_motion(make: MakeController) -> None:
     controller.move_to(_near(controller), _slow())
     controller.close()
     with controller:
-        status = controller.wait(MOTION_TIMEOUT_S)
+        status = controller.wait(TERMS.get().motion_s)
     ended = status.state in (MotionState.ABORTED, MotionState.HELD)
     require(ended, f"close in motion ended in {status}")
 
@@ -194,6 +230,8 @@ MOTION_CHECKS: tuple[Callable[[MakeController], None], ...] = (
     a_move_ends_where_it_was_sent,
     a_path_runs_to_its_last_row,
     hold_and_resume_are_absolute,
+    held_means_standing,
+    the_line_is_the_row_moved_towards,
     resume_of_nothing_does_nothing,
     abort_from_another_thread_ends_the_motion,
     wait_ends_in_time,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.conformance.checking import PATIENCE_S, expect, require, running, soon
+from drivers.conformance.checking import TERMS, expect, require, running, soon
 from drivers.conformance.device import DEVICE_CHECKS
 from drivers.interfaces.errors import (
     ConnectionLost,
@@ -16,7 +16,8 @@ from drivers.interfaces.errors import (
 from drivers.interfaces.records import TrackerSamples
 from drivers.interfaces.tracker import Tracker
 
-RATE_HZ = 500.0
+NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
+LEAST = 50  # samples over which rate and times are looked at, for a second
 
 MakeTracker = Callable[[], Tracker]
 
@@ -27,7 +28,7 @@ def stop_is_idempotent_in_any_state(make: MakeTracker) -> None:
     tracker.stop()
     with tracker:
         tracker.stop()
-        tracker.start(RATE_HZ)
+        tracker.start(TERMS.get().rate_hz)
         tracker.stop()
         tracker.stop()
     tracker.stop()
@@ -36,7 +37,7 @@ def stop_is_idempotent_in_any_state(make: MakeTracker) -> None:
 def stop_from_another_thread_ends_the_stream(make: MakeTracker) -> None:
     """`stop` needs no agreement with the thread that reads."""
     with make() as tracker:
-        tracker.start(RATE_HZ)
+        tracker.start(TERMS.get().rate_hz)
         _read(tracker, 10)
         with running(tracker.stop):
             tracker.read(0.2)
@@ -57,7 +58,7 @@ def silence_is_an_empty_block_in_time(make: MakeTracker) -> None:
 def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
     """A stream has whole blocks, rising numbers and times, losses that are counted."""
     with make() as tracker:
-        tracker.start(RATE_HZ)
+        tracker.start(TERMS.get().rate_hz)
         samples = _read(tracker, 100)
         health = tracker.health
     _require_shapes(samples)
@@ -69,12 +70,58 @@ def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
     require(health.lost_samples >= gaps, "a gap in the numbers is not in the health")
 
 
+def times_are_those_of_the_samples(make: MakeTracker) -> None:
+    """Numbers and times go on at the rate asked for, in seconds, evenly.
+
+    A driver that stamps by arrival, in ms, or streams at another rate is caught; one
+    whose device cannot do the rate refuses it.
+    """
+    period_s = 1.0 / TERMS.get().rate_hz
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, max(LEAST, round(TERMS.get().rate_hz)))
+    steps, times = np.diff(samples.sequence), np.diff(samples.device_time_s)
+    mean_s = float(times.sum() / steps.sum())
+    found = f"a sample each {mean_s:.3g} s, {period_s:.3g} s was asked for"
+    require(abs(mean_s - period_s) <= 0.05 * period_s, found)
+    uneven = np.quantile(np.abs(times - steps * period_s), 0.95) / period_s
+    stamped = "times do not follow the numbers: are they those of arrival?"
+    require(bool(uneven <= 0.3), stamped)
+
+
+def a_target_at_rest_is_valid_and_in_mm(make: MakeTracker) -> None:
+    """Of a target in the beam most samples are valid, some metres away, in mm."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+    valid = samples.status == 0
+    require(float(valid.mean()) > 0.5, "of a target in the beam no status is valid")
+    distance_mm = float(np.median(np.linalg.norm(samples.position_mm[valid], axis=1)))
+    near = NEAREST_MM <= distance_mm <= FARTHEST_MM
+    require(near, f"the target is {distance_mm:g} mm away: is that mm?")
+
+
+def health_counts_what_has_come(make: MakeTracker) -> None:
+    """The health counts every frame, and as lost what the numbers lack, no more."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+        tracker.stop()
+        samples = TrackerSamples.join([samples, tracker.read(0.05)])
+        health = tracker.health
+    frames = health.frames
+    require(frames >= len(samples), f"{len(samples)} samples came in {frames} frames")
+    gaps = int(samples.sequence[-1] - samples.sequence[0]) + 1 - len(samples)
+    lost = health.lost_samples
+    require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
+
+
 def start_twice_is_one_stream(make: MakeTracker) -> None:
     """`start` at the rate that runs changes nothing."""
     with make() as tracker:
-        tracker.start(RATE_HZ)
+        tracker.start(TERMS.get().rate_hz)
         before = _read(tracker, 20)
-        tracker.start(RATE_HZ)
+        tracker.start(TERMS.get().rate_hz)
         after = _read(tracker, 20)
         tracker.stop()
     rising = after.sequence[0] > before.sequence[-1]
@@ -86,7 +133,7 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
     with make() as tracker:
         blocks: list[TrackerSamples] = []
         for _ in range(2):
-            tracker.start(RATE_HZ)
+            tracker.start(TERMS.get().rate_hz)
             blocks.append(_read(tracker, 20))
             tracker.stop()
             blocks.append(tracker.read(0.05))
@@ -110,7 +157,7 @@ def a_closed_tracker_has_no_samples(make: MakeTracker) -> None:
     """`start` and `read` are ConnectionLost before `connect` and after `close`."""
     tracker = make()
     for _ in range(2):
-        expect(ConnectionLost, lambda: tracker.start(RATE_HZ))
+        expect(ConnectionLost, lambda: tracker.start(TERMS.get().rate_hz))
         expect(ConnectionLost, lambda: tracker.read(0.1))
         tracker.connect()
         tracker.close()
@@ -122,6 +169,9 @@ TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
     stop_from_another_thread_ends_the_stream,
     silence_is_an_empty_block_in_time,
     samples_have_rising_numbers_and_times,
+    times_are_those_of_the_samples,
+    a_target_at_rest_is_valid_and_in_mm,
+    health_counts_what_has_come,
     start_twice_is_one_stream,
     numbers_go_on_after_a_pause,
     impossible_rates_are_refused,
@@ -130,7 +180,9 @@ TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
 
 
 def _read(tracker: Tracker, count: int) -> TrackerSamples:
-    deadline_s = time.monotonic() + count / RATE_HZ + 5 * PATIENCE_S
+    deadline_s = (
+        time.monotonic() + count / TERMS.get().rate_hz + 5 * TERMS.get().patience_s
+    )
     blocks: list[TrackerSamples] = []
     while sum(map(len, blocks)) < count:
         require(time.monotonic() < deadline_s, f"{count} samples did not come")

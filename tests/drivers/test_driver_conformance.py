@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.conformance import device, motion, tracker
-from drivers.conformance.checking import NotConforming
+from drivers.conformance.checking import NotConforming, on_terms
 from drivers.conformance.motion import MOTION_CHECKS
 from drivers.conformance.polled_tracker import POLLED_CHECKS
 from drivers.conformance.tracker import TRACKER_CHECKS
@@ -136,6 +136,9 @@ def test_absent_devices_are_device_errors(name):
 class GoodTracker(Tracker):
     """Keeps everything, in memory."""
 
+    place = 1500.0
+    status = 0
+
     def __init__(self) -> None:
         self.connected = self.streams = False
         self.number = 0
@@ -163,12 +166,18 @@ class GoodTracker(Tracker):
         number = self.number + np.arange(10)
         self.number += 10
         return TrackerSamples(
-            number, number * 2e-3, np.zeros((10, 3)), np.zeros(10, np.int64)
+            number,
+            self.stamp(number),
+            np.full((10, 3), self.place),
+            np.full(10, self.status, np.int64),
         )
+
+    def stamp(self, number):
+        return number * 2e-3
 
     @property
     def health(self) -> LinkHealth:
-        return LinkHealth()
+        return LinkHealth(frames=self.number)
 
     def need_connection(self) -> None:
         if not self.connected:
@@ -180,6 +189,9 @@ class GoodController(MotionController):
 
     limits = ((0.0, 100.0),)
     watches = True
+    brakes = 0.0
+    first_line = 0
+    counts_lines = True
     names = ("X",)
 
     def __init__(self) -> None:
@@ -202,6 +214,9 @@ class GoodController(MotionController):
     def status(self) -> MotionStatus:
         if not self.connected:
             raise ConnectionLost("connect first")
+        if self.at.state is MotionState.HELD:
+            moved = tuple(x + self.brakes for x in self.at.position)
+            self.at = replace(self.at, position=moved)
         running = self.at.state is MotionState.RUNNING
         if running and self.watches and time.monotonic() > self.fed_s + 0.1:
             self.at = replace(self.at, state=MotionState.HELD, hold_reason="watchdog")
@@ -211,7 +226,7 @@ class GoodController(MotionController):
         self.status()
         self.check(np.atleast_2d(position))
         self.target, self.feed = tuple(position), feed_mm_min
-        self.fed_s = time.monotonic()
+        self.fed_s, self.beats = time.monotonic(), 0
         self.at = replace(self.at, state=MotionState.RUNNING)
 
     def load(self, path) -> None:
@@ -240,9 +255,7 @@ class GoodController(MotionController):
             if self.path is not None and self.path.feed_mm_min[-1] < 100:
                 threading.Event().wait(0.05)
             if self.at.state is MotionState.RUNNING:
-                self.at = replace(
-                    self.at, state=MotionState.FINISHED, position=self.target
-                )
+                self.finish()
         return self.at
 
     def hold(self) -> None:
@@ -258,7 +271,19 @@ class GoodController(MotionController):
         self.at = replace(self.at, state=MotionState.ABORTED)
 
     def send_heartbeat(self) -> None:
-        return
+        self.fed_s = time.monotonic()
+        self.beats += 1
+        if self.beats > 3 and self.at.state is MotionState.RUNNING:
+            self.finish()
+
+    def finish(self) -> None:
+        line = 0 if self.path is None else len(self.path) - 1
+        self.at = replace(
+            self.at,
+            state=MotionState.FINISHED,
+            position=self.target,
+            line=self.first_line + line * self.counts_lines,
+        )
 
 
 @pytest.fixture
@@ -323,6 +348,28 @@ def with_faults(base, **faults):
             tracker.numbers_go_on_after_a_pause,
             {"read": lambda self, timeout_s: begin_clock_anew(self, timeout_s)},
         ),
+        (
+            tracker.times_are_those_of_the_samples,  # ms
+            {"stamp": lambda self, number: number * 2.0},
+        ),
+        (
+            tracker.times_are_those_of_the_samples,  # half the rate
+            {"stamp": lambda self, number: number * 4e-3},
+        ),
+        (
+            tracker.times_are_those_of_the_samples,  # arrival, in blocks of ten
+            {"stamp": lambda self, n: (n // 10) * 20e-3 + (n % 10) * 1e-6},
+        ),
+        (tracker.a_target_at_rest_is_valid_and_in_mm, {"place": 1.5}),
+        (tracker.a_target_at_rest_is_valid_and_in_mm, {"status": 4}),
+        (
+            tracker.health_counts_what_has_come,
+            {"health": property(lambda self: LinkHealth())},
+        ),
+        (
+            tracker.health_counts_what_has_come,
+            {"health": property(lambda self: LinkHealth(self.number, 5))},
+        ),
         (tracker.impossible_rates_are_refused, {"start": lambda self, rate: None}),
         (
             tracker.a_closed_tracker_has_no_samples,
@@ -362,6 +409,9 @@ def test_a_faulty_tracker_is_caught(check, faults):
             {"abort": lambda self: None},
         ),
         (motion.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
+        (motion.held_means_standing, {"brakes": 0.2}),
+        (motion.the_line_is_the_row_moved_towards, {"first_line": 1}),
+        (motion.the_line_is_the_row_moved_towards, {"counts_lines": False}),
         (motion.a_claimed_watchdog_holds_the_feed, {"watches": False}),
         (motion.close_stops_the_motion, {"close": lambda self: None}),
         (
@@ -376,8 +426,7 @@ def test_a_faulty_tracker_is_caught(check, faults):
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
-def test_a_faulty_controller_is_caught(check, faults, monkeypatch):
-    monkeypatch.setattr(motion, "WATCHDOG_S", 0.3)
+def test_a_faulty_controller_is_caught(check, faults):
     faulty = with_faults(GoodController, **faults)
     machine = faulty()
 
@@ -386,8 +435,17 @@ def test_a_faulty_controller_is_caught(check, faults, monkeypatch):
         controller.__dict__ = machine.__dict__
         return controller
 
-    with pytest.raises(NotConforming):
+    with on_terms(watchdog_s=0.3), pytest.raises(NotConforming):
         check(make)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+def test_the_rate_is_a_term_of_the_checks(tracker_bench, rate_hz):
+    factory = TRACKERS["streaming"].load()
+    with on_terms(rate_hz=rate_hz, patience_s=2.0):
+        tracker.times_are_those_of_the_samples(
+            lambda: factory(**tracker_bench.tracker_options)
+        )
 
 
 def test_a_file_left_open_is_caught(tmp_path):

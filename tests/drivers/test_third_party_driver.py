@@ -26,7 +26,8 @@ from app.measurement.messages import (
 from app.measurement.run_reading import open_run
 from app.plugins import find_plugins, load
 from app.settings import load_settings
-from drivers.conformance import device, tracker
+from drivers.conformance import device
+from drivers.conformance.checking import on_terms
 from drivers.conformance.tracker import TRACKER_CHECKS
 from drivers.interfaces.errors import Refused
 from drivers.interfaces.records import Path as MotionPath
@@ -102,11 +103,10 @@ def options(imitate: Callable[[float], dict[str, str | int]]) -> dict[str, str |
 def test_it_conforms(
     options: dict[str, str | int],
     check: Callable[..., None],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(tracker, "RATE_HZ", 50.0)
     make = load("truepath.trackers", NAME)
-    check(lambda: make(**options))
+    with on_terms(rate_hz=50.0):
+        check(lambda: make(**options))
 
 
 def test_it_says_when_it_is_not_there(free_port: int) -> None:

@@ -39,7 +39,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 1.0  # between attempts to open a broken
 _REASONS: dict[int, str] = {
     r.Result.WRONG_STATE: "not in this state",
     r.Result.NO_PATH: "no path is loaded",
-    r.Result.CRC_MISMATCH: "the path there is not the one that was sent; load it again",
+    r.Result.CRC_MISMATCH: "the path arrived damaged or is another; load it again",
     r.Result.BAD_ARGUMENT: "an argument is out of range",
     r.Result.UNKNOWN_COMMAND: "the device does not know this command",
     r.Result.NOT_READY: "the machine is not ready; drives on, door closed, homed?",
