@@ -27,12 +27,11 @@ def construction_opens_nothing(make: MakeDevice) -> None:
 
 
 def connect_tells_who_answers(make: MakeDevice) -> None:
-    """`connect` returns an Identity with a model and a serial number."""
+    """`connect` returns an Identity with a model; not every device has a number."""
     with make() as device:
         identity = device.connect()
     require(isinstance(identity, Identity), f"connect returned {identity!r}")
     require(bool(identity.model), "the identity has no model")
-    require(bool(identity.serial_number), "the identity has no serial number")
 
 
 def connect_twice_is_one_connection(make: MakeDevice) -> None:

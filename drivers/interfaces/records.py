@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 class Identity:
     """Who answers on the port.
 
+    serial_number : empty where the device tells none
     has_watchdog : a motion controller that holds the feed by itself when heartbeats
         stay away; a driver claims it only where it has seen a sign of it at `connect`
     """

@@ -14,13 +14,15 @@ from app.compensation.export import export_result
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.motion.nc_programs.programs import write_program
 from drivers.interfaces.records import Path
+from simulators.linuxcnc.rig import explain_absence
 
 sys.path.append(str(FilePath(__file__).parent))
-from linuxcnc_machine import TRAVEL, run_program, why_not
+from linuxcnc_machine import TRAVEL, run_program
 
+ABSENT = explain_absence()
 pytestmark = [
     pytest.mark.long,
-    pytest.mark.skipif(bool(why_not()), reason=why_not() or "none"),
+    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
 ]
 
 # Three rows on one line: what runs through them is no exact stop.

@@ -68,7 +68,7 @@ def path_to(*rows, feed=6000.0, dwell=None):
     ],
 )
 def test_it_conforms(rig, check):
-    check(lambda: LinuxCncController(**rig.motion_options, serial_number="S1"))
+    check(lambda: LinuxCncController(**rig.motion_options))
 
 
 @needs_linuxcnc
