@@ -44,11 +44,13 @@ POLLED = {  # each with simulated instruments of its own name
     "geocom": {"tracker": "pty", **HURRIED, "turn_s": 0.3},
     "t2sa": {"tracker": "tcp", **HURRIED},
 }
+ELSEWHERE = {"text-line"}  # behind a relay, in tracker/test_text_line.py
 CONTROLLER_PEERS = {
     "modbus": ["motion_options", "motion_options_rtu"],
     "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
 }
 ABSENT = {
+    "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
     "streaming": {"port": "/dev/truepath-no-such-port"},
     "geocom": {"port": "/dev/truepath-no-such-port"},
     "t2sa": {"host": "127.0.0.1", "port": 9},
@@ -76,7 +78,7 @@ def test_every_registered_driver_of_ours_has_a_peer():
         for point in (*TRACKERS.values(), *CONTROLLERS.values())
         if point.module.startswith("drivers.")
     }
-    peers = set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
+    peers = ELSEWHERE | set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
     assert ours == peers == set(ABSENT)
 
 

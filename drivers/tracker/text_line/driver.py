@@ -1,0 +1,310 @@
+"""The driver of trackers whose software sends a line of text a sample."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from drivers.interfaces.tracker import ByteLink, Tracker
+from drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+from drivers.tracker.text_line.layout import LineBlock, LineLayout
+from drivers.transport.byte_port import BytePort
+from drivers.transport.serial_port import SerialPort
+from drivers.transport.tcp_port import TcpPort
+from drivers.transport.udp_port import UdpPort
+
+_LONGEST_BYTES = 1 << 12  # of a line
+_KEPT_BYTES = 1 << 20
+_FIRST_LINE_S = 2.0
+_STEP_S = 0.05
+_RATE_TOLERANCE = 0.01
+_LONGEST_GAP_S = 2.0  # of lost lines, but for a pause of the stream
+
+
+class TextLineTracker(Tracker, ByteLink):
+    """A stream of lines from a serial port, a TCP server (`host`) or by UDP (`udp`).
+
+    port : path of the tty, or the number of a TCP or UDP port
+    columns : fields of a line in order, of x, y, z, time, counter, status and `-`
+    rate_hz : at which the sender was set; nothing here can ask it
+    counter_wraps : the counter starts again at 0 after so many; 0 if it never does
+    arrival_times : stamp lines as they arrive, where they carry neither time nor
+        counter; such samples are for points at standstill, and no loss can be seen
+    start_command, stop_command : lines to send, empty if it streams by itself
+    name, serial_number : of the instrument, as a Run shall call it
+
+    Other options are those of `LineLayout`. A damaged digit makes another number: text
+    has no check, so use a link that has one.
+    """
+
+    def __init__(
+        self,
+        port: str | int,
+        *,
+        rate_hz: float,
+        host: str | None = None,
+        udp: bool = False,
+        baudrate: int = 115_200,
+        columns: str = "counter,time,x,y,z,status",
+        delimiter: str = "comma",
+        decimal_comma: bool = False,
+        unit: str = "mm",
+        time_unit: str = "s",
+        axes: str = "x,y,z",
+        valid: str = "0",
+        counter_wraps: int = 0,
+        arrival_times: bool = False,
+        start_command: str = "",
+        stop_command: str = "",
+        name: str = "text stream",
+        serial_number: str = "not known",
+    ) -> None:
+        self._layout = LineLayout(
+            columns,
+            delimiter=delimiter,
+            decimal_comma=decimal_comma,
+            unit=unit,
+            time_unit=time_unit,
+            axes=axes,
+            valid=valid,
+        )
+        self._stamped = self._layout.has_time or self._layout.has_counter
+        _check_stamps(self._stamped, arrival_times)
+        if udp and (start_command or stop_command):
+            raise Refused("a UDP port listens only; leave the commands out")
+        self._port = _byte_port(port, host, baudrate, udp=udp)
+        self._rate_hz, self._wraps = rate_hz, counter_wraps
+        self._identity = Identity("text lines", name, serial_number, "")
+        self._commands = (start_command, stop_command)
+        self._lock = threading.RLock()
+        self._is_open = self._streams = False
+        self._health = LinkHealth()
+        self._kept = bytearray()
+        self._begin()
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """The rate it was set to, and whose clock stamps its samples."""
+        clock = Clock.DEVICE if self._stamped else Clock.HOST
+        return TrackerCapabilities(max_rate_hz=self._rate_hz, clock=clock)
+
+    def connect(self) -> Identity:
+        """Open the port. Who sends is not known: the name is that of the settings."""
+        with self._lock:
+            if not self._is_open:
+                self._port.open()
+                self._is_open, self._health = True, LinkHealth()
+                self._kept.clear()
+                self._begin()
+            return self._identity
+
+    def start(self, rate_hz: float) -> None:
+        """Begin to take lines; a first one must come within 2 s."""
+        with self._lock:
+            self._require_open()
+            if abs(rate_hz / self._rate_hz - 1.0) > _RATE_TOLERANCE:
+                raise Refused(
+                    f"{self._port.name} sends {self._rate_hz:g} Hz, not {rate_hz:g}; "
+                    "set the sender and rate_hz to the same rate"
+                )
+            if self._streams:
+                return
+            self._drop_stale()
+            self._send(self._commands[0])
+            self._await_line()
+            self._streams = True
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        """Return all lines since the last call."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._lock:
+            self._require_open()
+            if not self._streams:
+                return TrackerSamples.empty()
+            while self._streams:
+                self._take(max(0.0, min(_STEP_S, deadline_s - time.monotonic())))
+                samples = self._decode()
+                if len(samples) or time.monotonic() >= deadline_s:
+                    return samples
+            return TrackerSamples.empty()
+
+    def stop(self) -> None:
+        """End the stream, or no longer listen to one that has no end.
+
+        It takes no lock: a thread that reads holds it nearly all the time.
+        """
+        streamed, self._streams = self._streams, False
+        if streamed and self._is_open:
+            self._send(self._commands[1])
+
+    def close(self) -> None:
+        """Release the port."""
+        with self._lock:
+            try:
+                self.stop()
+            except (ConnectionLost, DeviceTimeout):
+                pass  # the link has gone already
+            finally:
+                self._is_open = self._streams = False
+                self._port.close()
+
+    @property
+    def health(self) -> LinkHealth:
+        """Lines; bad ones count as errors of a check."""
+        return self._health
+
+    def take_link_bytes(self) -> bytes:
+        """Return what has come since the last call."""
+        with self._lock:
+            data = bytes(self._kept)
+            self._kept.clear()
+            return data
+
+    def _begin(self) -> None:
+        """Forget the connection before: its counter, its clock, half a line."""
+        self._rest, self._in_step = b"", False
+        self._jumps, self._refused = True, 0
+        self._last_counter: float | None = None
+        self._last_unwrapped = 0.0
+        self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
+
+    def _drop_stale(self) -> None:
+        """Drop what a sender without commands has sent since the stream before."""
+        self._rest, self._in_step, self._jumps = b"", False, True
+        while self._port.read(0.0):
+            pass
+
+    def _require_open(self) -> None:
+        if not self._is_open:
+            raise ConnectionLost(f"{self._port.name} is not connected; connect first")
+
+    def _send(self, command: str) -> None:
+        if command:
+            self._port.write(command.encode() + b"\r\n")
+
+    def _await_line(self) -> None:
+        deadline_s = time.monotonic() + _FIRST_LINE_S
+        while b"\n" not in self._rest:
+            if time.monotonic() > deadline_s:
+                raise DeviceTimeout(
+                    f"{self._port.name} sends no line within {_FIRST_LINE_S:g} s; "
+                    "start the stream at the tracker's software"
+                )
+            self._take(_STEP_S)
+
+    def _take(self, timeout_s: float) -> None:
+        try:
+            data = self._port.read(timeout_s)
+        except ConnectionLost:
+            self._is_open = False
+            raise
+        self._kept += data
+        del self._kept[:-_KEPT_BYTES]
+        self._rest += data
+
+    def _decode(self) -> TrackerSamples:
+        *lines, self._rest = self._rest.split(b"\n")
+        if len(self._rest) > _LONGEST_BYTES:
+            self._count(skipped_bytes=len(self._rest))
+            self._rest, self._in_step = b"", False
+        if lines and not self._in_step:  # the first may have begun before we listened
+            lines, self._in_step = lines[1:], True
+        lines = [line for line in lines if line.strip()]
+        block, bad = self._layout.parse(lines)
+        self._count(frames=len(lines), crc_errors=bad)
+        return self._stamp(block)
+
+    def _count(self, **more: int) -> None:
+        old = self._health
+        sums = {key: getattr(old, key) + value for key, value in more.items()}
+        self._health = replace(old, **sums)
+
+    def _stamp(self, block: LineBlock) -> TrackerSamples:
+        """Return the samples with a rising sequence and clock; others are bad lines."""
+        if not len(block):
+            return TrackerSamples.empty()
+        if self._layout.has_counter:
+            steps = self._unwrap(block.counter)
+            time_s = block.time_s if self._layout.has_time else steps / self._rate_hz
+        elif self._layout.has_time:
+            if self._last_sequence < 0:
+                self._first_s = float(block.time_s[0])
+            time_s = block.time_s
+            steps = np.rint((time_s - self._first_s) * self._rate_hz)
+        else:
+            steps = self._last_sequence + 1.0 + np.arange(len(block))
+            time_s = self._spread(len(block))
+        good = np.array([self._accept(*row) for row in zip(steps, time_s, strict=True)])
+        self._count(crc_errors=int((~good).sum()))
+        position_mm, status = block.position_mm[good], block.status[good]
+        sequence = steps[good].astype(np.int64)
+        return TrackerSamples(sequence, time_s[good], position_mm, status)
+
+    def _accept(self, step: float, time_s: float) -> bool:
+        """Tell whether a line follows the last one, and count what is missing between.
+
+        A damaged digit of a counter or time must not end the stream: what is far ahead
+        is refused as well, but at the start of a stream.
+        """
+        first = self._last_sequence < 0
+        missing = 0 if first else int(step) - self._last_sequence - 1
+        near = self._jumps or missing < _LONGEST_GAP_S * self._rate_hz
+        if missing < 0 or time_s <= self._last_time_s or not near:
+            self._refused += 1
+            if self._refused > _LONGEST_GAP_S * self._rate_hz:
+                raise ConnectionLost(
+                    f"{self._port.name}: counter or time has begun anew or jumped; "
+                    "connect again"
+                )
+            return False
+        self._count(lost_samples=missing)
+        self._last_sequence, self._last_time_s = int(step), float(time_s)
+        self._jumps, self._refused = False, 0
+        return True
+
+    def _unwrap(self, counter: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not self._wraps:
+            return counter
+        if self._last_counter is None:
+            self._last_counter = self._last_unwrapped = float(counter[0])
+        step = np.mod(np.diff(counter, prepend=self._last_counter), self._wraps)
+        unwrapped = self._last_unwrapped + np.cumsum(step)
+        self._last_counter = float(counter[-1])
+        self._last_unwrapped = float(unwrapped[-1])
+        return unwrapped
+
+    def _spread(self, count: int) -> NDArray[np.float64]:
+        """Return times of lines that came at once, at the nominal rate up to now."""
+        now_s, period_s = time.monotonic(), 1.0 / self._rate_hz
+        first_s = now_s - (count - 1) * period_s
+        if first_s <= self._last_time_s:
+            period_s = (now_s - self._last_time_s) / count
+            first_s = self._last_time_s + period_s
+        return np.asarray(first_s + period_s * np.arange(count), np.float64)
+
+
+def _check_stamps(stamped: bool, arrival_times: bool) -> None:
+    if not stamped and not arrival_times:
+        raise Refused(
+            "lines carry neither a time nor a counter of the tracker; add one, or "
+            "say arrival_times = true: then only points at standstill can be measured, "
+            "and lost lines cannot be seen"
+        )
+    if stamped and arrival_times:
+        raise Refused("lines carry a time or counter; leave arrival_times out")
+
+
+def _byte_port(
+    port: str | int, host: str | None, baudrate: int, *, udp: bool
+) -> BytePort:
+    if udp:
+        return UdpPort(host or "", int(port))
+    if host is not None:
+        return TcpPort(host, int(port))
+    return SerialPort(str(port), baudrate)
