@@ -154,7 +154,7 @@ def _judge_due(judge: Judge, ahead: LookAhead, used: str, tally: Tally) -> None:
             tally.add(*key, name, value=value)
 
 
-def write_tables(tally: Tally, worlds: int) -> None:
+def write_tables(tally: Tally) -> None:
     """Write the tables of the page."""
     rows = [["one Run alone", *_state(tally, "alone")]]
     rows += [[f"together: {used}", *_state(tally, used, "runs")] for used in USED]
@@ -172,17 +172,17 @@ def write_tables(tally: Tally, worlds: int) -> None:
     head = ["Runs", "the last tables stay, µm", "left µm", "tables in 2u", "map in 2u"]
     write_section("time-later", table(head, rows), DOCUMENT)
     rows = [
-        [f"{used}: {limit:g} µm", str(worlds), *_state_due(tally, used, limit)]
+        [f"{used}: {limit:g} µm", *_state_due(tally, used, limit)]
         for used in USED
         for limit in LIMITS_UM
     ]
     head = [
         "Runs: limit",
-        "worlds",
-        "truth exceeds within 12 h",
-        "told before or then",
-        "told too late, or not",
-        "told, truth does not exceed",
+        "exceeds within 12 h",
+        "told due / cannot be said / below",
+        "a chance of 5 % told after it",
+        "stays below",
+        "told due / cannot be said / below",
         "even chance over true time, median",
         "quartiles",
     ]
@@ -202,7 +202,7 @@ def _state_due(tally: Tally, used: str, limit: float) -> list[str]:
     true, due, expected = (tally.get(*key, n) for n in ("true", "due", "expected"))
     step = HORIZON_H / (_STEPS - 1)
     exceeds = np.isfinite(true)
-    early = exceeds & (due <= true + step)
+    late = exceeds & (due > true + step)
     both = exceeds & np.isfinite(expected) & (true > 0.0)
     ratio = ["", ""]
     if both.any():
@@ -210,8 +210,14 @@ def _state_due(tally: Tally, used: str, limit: float) -> list[str]:
             expected[both] / true[both], [0.25, 0.5, 0.75]
         ).tolist()
         ratio = [f"{middle:.2f} ({both.sum()})", f"{low:.2f} to {high:.2f}"]
-    counts = exceeds, early, exceeds & ~early, ~exceeds & np.isfinite(due)
-    return [*(str(int(count.sum())) for count in counts), *ratio]
+    below, is_due = np.isinf(due), np.isfinite(expected)
+    answers = is_due, ~is_due & ~below, below
+    told = [
+        " / ".join(str(int((within & answer).sum())) for answer in answers)
+        for within in (exceeds, ~exceeds)
+    ]
+    counts = [str(int(count.sum())) for count in (exceeds, late, ~exceeds)]
+    return [counts[0], told[0], counts[1], counts[2], told[1], *ratio]
 
 
 def main() -> None:
@@ -224,7 +230,7 @@ def main() -> None:
     for seed in range(options.first_seed, options.first_seed + options.worlds):
         judge_world(seed, tally)
         print(f"seed {seed}: {time.perf_counter() - begin:.0f} s", flush=True)
-        write_tables(tally, seed - options.first_seed + 1)  # it may be stopped
+        write_tables(tally)  # it may be stopped
 
 
 if __name__ == "__main__":
