@@ -37,6 +37,19 @@ def warm(truth, hours):
     return replace(truth, joints=joints)
 
 
+def write_bundles(content, path, folder):
+    """Write a bundle of the machine at each hour; return their places."""
+    truth = random_machine(parse_machine(content), 5)
+    speed = path.feed_mm_min / 60.0
+    program = Program(path.position, speed, path.dwell_s, target=path.target)
+    places = [folder / f"run{number}" for number in range(len(HOURS))]
+    for number, place in enumerate(places):
+        setting = Setting(truth=warm(truth, HOURS[number]))
+        recording = synthetic.record(content, program, 40 + number, "otf", setting)
+        write_bundle_files(place, recording)
+    return list(map(str, places))
+
+
 @pytest.fixture(scope="module")
 def warming(tmp_path_factory):
     """Bundles of the machine."""
@@ -44,15 +57,20 @@ def warming(tmp_path_factory):
     content["tracker"] = {**content["tracker"], "rate_hz": 100}
     for axis in content["axes"].values():
         axis["max_mm"] = axis["min_mm"] + 300.0
-    machine = parse_machine(content)
-    truth, folder = random_machine(machine, 5), tmp_path_factory.mktemp("warming")
     path = default_path(machine_from_json(content, file=""), 9000.0, lines=14)
-    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
-    for number, hours in enumerate(HOURS):
-        setting = Setting(truth=warm(truth, hours))
-        recording = synthetic.record(content, program, 40 + number, "otf", setting)
-        write_bundle_files(folder / f"run{number}", recording)
-    return [str(folder / f"run{number}") for number in range(len(HOURS))]
+    return write_bundles(content, path, tmp_path_factory.mktemp("warming"))
+
+
+def find_growth_um(content):
+    """Return how the far end of X grew since the first Run, and in truth."""
+    times = [*content["runs"], *content["later"]]
+    tables = [at["error_tables"]["EXX"] for at in times]
+    far_end_um = np.array([table["value_um"][-1] for table in tables])
+    length_mm = tables[0]["position_mm"][-1] - tables[0]["position_mm"][0]
+    hours = np.array([at["time_h"] for at in times])
+    return far_end_um - far_end_um[0], -1e3 * GROWTH * length_mm * np.expm1(
+        -hours / TAU_H
+    )
 
 
 def test_a_scale_that_warms_is_followed_and_said_when_due(warming, tmp_path):
@@ -61,12 +79,8 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(warming, tmp_path):
     content = json.loads((tmp_path / "trend.json").read_text())
     assert content["schema"] == "trend/1"
     assert [at["time_h"] for at in content["runs"]] == pytest.approx(HOURS)
-    times = [*content["runs"], *content["later"]]
-    far_end_um = np.array([at["error_tables"]["EXX"]["value_um"][-1] for at in times])
-    length_mm = times[0]["error_tables"]["EXX"]["position_mm"][-1]
-    hours = np.array([at["time_h"] for at in times])
-    grown_um = -1e3 * GROWTH * length_mm * np.expm1(-hours / TAU_H)
-    assert np.abs(far_end_um - far_end_um[0] - grown_um).max() < 1.5
+    found_um, grown_um = find_growth_um(content)
+    assert np.abs(found_um - grown_um).max() < 1.5
     assert content["outlook"]["state"] in (
         "due",
         "cannot-be-said",
@@ -122,3 +136,23 @@ def test_the_task_of_a_job_writes_what_the_command_writes(warming, tmp_path):
     assert [at["time_h"] for at in content["runs"]] == [0.0, 1.0]
     assert content["outlook"]["state"] == "not-known"
     assert {"estimating", "following"} <= set(stages)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_five_axes_with_six_targets_are_followed(tmp_path):
+    content = {**load_machine("trunnion")}
+    content["tracker"] = {**content["tracker"], "rate_hz": 100}
+    path = default_path(machine_from_json(content, file=""))
+    bundles = write_bundles(content, path, tmp_path)
+    asked = ["--at", AT, "--limit", "5", "-o", str(tmp_path / "out")]
+    assert run(["trend", *bundles, *asked]) == 0
+    content = json.loads((tmp_path / "out" / "trend.json").read_text())
+    TrendOut.model_validate(content, extra="forbid")
+    found_um, grown_um = find_growth_um(content)
+    assert np.abs(found_um - grown_um).max() < 1.5
+    places = [at["axis_location"] for at in content["runs"]]
+    assert {"YOA", "XOC"} <= places[0].keys()
+    for name in ("YOA", "XOC"):
+        stay = np.array([place[name]["value_um"] for place in places])
+        assert np.ptp(stay) < 2.0
