@@ -226,4 +226,12 @@ class LinuxCncSession:
     def _find_machine(self) -> LinuxCncAxes:
         if self._travel:
             return parse_travel(self._travel)
-        return read_ini(FilePath(self._ini_file or self._rsh.read("inifile")))
+        if self._ini_file:
+            return read_ini(FilePath(self._ini_file))
+        told = FilePath(self._rsh.read("inifile"))
+        if not told.is_absolute():
+            raise Refused(
+                f"{self.name} does not tell the folder of its INI file ({told}); name "
+                "a copy as ini_file, or give travel = 'X 0 500, Y 0 400, Z -300 0'"
+            )
+        return read_ini(told)

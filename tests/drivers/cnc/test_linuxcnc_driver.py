@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -332,17 +333,38 @@ def test_a_travel_that_is_none_is_said():
         parse_travel("X 0, Y 0 1")
 
 
-def test_another_device_is_told(free_port):
+WELCOME = [
+    b"HELLO ACK EMCNETSVR 1.1\r\n",
+    b"set echo off\r\n",
+    b"SET VERBOSE ACK\n\r",
+    b"SET ENABLE ACK\n\r",
+]
+
+
+@pytest.mark.parametrize(
+    ("answers", "error", "said"),
+    [
+        ([b"220 mail ready\r\n"], WrongDevice, "welcome"),
+        ([*WELCOME, b"USER_LINEAR_UNITS INCH\r\n"], WrongDevice, "INCH"),
+        (
+            [*WELCOME, b"USER_LINEAR_UNITS MM\r\n", b"INIFILE emc.ini\r\n"],
+            Refused,
+            "ini_file",
+        ),
+        ([*WELCOME, b"SET MODE ACK\r\n"], ConnectionLost, "out of step"),
+        ([*WELCOME, b""], ConnectionLost, "closed"),
+    ],
+)
+def test_what_cannot_be_driven_is_told_at_connect(free_port, answers, error, said):
     def serve(server):
         with server.accept()[0] as peer:
-            peer.recv(100)
-            peer.sendall(b"220 mail ready\r\n")
-
-    import socket
+            for answer in answers:
+                peer.recv(100)
+                peer.sendall(answer)
 
     with socket.create_server(("127.0.0.1", free_port)) as server:
         thread = threading.Thread(target=serve, args=(server,))
         thread.start()
-        with pytest.raises(WrongDevice, match="welcome"):
+        with pytest.raises(error, match=said):
             LinuxCncController(host="127.0.0.1", port=free_port).connect()
         thread.join()
