@@ -81,11 +81,7 @@ def make_run(
 
 
 def record_with_faults(file: FilePath, commanded: Commanded) -> FilePath:
-    faults = [
-        "tracker:bit-flip+60s*0.01",
-        "tracker:drop+60s*0.01",
-        "tracker:spike@800n",
-    ]
+    faults = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@2500n"]
     with Bench(seed=8, speed=SPEED, faults=faults, rtu=False) as bench:
         record(bench, file, commanded)
     return file
