@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 import time
@@ -21,6 +22,7 @@ from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.motion import MotionFollower
 from simulators.hidden.superposition import locate_target_mm
+from simulators.links import require_free
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.processes import DeviceProcess, DeviceProcesses
@@ -82,7 +84,7 @@ class Bench(DeviceProcesses):
         protocol: Literal["gst", "geocom", "t2sa"] = "gst",
     ) -> None:
         super().__init__()
-        if speed <= 0.0:
+        if not 0.0 < speed < math.inf:
             raise SimulatorError(f"speed: {speed} is not above zero")
         self._content = dict(machine) if machine is not None else load_machine("demo")
         nominal = parse_machine(self._content)
@@ -213,6 +215,8 @@ class Bench(DeviceProcesses):
     def _folder(self) -> Path:
         if self._workdir is not None:
             self._workdir.mkdir(parents=True, exist_ok=True)
+            for name in ("tracker", "modbus-rtu"):
+                require_free(self._workdir / name)
             return self._workdir
         self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
         return Path(self._own_workdir.name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import select
 import signal
@@ -27,6 +28,7 @@ from simulators.processes import DeviceProcesses
 from simulators.replay import Replay
 from simulators.scenario import list_machines, load_machine
 
+_LAST_PORT = 65535
 _CHECK_S = 0.5
 
 
@@ -191,6 +193,34 @@ def _as_text(value: object) -> str:
     return "  ".join(f"{key}={entry}" for key, entry in value.items())
 
 
+def _natural(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text} is no whole number from 0 on")
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if _natural(text) > _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"{text} is no port: 0 to {_LAST_PORT}")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no number")
+    return value
+
+
+def _positive(text: str) -> float:
+    if _finite(text) <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above zero")
+    return float(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="truepath simulate",
@@ -214,15 +244,15 @@ def _parser() -> argparse.ArgumentParser:
         metavar="RUN",
         help="repeat this recorded Run in place of simulating; --speed is its pace",
     )
-    add("--seed", type=int, default=1, help="of the errors, the noise and the pose")
-    add("--speed", type=float, default=1.0, help="device seconds in a wall second")
+    add("--seed", type=_natural, default=1, help="of errors, noise and pose")
+    add("--speed", type=_positive, default=1.0, help="device seconds in a wall second")
     add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
-    add("--tracker-port", type=int, default=0, help="TCP port; 0 takes a free one")
-    add("--modbus-port", type=int, default=0, help="TCP port; 0 takes a free one")
+    add("--tracker-port", type=_port, default=0, help="TCP port; 0 takes a free one")
+    add("--modbus-port", type=_port, default=0, help="TCP port; 0 takes a free one")
     add("--rtu", action="store_true", help="serve Modbus RTU on a terminal as well")
     add("--host", default="127.0.0.1", help="address to listen on")
     add("--links", type=Path, help="folder for links named tracker and modbus-rtu")
-    add("--error-scale", type=float, default=1.0, help="0 is a perfect machine")
+    add("--error-scale", type=_finite, default=1.0, help="0 is a perfect machine")
     add(
         "--fault",
         action="append",

@@ -14,7 +14,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from simulators.errors import SimulatorError
+
 _BLOCK = 1 << 16
+_PTYS = "/dev/pts/"
 
 
 class Port(ABC):
@@ -64,6 +67,8 @@ class PtyPort(Port):
     def __init__(self, link: Path | None = None) -> None:
         self._link = link
         self._waiting = b""
+        if link is not None:
+            require_free(link)
         self._open()
 
     @property
@@ -109,7 +114,7 @@ class PtyPort(Port):
         """Close the terminal and remove the link."""
         os.close(self._master)
         os.close(self._slave)
-        if self._link is not None:
+        if self._link is not None and os.path.realpath(self._link) == self._name:
             self._link.unlink(missing_ok=True)
 
     def _open(self) -> None:
@@ -127,8 +132,20 @@ class PtyPort(Port):
             fresh.replace(self._link)
 
 
+def require_free(link: Path) -> None:
+    """Raise SimulatorError where something is that a link must not take the place of.
+
+    A link that leads nowhere was left by a rig that has ended.
+    """
+    is_left = link.is_symlink() and str(link.readlink()).startswith(_PTYS)
+    if link.exists() or (link.is_symlink() and not is_left):
+        raise SimulatorError(
+            f"{link} exists; another rig may use it: give another folder for the links"
+        )
+
+
 class TcpPort(Port):
-    """A listener for one host at a time; a new one takes the place of the old."""
+    """A listener for one host at a time; while it is there, others are turned away."""
 
     def __init__(self, host: str, port: int) -> None:
         self._listener = socket.create_server((host, port), backlog=4)
@@ -159,6 +176,9 @@ class TcpPort(Port):
         """Take a new host, or what the present one has sent."""
         with contextlib.suppress(BlockingIOError):
             fresh, _ = self._listener.accept()
+            if self._has_host():
+                fresh.close()
+                return b""
             self.disconnect()
             fresh.setblocking(False)
             fresh.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -176,6 +196,17 @@ class TcpPort(Port):
             return data
         self.disconnect()
         return None
+
+    def _has_host(self) -> bool:
+        """Whether the host of before is there, as far as its connection tells."""
+        if self._host is None:
+            return False
+        try:
+            return self._host.recv(1, socket.MSG_PEEK) != b""
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
 
     def send(self, data: bytes) -> None:
         """Send what the connection takes now; without a host it is lost."""

@@ -170,6 +170,10 @@ class TrackerDevice:
 
     def _answer(self, body: bytes, true_s: float) -> Message | None:
         match parse_message(body):
+            case Hello(transaction, version) if version != VERSION:
+                text = f"this device speaks version {VERSION}"
+                code = NakCode.VERSION_NOT_SPOKEN
+                return Nak(transaction, Type.HELLO, code, text)
             case Hello(transaction):
                 return Ack(transaction, Type.HELLO, self._info(true_s))
             case Start() as start:
@@ -180,12 +184,7 @@ class TrackerDevice:
             case Ping(transaction):
                 return Ack(transaction, Type.PING)
             case None if len(body) > 2:
-                code = (
-                    NakCode.UNKNOWN_COMMAND
-                    if body[0] == VERSION
-                    else NakCode.VERSION_NOT_SPOKEN
-                )
-                return Nak(body[2], body[1], code, "not understood")
+                return Nak(body[2], body[1], _explain(body), "not understood")
             case _:
                 return None
 
@@ -324,3 +323,12 @@ class TrackerDevice:
 
     def _device_us(self, true_s: float) -> int:
         return int(1e6 * self._parts.clock.device_s(true_s))
+
+
+def _explain(body: bytes) -> NakCode:
+    """Return why a body is no command."""
+    if body[0] != VERSION:
+        return NakCode.VERSION_NOT_SPOKEN
+    if body[1] in (Type.HELLO, Type.START, Type.STOP, Type.PING):
+        return NakCode.BAD_ARGUMENT
+    return NakCode.UNKNOWN_COMMAND

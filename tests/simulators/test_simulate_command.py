@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from drivers.cnc.modbus.driver import ModbusController
+from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.records import MotionState
 from drivers.tracker.streaming.driver import StreamingTracker
 from simulators.command import main
@@ -131,6 +132,12 @@ def runs(pid: int) -> bool:
         (["--machine", "nowhere.json"], "nowhere.json"),
         (["--fault", "tracker:explode"], "explode"),
         (["--speed", "0"], "speed"),
+        (["--speed", "nan"], "speed"),
+        (["--seed", "-1"], "seed"),
+        (["--tracker-port", "99999"], "tracker-port"),
+        (["--modbus-port", "-5"], "modbus-port"),
+        (["--error-scale", "inf"], "error-scale"),
+        (["--fault", "cnc:override@2s+3s*0"], "feed-hold"),
     ],
 )
 def test_bad_input_is_exit_status_2_and_a_clear_line(
@@ -147,3 +154,40 @@ def test_bad_input_is_exit_status_2_and_a_clear_line(
 def test_it_is_found_by_its_entry_point() -> None:
     (point,) = entry_points(group="truepath.simulators", name="command")
     assert point.load() is main
+
+
+def test_a_file_of_somebody_else_is_not_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "tracker"
+    file.write_text("kept")
+    assert main(["--links", str(tmp_path)]) == 2
+    assert "exists" in capsys.readouterr().err
+    assert file.read_text() == "kept"
+
+
+def test_a_second_rig_leaves_the_links_of_the_first(
+    simulate: Callable[..., Command],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _, where = simulate("--rtu", "--links", str(tmp_path))
+    assert main(["--rtu", "--links", str(tmp_path)]) == 2
+    assert "another rig" in capsys.readouterr().err
+    with ModbusController(**where["modbus_rtu"]) as motion:
+        assert motion.axes == ("X", "Y", "Z")
+
+
+def test_a_second_host_does_not_take_over_a_running_tracker(
+    simulate: Callable[..., Command],
+) -> None:
+    _, where = simulate("--tracker", "tcp")
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        with pytest.raises(DeviceError):
+            StreamingTracker(**where["tracker"]).connect()
+        tracker.read(0.2)
+        assert len(tracker.read(0.5)) > 0
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        assert len(tracker.read(0.5)) > 0

@@ -198,6 +198,9 @@ def test_an_impossible_rate_is_refused(
     [
         (bytes([VERSION, 0x77, 5]), NakCode.UNKNOWN_COMMAND),
         (bytes([VERSION + 1, 0x20, 5]), NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x20, 5, 9]), NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x21, 5, 1]), NakCode.BAD_ARGUMENT),
+        (bytes([VERSION, 0x21, 5, 0x20, 0xA1, 7, 0, 9]), NakCode.BAD_ARGUMENT),
     ],
 )
 def test_what_it_does_not_know_it_says_so(

@@ -460,7 +460,7 @@ def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
         ({2: 0x0304, 3: 0x0102, 0: 0x4331, 1: 0x5450}, "low word first"),
         ({2: 0x0201, 3: 0x0403, 0: 0x5054, 1: 0x3143}, "low byte first"),
         ({2: 0x0403, 3: 0x0201, 0: 0x3143, 1: 0x5054}, "words and bytes swapped"),
-        ({4: 2}, "register map 2, this driver knows 1"),
+        ({4: 1}, "register map 1, this driver knows 2"),
         ({5: 0}, "0 axes"),
         ({5: 7}, "7 axes"),
     ],
