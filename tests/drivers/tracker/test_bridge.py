@@ -1,0 +1,64 @@
+"""The bridge kit speaks GST/1: both files, over TCP, against our own driver."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers.tracker.bridge as kit
+from drivers.conformance.tracker import TRACKER_CHECKS
+from drivers.interfaces.records import TrackerSamples
+from drivers.tracker.bridge import gst_bridge
+from drivers.tracker.streaming.driver import StreamingTracker
+from drivers.tracker.streaming.framing import check_frame, encode_frame
+
+FOLDER = Path(kit.__file__).parent
+
+
+@pytest.fixture(scope="module", params=["c", "python"])
+def port(request, tmp_path_factory):
+    """Port of the example of each language; the C one is built here."""
+    command = [sys.executable, str(FOLDER / "gst_bridge.py")]
+    if request.param == "c":
+        if shutil.which("cc") is None:
+            pytest.skip("no C compiler")
+        program = tmp_path_factory.mktemp("bridge") / "bridge"
+        strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+        build = ["cc", *strict, "-o", str(program), str(FOLDER / "example.c"), "-lm"]
+        subprocess.run(build, check=True)
+        command = [str(program)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield int(process.stdout.readline())
+        process.kill()
+
+
+def test_samples_of_a_bridge_are_those_of_its_sdk(port):
+    with StreamingTracker(port, host="127.0.0.1") as tracker:
+        tracker.start(500.0)
+        blocks = []
+        while sum(map(len, blocks)) < 300:
+            blocks.append(tracker.read(0.5))
+        health = tracker.health
+    samples = TrackerSamples.join(blocks)
+    assert (np.diff(samples.sequence) == 1).all()
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1e-6)
+    away = samples.position_mm - [2000.0, 0.0, 300.0]
+    np.testing.assert_allclose(np.hypot(away[:, 0], away[:, 1]), 100.0, atol=1e-6)
+    np.testing.assert_allclose(away[:, 2], 0.0, atol=1e-6)
+    assert (health.lost_samples, health.crc_errors, health.skipped_bytes) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("check", TRACKER_CHECKS, ids=lambda check: check.__name__)
+def test_a_bridge_conforms(port, check):
+    check(lambda: StreamingTracker(port, host="127.0.0.1"))
+
+
+@pytest.mark.parametrize("size", [1, 3, 44, 253, 254, 255, 300, 496])
+def test_frames_of_the_kit_are_those_of_the_driver(size, rng):
+    for body in (rng.bytes(size), bytes(size), b"\x01" * size):
+        frame = gst_bridge.encode_frame(body)
+        assert check_frame(frame.strip(b"\0")) == body
+        assert len(frame) <= len(encode_frame(body)) + 1
