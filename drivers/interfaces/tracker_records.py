@@ -81,8 +81,8 @@ class PointMeasurement:
 class TrackerEventKind(StrEnum):
     """What happened at a tracker."""
 
-    BEAM_LOST = "beam-lost"
-    BEAM_LOCKED = "beam-locked"
+    BEAM_LOST = "tracker-beam-lost"
+    BEAM_LOCKED = "tracker-beam-locked"
     WARNING = "tracker-warning"
 
 

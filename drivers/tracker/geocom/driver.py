@@ -44,8 +44,7 @@ from drivers.tracker.geocom.codec import (
 from drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
 from drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
 from drivers.transport.line_link import LineLink
-from drivers.transport.serial_port import SerialPort
-from drivers.transport.tcp_port import TcpPort
+from drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
 
@@ -80,12 +79,7 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         shot_s: float = 5.0,
         turn_s: float = 20.0,
     ) -> None:
-        bytes_port = (
-            SerialPort(str(port), baudrate)
-            if host is None
-            else TcpPort(host, int(port))
-        )
-        self._link = LineLink(bytes_port)
+        self._link = LineLink(make_port(port, host, baudrate))
         self._serial_number = serial_number
         self._prism_constant_mm = prism_constant_mm
         self._follows, self._search_rad = follows, search_rad

@@ -46,10 +46,14 @@ _CLOCK_BITS = {Format.MEAS64: 64, Format.MEAS: 32}
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What one call completed: samples of all measurements, other messages in order."""
+    """What one call completed: samples of all measurements, other messages in order.
+
+    status : all bits that any of the samples had, those that only inform as well
+    """
 
     samples: TrackerSamples
     messages: tuple[Message, ...]
+    status: int = 0
 
 
 class SampleDecoder:
@@ -72,12 +76,15 @@ class SampleDecoder:
         """Return the samples and the messages of bodies that `FrameReader` passed."""
         blocks: list[TrackerSamples] = []
         messages: list[Message] = []
+        status = 0
         for measured, group in groupby(bodies, _measurement_type):
             if measured is not None:
-                blocks.append(self._samples(parse_measurements(list(group))))
+                raw = parse_measurements(list(group))
+                status |= int(np.bitwise_or.reduce(raw.status))
+                blocks.append(self._samples(raw))
             else:
                 messages += self._messages(group)
-        return Decoded(TrackerSamples.join(blocks), tuple(messages))
+        return Decoded(TrackerSamples.join(blocks), tuple(messages), status)
 
     def _messages(self, bodies: Iterator[bytes]) -> list[Message]:
         messages: list[Message] = []

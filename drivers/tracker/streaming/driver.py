@@ -16,8 +16,10 @@ from drivers.interfaces.errors import (
     WrongDevice,
 )
 from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.interfaces.tracker import ByteLink, Tracker
+from drivers.interfaces.tracker import ByteLink, EventSource, Tracker
+from drivers.interfaces.tracker_records import TrackerCapabilities, TrackerEvent
 from drivers.tracker.streaming.codec import SampleDecoder, link_health
+from drivers.tracker.streaming.event_log import EventLog
 from drivers.tracker.streaming.framing import FrameReader
 from drivers.tracker.streaming.messages import (
     VERSION,
@@ -38,9 +40,7 @@ from drivers.tracker.streaming.messages import (
     encode_message,
 )
 from drivers.tracker.streaming.receiver import Receiver
-from drivers.transport.byte_port import BytePort
-from drivers.transport.serial_port import SerialPort
-from drivers.transport.tcp_port import TcpPort
+from drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ _RATE_TOLERANCE = 0.01
 _FRAME_BITS = {Format.MEAS64: 470, Format.MEAS: 300}
 
 
-class StreamingTracker(Tracker, ByteLink):
+class StreamingTracker(Tracker, ByteLink, EventSource):
     """A tracker on a serial port (`port`) or behind TCP (`host` and the number `port`).
 
     port : path of the tty, or TCP port number where `host` is given
@@ -73,7 +73,7 @@ class StreamingTracker(Tracker, ByteLink):
         compact: bool = False,
         reply_timeout_s: float = 0.5,
     ) -> None:
-        self._port = _byte_port(port, host, baudrate)
+        self._port = make_port(port, host, baudrate)
         self._baudrate = baudrate if host is None else None
         self._serial_number = serial_number
         self._format = Format.MEAS if compact else Format.MEAS64
@@ -87,6 +87,12 @@ class StreamingTracker(Tracker, ByteLink):
         self._rate_hz: float | None = None
         self._frames = FrameReader()
         self._decoder = SampleDecoder()
+        self._event_log = EventLog()
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """It streams at up to the rate that it tells, by its own clock."""
+        return TrackerCapabilities(max_rate_hz=self._max_rate_hz)
 
     def connect(self) -> Identity:
         """Open the port, ask who is there, end a stream that was left behind."""
@@ -116,6 +122,7 @@ class StreamingTracker(Tracker, ByteLink):
             left_s = max(0.0, deadline_s - time.monotonic())
             bodies = receiver.take(left_s, min(_GATHER_S, left_s))
             decoded = self._decoder.decode(bodies)
+            self._event_log.note_status(decoded.status)
             for message in decoded.messages:
                 self._note(message)
             if len(decoded.samples) or left_s == 0.0:
@@ -147,6 +154,10 @@ class StreamingTracker(Tracker, ByteLink):
         """Return the bytes as they came, at most the last 4 MiB."""
         return b"" if self._receiver is None else self._receiver.take_link_bytes()
 
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Return what `read` has come across since the last call."""
+        return self._event_log.take()
+
     @property
     def health(self) -> LinkHealth:
         """Counts since `connect`; losses are those of the samples already read."""
@@ -157,6 +168,7 @@ class StreamingTracker(Tracker, ByteLink):
         receiver = Receiver(self._port, self._ping)
         self._receiver = receiver
         self._frames, self._decoder = receiver.frames, SampleDecoder()
+        self._event_log = EventLog()
         receiver.start()
         try:
             identity = self._greet(receiver)
@@ -279,16 +291,9 @@ class StreamingTracker(Tracker, ByteLink):
     def _note(self, message: Message) -> None:
         if not isinstance(message, Event):
             return
+        self._event_log.note(message)
         log.info(
             "%s: event %s at %d µs", self._port.name, message.code, message.clock_us
         )
         if message.code == EventCode.STREAM_STOPPED_NO_PING:
             self._rate_hz = None
-
-
-def _byte_port(port: str | int, host: str | None, baudrate: int) -> BytePort:
-    if host is not None:
-        return TcpPort(host, int(port))
-    if isinstance(port, int):
-        raise ValueError(f"port {port} is a TCP port number: give its host as well")
-    return SerialPort(port, baudrate)

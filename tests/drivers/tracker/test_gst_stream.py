@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.interfaces.records import TrackerSamples
+from drivers.interfaces.tracker_records import TrackerEventKind
 from drivers.tracker.streaming.codec import StreamDecoder
+from drivers.tracker.streaming.event_log import EventLog
 from drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
@@ -14,6 +16,8 @@ from drivers.tracker.streaming.measurements import (
 )
 from drivers.tracker.streaming.messages import (
     Ack,
+    Event,
+    EventCode,
     Format,
     StreamInfo,
     Type,
@@ -274,3 +278,25 @@ def test_no_bytes_give_an_empty_block():
     assert len(samples) == 0
     assert samples.position_mm.shape == (0, 3)
     assert decoder.health.frames == 0
+
+
+def test_events_and_warnings_are_kept_for_whoever_asks():
+    log = EventLog()
+    log.note(Event(EventCode.BEAM_BROKEN, 1_500_000))
+    log.note(Event(EventCode.TRIGGER, 1_600_000))
+    log.note_status(StatusBit.NOT_LEVELLED | StatusBit.BEAM_BROKEN)
+    log.note_status(StatusBit.NOT_LEVELLED)
+    events = log.take()
+    assert [(e.kind, bool(e.action)) for e in events] == [
+        (TrackerEventKind.BEAM_LOST, False),
+        (TrackerEventKind.WARNING, True),
+    ]
+    assert events[0].text == "the beam was broken at 1.500000 s"
+    assert log.take() == ()
+
+
+def test_bits_that_only_inform_are_passed_on_and_forbid_nothing():
+    frames = stream(np.arange(5), status=int(StatusBit.ENVIRONMENT_STALE))
+    decoded = StreamDecoder().feed(b"".join(frames))
+    assert decoded.status == StatusBit.ENVIRONMENT_STALE
+    assert (decoded.samples.status == 0).all()
