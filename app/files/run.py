@@ -18,6 +18,9 @@ from drivers.interfaces.records import (
     TemperatureSamples,
     TrackerSamples,
 )
+from drivers.interfaces.tracker_records import TrackerEventKind
+
+_TOLD = frozenset(map(str, TrackerEventKind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +95,7 @@ class RunSummary:
     measured_s : from the first to the last sample; samples : in the stream
     temperature_degc : lowest and highest of each sensor
     source : what the Run itself knows about where it comes from
+    told : what the tracker itself has said meanwhile, each once
     """
 
     name: str
@@ -103,6 +107,7 @@ class RunSummary:
     samples: int
     temperature_degc: dict[str, tuple[float, float]]
     source: dict[str, str]
+    told: tuple[str, ...] = ()
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -122,6 +127,7 @@ def summarize_run(run: Run) -> RunSummary:
         len(run.tracker),
         _state_temperatures(run),
         dict(run.provenance),
+        tuple(dict.fromkeys(e.text for e in run.events if e.kind in _TOLD)),
     )
 
 

@@ -183,6 +183,7 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         "feed_mm_min": list(summary.feed_mm_min) if summary.feed_mm_min else None,
         "input_sha256": summary.digest,
         "source": summary.source,
+        "tracker_told": list(summary.told),
         "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
         "without_it_um": found.find_without_um(run),
         "alignment": _alignment_json(found, run),

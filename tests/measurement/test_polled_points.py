@@ -12,7 +12,7 @@ import pytest
 
 from app.alignment.align import align
 from app.files.bundle import read_bundle, write_bundle
-from app.files.run import Run
+from app.files.run import Run, summarize_run
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
     CellVerb,
@@ -247,3 +247,4 @@ def test_warnings_of_the_instrument_are_told_and_recorded(measure, polled, journ
     assert state == "finished"
     assert journal.of(FaultReported)[0].text == "battery low"
     assert ("tracker-warning", "battery low") in [(e.kind, e.text) for e in run.events]
+    assert summarize_run(run).told == ("battery low",)
