@@ -36,7 +36,7 @@ from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import UNABLE, Identity, MotionState
-from drivers.interfaces.tracker import AnyTracker
+from drivers.interfaces.tracker import AnyTracker, PolledTracker
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +127,9 @@ class Measurement:
         self._motion.abort()  # what an earlier order has left there must not go on
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
-        view = LiveView(self._report, reports_blocks=order.live)
+        # The live estimate recognises standstills in a stream; single points are none.
+        is_live = order.live and not isinstance(self._tracker, PolledTracker)
+        view = LiveView(self._report, reports_blocks=is_live)
         header = RunHeader(
             order.run_name,
             order.machine,

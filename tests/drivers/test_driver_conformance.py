@@ -91,7 +91,9 @@ def test_trackers_conform(tracker_bench, name, check):
         check(lambda options=options: factory(**options))
 
 
-@pytest.fixture(scope="module", params=sorted(POLLED))
+@pytest.fixture(
+    scope="module", params=["geocom", pytest.param("t2sa", marks=pytest.mark.long)]
+)
 def polled_bench(request):
     name = request.param
     link = POLLED[name]["tracker"]

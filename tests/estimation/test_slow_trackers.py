@@ -133,6 +133,7 @@ def test_metres_are_refused_by_name(slowly):
         align(replace(polled, tracker=metres))
 
 
+@pytest.mark.long
 def test_a_reflector_that_moved_is_told_and_solved_with_both_places(slowly):
     moved = move(poll(*slowly(2)), np.arange(34, 68), [0.3, 0.1, 0.0])
     found = analyse(moved)
@@ -141,6 +142,7 @@ def test_a_reflector_that_moved_is_told_and_solved_with_both_places(slowly):
     assert found.verdict.state == "usable"
 
 
+@pytest.mark.long
 def test_a_point_whose_reflector_was_knocked_and_came_back_is_left_out(slowly):
     seen = analyse(move(poll(*slowly(2)), [20], [0.2, 0.0, 0.0]))
     assert [reason.values["line"] for reason in seen.verdict.reasons] == [20]

@@ -15,8 +15,10 @@ from app.files.bundle import read_bundle, write_bundle
 from app.files.run import Run, summarize_run
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
+    BlockRecorded,
     CellVerb,
     FaultReported,
+    LivePoints,
     MeasurementOrder,
     RunClosed,
     StreamTimeouts,
@@ -96,7 +98,7 @@ def polled(motion) -> FakePolled:
 def order(mill, tmp_path) -> MeasurementOrder:
     rng = np.random.default_rng(3)
     position = rng.uniform([10, 10, -290], [490, 390, -10], (4, 3))
-    points = Configurations(("X", "Y", "Z"), position, np.full(4, 0.05))
+    points = Configurations(("X", "Y", "Z"), position, np.full(4, 0.03))
     file = tmp_path / "points.sqlite"
     return MeasurementOrder("points", str(file), mill, points, reserve_bytes=0)
 
@@ -150,15 +152,19 @@ def test_a_bundle_keeps_rows_shots_and_covariances(measure, tmp_path):
     assert first.scatter == pytest.approx(second.scatter)
 
 
-def test_the_machine_never_moves_while_a_point_is_measured(measure, polled, motion):
+def test_the_machine_stands_meanwhile_and_nothing_goes_to_the_live_estimate(
+    measure, order, polled, motion, journal
+):
     moved = []
 
     def look(_: int) -> None:
         moved.append(motion.status().state == "running")
 
     polled.before = look
-    measure()
+    measure(replace(order, live=True))
     assert moved == [False] * 4
+    assert not journal.of(BlockRecorded)
+    assert sum(len(event.tracker_mm) for event in journal.of(LivePoints)) == 4
 
 
 def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(

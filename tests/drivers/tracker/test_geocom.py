@@ -105,7 +105,7 @@ def client(bench):
         yield GeoCom(link), place
 
 
-def test_geocompy_measures_with_the_simulated_station(client):
+def test_geocompy_measures_with_the_simulated_station_and_sets_it(client):
     theirs, ours = client
     assert theirs.csv.get_instrument_name().params == "Simulated station"
     assert theirs.csv.get_serial_number().params == 1
@@ -117,10 +117,6 @@ def test_geocompy_measures_with_the_simulated_station(client):
     assert np.linalg.norm(place - ours) < 0.2
     # One distance, asked for twice.
     assert theirs.tmc.get_simple_measurement(5).error is GeoComCode.TMC_ANGLE_OK
-
-
-def test_geocompy_sets_and_reads_prism_constant_and_atmosphere(client):
-    theirs, _ = client
     theirs.tmc.set_prism_correction(-17.5)
     assert theirs.tmc.get_prism_correction().params == -17.5
     theirs.tmc.set_prism_correction(0.0)

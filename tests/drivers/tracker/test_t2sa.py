@@ -197,6 +197,7 @@ def test_lines_that_are_none_are_no_replies():
     assert parse_place("Single Point Measurement p result 1,2,x a b c", "p") is None
 
 
+@pytest.mark.long
 def test_points_and_plans_of_the_simulated_application_agree():
     with Bench(protocol="t2sa", tracker="tcp", speed=20.0, rtu=False) as bench:
         options = bench.tracker_options
