@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,10 +120,11 @@ def cell_share(pid: int) -> float:
     """Return the processor time of the busiest spawned child over its age."""
     shares = [0.0]
     for child in psutil.Process(pid).children():
-        used = child.cpu_times()
-        if "spawn_main" in " ".join(child.cmdline()):
-            age_s = time.time() - child.create_time()
-            shares.append((used.user + used.system) / age_s)
+        with suppress(psutil.Error):  # it may just have ended
+            used = child.cpu_times()
+            if "spawn_main" in " ".join(child.cmdline()):
+                age_s = time.time() - child.create_time()
+                shares.append((used.user + used.system) / age_s)
     return max(shares)
 
 

@@ -16,6 +16,7 @@ from app.alignment.cell_blocks import (
 )
 from app.alignment.cell_observations import join_blocks
 from app.alignment.cleaning import find_valid_samples, require_mm, require_seconds
+from app.alignment.driving import describe_driving
 from app.alignment.left_out import LeftOut, describe_unusable
 from app.alignment.measured_points import (
     find_measured,
@@ -101,7 +102,9 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     left_out += _list_lines_without_pass(nominal, passes)
-    return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
+    seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
+    driving = describe_driving(stream, stops, matching, nominal, passes)
+    return replace(seen, driving=driving)
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:

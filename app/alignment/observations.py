@@ -51,6 +51,27 @@ class Pass:
 
 
 @dataclass(frozen=True, slots=True)
+class Driving:
+    """What was driven of a path, and how.
+
+    first, last, rows : rows of the path that the stream shows, and how many there are
+    feed : share of the commanded feed on each line that was driven at another, by row
+    holds : row, begin and duration in s of standstills in the middle of a line
+    """
+
+    first: int
+    last: int
+    rows: int
+    feed: dict[int, float]
+    holds: tuple[tuple[int, float, float], ...]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all lines of the path are there, from the first to the last."""
+        return self.first <= 1 and self.last >= self.rows - 1
+
+
+@dataclass(frozen=True, slots=True)
 class Observations:
     """Means of cells along lines, or of parts of standstills.
 
@@ -66,6 +87,7 @@ class Observations:
     left_out : valid samples that were not used, and why
     ramp : (n,) cells on ramps: their place on the line is the measured one, so they
         tell only what is across it; none where left out
+    driving : what was driven of the path, and how; none of points
     """
 
     at: Conditions
@@ -80,6 +102,7 @@ class Observations:
     offered: int
     left_out: tuple[LeftOut, ...] = ()
     ramp: Bool[np.ndarray, " n"] | None = None
+    driving: Driving | None = None
 
     def __len__(self) -> int:
         return len(self.tracker_mm)

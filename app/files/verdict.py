@@ -55,6 +55,21 @@ SENTENCES: Mapping[str, Sentence] = {
         "target, or it was not where it should be.",
         "Look at what happened at these points; measure them again.",
     ),
+    "path-not-whole": Sentence(
+        "The recording shows lines {first} to {last} of the {lines} lines of the path.",
+        "Let the program run to its end, and record from before its start until after.",
+    ),
+    "other-feed": Sentence(
+        "Lines {lines} were driven at {lowest_percent} to {highest_percent} of the "
+        "feed of the path.",
+        "Set the feed override to 100 % for the next Run; the tables do not rest on "
+        "it.",
+    ),
+    "held-on-the-way": Sentence(
+        "The machine stood still in the middle of lines: {times} times, on {lines}, "
+        "for {longest_s} at the longest.",
+        "Nothing is lost by it; find out who held the feed if nobody meant to.",
+    ),
     "much-left-out": Sentence(
         "{left_out_percent} of the samples are left out; up to {usual_percent} is "
         "usual.",

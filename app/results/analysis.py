@@ -20,6 +20,7 @@ from app.estimation.prior_model import PriorModel
 from app.estimation.ripple import add_ripple
 from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, number_names, summarize_run
+from app.files.verdict import Verdict
 from app.kinematics.coarse_model import build_run_models
 from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import Mapper, TrialPlan
@@ -27,6 +28,7 @@ from app.planning.grade import Grade, SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
 from app.results.findings import Findings, Provenance, state_checked_findings
 from app.results.trial_results import run_trials
+from app.results.verdict import judge_driving
 
 # Share of the work that is done after alignment, estimation and trials.
 _SHARES, _SHARES_WITH_TRIALS = (0.1, 0.9, 0.9), (0.01, 0.09, 0.98)
@@ -84,7 +86,9 @@ def analyse(
     brought = find_contributions(estimated, checked.given)
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
-    return replace(found, contributions=brought)
+    driven = judge_driving([each.driving for each in observed], names)
+    verdict = Verdict.merge([found.verdict, driven])
+    return replace(found, contributions=brought, verdict=verdict)
 
 
 def _grade_set_ups(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.alignment.left_out import LeftOut
+from app.alignment.observations import Driving
 from app.estimation.disturbances import CheckedEstimate
 from app.estimation.misfit import Misfit
 from app.estimation.prior_model import PriorModel
@@ -70,6 +71,20 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
         reasons += [
             Reason(r.kind, r.state, r.values, name if several else "") for r in said
         ]
+    return Verdict(tuple(reasons))
+
+
+def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> Verdict:
+    """Return what to know of how the machines drove; a result may be used all the same.
+
+    drivings : of the Runs given; none of standstill points
+    """
+    reasons = [
+        Reason(kind, "usable", values, name if len(names) > 1 else "")
+        for driving, name in zip(drivings, names, strict=True)
+        if driving is not None
+        for kind, values in _describe_driving(driving)
+    ]
     return Verdict(tuple(reasons))
 
 
@@ -179,6 +194,36 @@ def _judge_left_out(
             {
                 "left_out_percent": 100.0 * share,
                 "usual_percent": 100.0 * _LEFT_OUT[0],
+            },
+        )
+
+
+def _describe_driving(driving: Driving) -> Iterator[tuple[str, dict[str, Value]]]:
+    if not driving.is_whole:
+        yield (
+            "path-not-whole",
+            {
+                "first": max(driving.first, 1),
+                "last": driving.last,
+                "lines": driving.rows - 1,
+            },
+        )
+    if driving.feed:
+        yield (
+            "other-feed",
+            {
+                "lines": _list_lines(sorted(driving.feed)),
+                "lowest_percent": 100.0 * min(driving.feed.values()),
+                "highest_percent": 100.0 * max(driving.feed.values()),
+            },
+        )
+    if driving.holds:
+        yield (
+            "held-on-the-way",
+            {
+                "times": len(driving.holds),
+                "lines": _list_lines([row for row, _, _ in driving.holds]),
+                "longest_s": max(stood_s for _, _, stood_s in driving.holds),
             },
         )
 

@@ -1,0 +1,118 @@
+"""A CNC without a link: what its operator did is recognised in the recording alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.errors import AlignmentError
+from app.files.verdict import Verdict
+from app.results.analysis import analyse
+from app.results.verdict import judge_driving
+from drivers.interfaces.records import Path
+from simulators.synthetic import Defects, Setting
+
+
+def said_of(run) -> Verdict:
+    return judge_driving([align(run).driving], ["run"])
+
+
+def at_feed(run, share):
+    """The same recording, of a path whose feeds were so much higher."""
+    commanded = run.commanded
+    return replace(
+        run, commanded=replace(commanded, feed_mm_min=commanded.feed_mm_min / share)
+    )
+
+
+def values_of(verdict):
+    return {reason.kind: reason.values for reason in verdict.reasons}
+
+
+def held(record, lines=(5, 12), stood_s=(2.0, 0.8)):
+    """The recording of a machine that stood in the middle of lines."""
+    run, _ = record(6)
+    passes = {each.row: each for each in align(run).passes}
+    time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
+    middles = [time_s[(passes[k].first + passes[k].last) // 2] for k in lines]
+    later_s = np.concatenate([[0.0], np.cumsum(stood_s)[:-1]])
+    holds = tuple(zip(middles + later_s, stood_s, strict=True))
+    return record(6, setting=Setting(defects=Defects(holds=holds)))[0]
+
+
+def lengthened(path, rng, rows=6):
+    """A path that goes on where the machine was stopped."""
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    more = rng.uniform(low, high, (rows, len(low)))
+    return Path(
+        path.axes,
+        np.vstack([path.position, more]),
+        np.append(path.feed_mm_min, np.full(rows, path.feed_mm_min[-1])),
+        np.append(path.dwell_s, np.full(rows, path.dwell_s[-1])),
+    )
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_of_a_path_that_was_driven_as_commanded_nothing_is_said(record, seed):
+    run, _ = record(seed)
+    assert said_of(run).reasons == ()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.2])
+def test_an_override_is_told_in_percent(record, share):
+    run, _ = record(6)
+    values = values_of(said_of(at_feed(run, share)))["other-feed"]
+    percents = [values["lowest_percent"], values["highest_percent"]]
+    assert percents == pytest.approx([100 * share] * 2, abs=1.0)
+
+
+def test_an_override_of_some_lines_names_these_lines(record):
+    run, _ = record(6)
+    feed = run.commanded.feed_mm_min.copy()
+    feed[8:11] /= 0.7
+    turned = replace(run, commanded=replace(run.commanded, feed_mm_min=feed))
+    assert set(values_of(said_of(turned))["other-feed"]["lines"].split(", ")) <= {
+        "8",
+        "9",
+        "10",
+    }
+
+
+def test_pauses_are_counted_and_measured(record):
+    values = values_of(said_of(held(record)))["held-on-the-way"]
+    assert (values["times"], values["lines"]) == (2, "5, 12")
+    assert values["longest_s"] == pytest.approx(2.0, abs=0.3)
+
+
+def test_an_early_stop_says_how_far_it_came(record, rng):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    values = values_of(said_of(replace(run, commanded=planned)))["path-not-whole"]
+    assert values == {"first": 1, "last": 23, "lines": 29}
+
+
+def test_a_recording_that_begins_late_says_so(record):
+    late = Setting(defects=Defects(late_start_s=15.0))
+    run, _ = record(6, setting=late)
+    values = values_of(said_of(run))["path-not-whole"]
+    assert values["first"] > 1
+    assert values["last"] == values["lines"] == 23
+
+
+@pytest.mark.parametrize("other", [7, 8])
+def test_another_program_is_refused(record, other):
+    run, _ = record(6)
+    wrong, _ = record(other)
+    with pytest.raises(AlignmentError, match="recording belongs to this path"):
+        align(replace(run, commanded=wrong.commanded))
+
+
+def test_the_verdict_of_an_analysis_says_it_and_the_result_may_be_used(record):
+    verdict = analyse(at_feed(held(record), 0.8)).verdict
+    said = values_of(verdict)
+    assert {"held-on-the-way", "other-feed"} <= said.keys()
+    assert verdict.state == "usable"
+    text = " ".join(map(str, verdict.reasons))
+    assert "stood still in the middle of lines: 2 times" in text
+    assert "80.0 % of the feed of the path" in text
