@@ -21,7 +21,7 @@ _CONCLUDED_S = 0.05  # after it was told a host has drawn its conclusions
 class ReplayController(Controller):
     """Stands where the recording stood. All times are those of the replay.
 
-    A motion that the recording has not is refused; moves without a stream are at once.
+    A motion after the last recorded one is refused; moves without a stream are at once.
     """
 
     def __init__(
@@ -32,16 +32,17 @@ class ReplayController(Controller):
         self._at = run.position[0]
         self._driven, self._line_now = -1, 0
         self._told_s: float | None = None
+        self._end = MotionState.FINISHED
         self._rows = self._at[None]
 
     def update(self, now_s: float) -> None:
         """End the motion when the recorded one has."""
         if self.state is MotionState.RUNNING and self._clock.has_arrived(self._driven):
-            self.state, self._at = MotionState.FINISHED, self._rows[-1]
+            self.state, self._at = self._end, self._run_of.moves[self._driven].goal
 
     def note_look(self, wall_s: float) -> None:
         """The host has read the status."""
-        if self.state is not MotionState.FINISHED or self._driven < 0:
+        if self.state is not self._end or self._driven < 0:
             return
         self._told_s = self._told_s or wall_s
         is_last = self._driven == len(self._run_of.moves) - 1
@@ -112,16 +113,24 @@ class ReplayController(Controller):
         self.state, self.hold_reason = MotionState.ABORTED, HoldReason.NONE
 
     def _drive(self) -> Result:
-        """Find the recorded motion that ends where this one is to end."""
-        first = self._driven + 1
-        for number, move in enumerate(self._run_of.moves[first:], first):
-            if np.abs(move.goal - self._rows[-1]).max() <= _SAME:
-                self._driven, self._told_s = number, None
-                self._clock.order(first)
-                self._clock.pass_through(first, number)
-                self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
-                return Result.DONE
-        return Result.BAD_ARGUMENT
+        """Take the recorded motion that ends where this one is to end, else the last.
+
+        A motion that was ended early ends early again.
+        """
+        first, moves = self._driven + 1, self._run_of.moves
+        if first >= len(moves):
+            return Result.BAD_ARGUMENT
+        ends = [
+            number
+            for number in range(first, len(moves))
+            if np.abs(moves[number].goal - self._rows[-1]).max() <= _SAME
+        ]
+        self._driven, self._told_s = (ends or [len(moves) - 1])[0], None
+        self._end = MotionState.FINISHED if ends else MotionState.ABORTED
+        self._clock.order(first)
+        self._clock.pass_through(first, self._driven)
+        self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
+        return Result.DONE
 
 
 def _distance(here: np.ndarray, begin: np.ndarray, end: np.ndarray) -> float:

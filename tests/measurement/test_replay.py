@@ -175,3 +175,16 @@ def test_a_run_that_cannot_be_repeated_is_a_clear_line(
 def test_a_replay_takes_no_faults(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--replay", "run.sqlite", "--fault", "tracker:silence"]) == 2
     assert "only repeats" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
+    make_run: Callable[[Commanded], FilePath], tmp_path: FilePath
+) -> None:
+    position = np.vstack([CORNERS, [[400.0, 300.0, 200.0]]])
+    longer = Path(AXES, position, np.full(6, 12_000.0), np.full(6, 1.0))
+    with (
+        Replay(make_run(PATH)) as replay,
+        pytest.raises(AssertionError, match="ended-early"),
+    ):
+        record(replay, tmp_path / "again.sqlite", longer)
