@@ -243,6 +243,14 @@ def test_what_cannot_be_read_is_refused(case, bring, record, capsys, tmp_path):
     assert not (tmp_path / "bundle").exists()
 
 
+def test_a_row_that_came_twice_is_one_sample(bring, record, capsys, tmp_path):
+    truth = record(1, rows=12)[0]
+    lines = plain(truth).split(b"\n")
+    assert bring(b"\n".join([*lines[:300], *lines[299:]])) == 0
+    assert "1 rows that repeat" in capsys.readouterr().err
+    assert len(read_bundle(tmp_path / "bundle").tracker) == len(truth.tracker)
+
+
 def test_a_dry_run_shows_what_is_recognised_and_writes_nothing(
     bring, record, capsys, tmp_path
 ):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,7 @@ def read_recording(
 ) -> Recording:
     """Read an exported recording of what was commanded. Raises BundleError."""
     cells = read_cells(data, file, options.delimiter)
+    cells, repeats = _drop_repeats(cells)
     columns = recognise_columns(cells, options.columns)
     by_role = {column.role: column for column in columns if column.role}
     axes = [_require(cells, by_role, role) for role in "xyz"]
@@ -80,8 +81,19 @@ def read_recording(
         tuple(columns),
         cells.rows[0],
         facts,
-        cells.notes,
+        (*cells.notes, *repeats),
     )
+
+
+def _drop_repeats(cells: Cells) -> tuple[Cells, tuple[str, ...]]:
+    """Leave out rows that are the row before once more: a sample that came twice."""
+    rows = cells.rows
+    kept = [k for k in range(len(rows)) if k == 0 or rows[k] != rows[k - 1]]
+    if len(kept) == len(rows):
+        return cells, ()
+    unique = tuple(rows[k] for k in kept), tuple(cells.row_of[k] for k in kept)
+    note = f"{len(rows) - len(kept)} rows that repeat the one before left out"
+    return replace(cells, rows=unique[0], row_of=unique[1]), (note,)
 
 
 def _require(cells: Cells, by_role: dict[str, Column], role: str) -> Column:
@@ -192,22 +204,12 @@ def _read_times(
     rows = len(cells.rows)
     if options.rate_hz is not None:
         return np.arange(rows) / options.rate_hz, f"{options.rate_hz:g} rows a second"
-    time = by_role.get("time")
-    if (
-        time is None
-        and isinstance(commanded, Configurations)
-        and rows <= 10 * len(commanded)
-    ):
+    are_few = rows < _STREAM_ROWS * len(commanded)
+    if "time" not in by_role and isinstance(commanded, Configurations) and are_few:
         return np.arange(rows, dtype=float), "none; points in order"
-    if time is None:
-        _require(cells, by_role, "time")
-        raise AssertionError
+    time = _require(cells, by_role, "time")
     time_s, how = read_clock(cells, time, by_role.get("date"), options)
     back = np.append(False, np.diff(time_s) <= 0)
-    repeated = np.append(
-        False, [a == b for a, b in zip(cells.rows, cells.rows[1:], strict=False)]
-    )
-    back &= ~repeated
     if back.any():
         row = int(np.argmax(back))
         raise cells.error(
