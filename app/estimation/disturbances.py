@@ -29,8 +29,16 @@ from app.estimation.direction import Fit
 from app.estimation.known_effects import KnownEffects
 from app.estimation.misfit import Misfit, assess_misfit
 from app.estimation.run_estimate import RunEstimate
-from app.estimation.run_parts import Knock, RunPart, leave_out, measure_knock
+from app.estimation.run_parts import (
+    Knock,
+    RunPart,
+    join_empty,
+    leave_out,
+    measure_knock,
+    split_at_all,
+)
 from app.estimation.usual_machine import (
+    bends_freely,
     find_shifted_stops,
     fit_as_learnt,
     fit_usual_machine,
@@ -40,7 +48,7 @@ from app.kinematics.coarse_model import RunModels
 from app.progress import ShareProgress, ignore_progress
 
 _OF_SHIFT = 2.0  # of the gain of the worst line
-_ROUNDS = 8
+_ROUNDS, _HIDDEN_ROUNDS = 8, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +99,7 @@ def estimate_checked(
         )
 
     solved = _Solved.of(parts, solve(parts, 0.0, 0.7))
+    solved = _split_at_hidden_steps(solved, models, solve)
     solved = _remove_shifted(solved, models, solve)
     solved = _remove_in_turn(solved, solve)
     on_progress(1.0)
@@ -129,6 +138,50 @@ class _Solved:
             tuple(_list_knocks(self.parts, self.found)),
             self.misfits,
         )
+
+
+def _split_at_hidden_steps(
+    solved: _Solved, models: RunModels, solve: _Solve
+) -> _Solved:
+    """Return the estimate split at steps that only an unusual machine could follow.
+
+    Where points are few, error motions that bend by millimetres follow a step of the
+    set-up, and then nothing contradicts it. A usual machine does not; which of both it
+    was, the evidence says.
+    """
+    for turn in range(_HIDDEN_ROUNDS):
+        fit = _fit_of(solved.found)
+        if not bends_freely(fit):
+            break
+        usual = fit_usual_machine(fit, _list_names(models))
+        misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+        if not _has_plain_step(misfits):
+            break
+        parts = _split(solved, misfits)
+        try:
+            found = solve(parts, 0.7 + 0.01 * turn, 0.71 + 0.01 * turn)
+        except Unidentifiable:
+            break
+        if _fit_of(found).cost >= fit.cost:
+            break
+        solved = _Solved.of(parts, found)
+    return solved
+
+
+def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
+    """Return the parts cut at the steps of their misfits."""
+    parts: list[RunPart] = []
+    for part, joined, misfit in zip(
+        solved.parts, _list_fitted(solved.found), misfits, strict=True
+    ):
+        edges = part.seen.find_edges(joined)
+        parts += split_at_all(part, find_knocks(misfit), edges, misfit.off_mm)
+    return join_empty(parts)
+
+
+def _list_names(models: RunModels) -> set[str]:
+    """Return the effects of a machine whose direction of approach does not matter."""
+    return {effect.name for effect in models.nested.alone.effects}
 
 
 def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solved:
@@ -189,8 +242,7 @@ def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, "
     fit = _fit_of(found)
     if not is_doubtful(fit):
         return []
-    names = {effect.name for effect in models.nested.alone.effects}
-    usual = fit_usual_machine(fit, names)
+    usual = fit_usual_machine(fit, _list_names(models))
     lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []

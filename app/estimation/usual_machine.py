@@ -40,10 +40,14 @@ _MEDIAN = 2.366  # of χ² of three
 
 def is_doubtful(fit: Fit) -> bool:
     """Tell whether wrong points may have made motions bend, or are too few to show."""
+    return bends_freely(fit) or fit.direction != "none"
+
+
+def bends_freely(fit: Fit) -> bool:
+    """Tell whether error motions bend more than usual, or little data holds them."""
     usual, found = guess_prior(fit.model).precision, fit.prior.precision
     is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
-    cells = sum(len(run.observations) for run in fit.runs)
-    return is_weak or fit.direction != "none" or cells < _FEW_CELLS
+    return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
 
 
 def fit_usual_machine(fit: Fit, effects: Collection[str]) -> Fit:

@@ -1,4 +1,4 @@
-"""One point that is wrong does not make a machine of other errors."""
+"""What is wrong at points does not make a machine of other errors."""
 
 from dataclasses import replace
 
@@ -58,4 +58,25 @@ def test_one_point_that_is_off_is_left_out_and_harmless(standing, share_left, of
     assert {each.row for each in spoilt.left_out[0]} == {POINT}
     assert clean.left_out == ((),)
     assert share < 1.15 * as_usual
+    assert inside > 0.85
+
+
+@pytest.mark.parametrize("off_um", [100.0, 2000.0])
+def test_no_machine_bends_to_follow_a_knock_between_few_points(
+    standing, share_left, off_um
+):
+    run, truth = standing
+    seen = align(run)
+    models = build_run_models(run.machine, [seen.at.offset_mm])
+    clean = estimate_checked(models, [seen])
+    moved = seen.tracker_mm.copy()
+    moved[seen.row >= POINT] += 1e-3 * off_um * np.array([0.6, -0.64, 0.48])
+    spoilt = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    share, inside = share_left(spoilt.estimate, truth)
+    as_usual, _ = share_left(clean.estimate, truth)
+    (knock,) = spoilt.knocks
+    assert knock.row == POINT
+    assert 1e3 * knock.moved_mm == pytest.approx(off_um, abs=3.0)
+    assert clean.knocks == ()
+    assert share < 1.3 * as_usual
     assert inside > 0.85
