@@ -108,7 +108,7 @@ def test_an_error_of_a_gear_or_a_sag_that_turns_is_named_where_there_is_one(
 @pytest.mark.parametrize(
     ("name", "hidden"),
     [
-        ("trunnion", Backlash("X", 8.0)),
+        pytest.param("trunnion", Backlash("X", 8.0), marks=pytest.mark.long),
         pytest.param("trunnion", None, marks=pytest.mark.long),
         pytest.param("head-table", None, marks=pytest.mark.long),
         pytest.param("head-table", ServoMismatch("Y", 0.3), marks=pytest.mark.long),

@@ -130,6 +130,7 @@ def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
         estimate(align(run))
 
 
+@pytest.mark.long
 def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     run, _ = _record(LONG, 30)
     seen = add_surroundings(align(run), run.commanded)

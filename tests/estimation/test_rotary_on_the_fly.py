@@ -116,6 +116,7 @@ def test_arcs_and_stops_added_one_by_one_are_the_batch(rng):
     assert found.square == pytest.approx(expected.square, rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     run, batch = from_base("trunnion").run, from_base("trunnion").result
     live, early = LiveEstimator(run.machine, run.commanded), None

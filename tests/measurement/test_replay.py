@@ -90,7 +90,7 @@ def record_with_faults(file: FilePath, commanded: Commanded) -> FilePath:
 @pytest.mark.parametrize(
     ("commanded", "speed"),
     [
-        (PATH, 2.0),
+        pytest.param(PATH, 2.0, marks=pytest.mark.long),
         pytest.param(PATH, 1.0, marks=pytest.mark.long),
         pytest.param(POINTS, 1.0, marks=pytest.mark.long),
         pytest.param(POINTS, 3.0, marks=pytest.mark.long),

@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.errors import ConnectionLost, DeviceError, WrongDevice
+from drivers.interfaces.errors import ConnectionLost, DeviceError, Refused, WrongDevice
 from drivers.interfaces.records import MotionState, MotionStatus, TrackerSamples
 from drivers.interfaces.records import Path as MotionPath
 from drivers.tracker.streaming.driver import StreamingTracker
@@ -195,8 +195,10 @@ def test_tcp_and_serial_masters_see_one_machine(bench: Callable[..., Bench]) -> 
         assert tcp.connect() == rtu.connect()
         tcp.load(LINE)
         assert rtu.status().state is MotionState.READY
-        assert drive(rtu).state is MotionState.FINISHED
-        assert tcp.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
+        with pytest.raises(Refused, match="another"):
+            rtu.start()  # it does not know the path
+        assert drive(tcp).state is MotionState.FINISHED
+        assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
 
 
 def test_when_the_client_is_killed_the_machine_holds_and_serves_the_next(
