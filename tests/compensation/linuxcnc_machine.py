@@ -60,7 +60,7 @@ class _Samples:
         with os.fdopen(self._descriptor) as lines:
             for line in lines:
                 row = line.split()
-                if len(row) == 7:
+                if len(row) == 7 and line.endswith("\n"):  # the last one may be cut
                     self.rows.append([float(word) for word in row])
 
     def end(self) -> list[list[float]]:
