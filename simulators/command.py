@@ -14,7 +14,7 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -232,42 +232,9 @@ def _parser() -> argparse.ArgumentParser:
             for kind, entry in kinds.items()
         ),
     )
+    _add_simulation(parser.add_argument)
+    _add_links(parser.add_argument)
     add = parser.add_argument
-    add(
-        "--machine",
-        default="demo",
-        help=f"machine.json, or one of {', '.join(list_machines())}",
-    )
-    add(
-        "--replay",
-        type=Path,
-        metavar="RUN",
-        help="repeat this recorded Run in place of simulating; --speed is its pace",
-    )
-    add("--seed", type=_natural, default=1, help="of errors, noise and pose")
-    add("--speed", type=_positive, default=1.0, help="device seconds in a wall second")
-    add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
-    add("--tracker-port", type=_port, default=0, help="TCP port; 0 takes a free one")
-    add("--modbus-port", type=_port, default=0, help="TCP port; 0 takes a free one")
-    add("--rtu", action="store_true", help="serve Modbus RTU on a terminal as well")
-    add("--host", default="127.0.0.1", help="address to listen on")
-    add("--links", type=Path, help="folder for links named tracker and modbus-rtu")
-    add("--error-scale", type=_finite, default=1.0, help="0 is a perfect machine")
-    add(
-        "--fault",
-        action="append",
-        default=[],
-        type=_fault,
-        help="device:kind[@begin][+duration][*amount]; may be given several times",
-    )
-    add(
-        "--hide",
-        action="append",
-        default=[],
-        metavar="EFFECT[*SIZE_UM]",
-        help="an effect that the model in use lacks, drawn by the seed, or a JSON "
-        "object with its numbers: " + ", ".join(EFFECTS),
-    )
     add(
         "--follow",
         metavar="SOURCE",
@@ -289,6 +256,49 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--json", action="store_true", help="print one JSON object")
     return parser
+
+
+def _add_simulation(add: Callable[..., object]) -> None:
+    """Add what is simulated or repeated, and what goes wrong."""
+    add(
+        "--machine",
+        default="demo",
+        help=f"machine.json, or one of {', '.join(list_machines())}",
+    )
+    add(
+        "--replay",
+        type=Path,
+        metavar="RUN",
+        help="repeat this recorded Run in place of simulating; --speed is its pace",
+    )
+    add("--seed", type=_natural, default=1, help="of errors, noise and pose")
+    add("--speed", type=_positive, default=1.0, help="device seconds in a wall second")
+    add("--error-scale", type=_finite, default=1.0, help="0 is a perfect machine")
+    add(
+        "--fault",
+        action="append",
+        default=[],
+        type=_fault,
+        help="device:kind[@begin][+duration][*amount]; may be given several times",
+    )
+    add(
+        "--hide",
+        action="append",
+        default=[],
+        metavar="EFFECT[*SIZE_UM]",
+        help="an effect that the model in use lacks, drawn by the seed, or a JSON "
+        "object with its numbers: " + ", ".join(EFFECTS),
+    )
+
+
+def _add_links(add: Callable[..., object]) -> None:
+    """Add where the devices listen."""
+    add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
+    add("--tracker-port", type=_port, default=0, help="TCP port; 0 takes a free one")
+    add("--modbus-port", type=_port, default=0, help="TCP port; 0 takes a free one")
+    add("--rtu", action="store_true", help="serve Modbus RTU on a terminal as well")
+    add("--host", default="127.0.0.1", help="address to listen on")
+    add("--links", type=Path, help="folder for links named tracker and modbus-rtu")
 
 
 def _fault(text: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath
 
 from app.errors import MeasurementFailed
+from app.measurement.axis_order import arrange_axes
 from app.measurement.faults import (
     NO_WATCHDOG,
     Aborted,
@@ -18,7 +19,7 @@ from app.measurement.faults import (
 )
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import MeasurementState
-from app.measurement.measurement_steps import MeasurementSteps, arrange_axes
+from app.measurement.measurement_steps import MeasurementSteps
 from app.measurement.messages import (
     CellState,
     CellVerb,

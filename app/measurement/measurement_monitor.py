@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from app.errors import MeasurementFailed
+from app.measurement.controller_monitor import ControllerMonitor
 from app.measurement.faults import (
     BEAM_LOST,
     DAMAGED,
@@ -47,67 +47,12 @@ from drivers.interfaces.errors import (
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import (
     UNABLE,
-    AxisSamples,
     MotionState,
     MotionStatus,
 )
 from drivers.interfaces.tracker import AnyTracker, EventSource, PolledTracker, Tracker
 
 _TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed late
-
-
-class ControllerMonitor:
-    """Reads a controller that may be out of reach for a moment.
-
-    position : where the axes were at the last reading
-    """
-
-    def __init__(
-        self,
-        motion: MotionController,
-        recorder: Recorder,
-        settings: EngineSettings,
-    ) -> None:
-        self._motion, self._recorder, self._settings = motion, recorder, settings
-        self._out_of_reach = Stopwatch(settings.clock)
-        self._rows: list[tuple[float, ...]] = []
-        self.position: tuple[float, ...] = ()
-
-    def poll(self) -> MotionStatus | None:
-        """Feed the watchdog and read the controller; None if it did not answer.
-
-        Raises Fault once it has been out of reach for too long.
-        """
-        try:
-            self._motion.send_heartbeat()
-            status = self._motion.status()
-        except (ConnectionLost, DeviceTimeout) as error:
-            if self._out_of_reach.measure_s() > self._settings.link_s:
-                raise classify_fault(error) from error
-            return None
-        self._out_of_reach.reset()
-        self.position = status.position
-        self._rows.append((self._settings.clock(), *status.position))
-        if len(self._rows) >= self._settings.axes_rows:
-            self._write()
-        return status
-
-    def command(self, verb: Callable[[], None]) -> None:
-        """Send a command. If the controller is out of reach, `poll` notices it."""
-        with contextlib.suppress(ConnectionLost, DeviceTimeout):
-            verb()
-
-    def flush(self) -> None:
-        """Record the positions that wait. Never raises."""
-        with contextlib.suppress(MeasurementFailed):
-            self._write()
-
-    def _write(self) -> None:
-        if self._rows:
-            rows = np.array(self._rows)
-            self._rows = []
-            axes = self._motion.axes
-            self._recorder.put_axes(AxisSamples(axes, rows[:, 0], rows[:, 1:]))
 
 
 class MeasurementMonitor:

@@ -111,7 +111,7 @@ def hold_and_resume_are_absolute(make: MakeController) -> None:
     require(status.state is MotionState.FINISHED, f"resume ended in {status}")
 
 
-def held_means_standing(make: MakeController) -> None:
+def hold_means_standstill(make: MakeController) -> None:
     """Once a status says HELD, the axes stand: none is still braking."""
     with make() as controller:
         controller.move_to(_near(controller), FEED_MM_MIN / 2)
@@ -230,7 +230,7 @@ MOTION_CHECKS: tuple[Callable[[MakeController], None], ...] = (
     a_move_ends_where_it_was_sent,
     a_path_runs_to_its_last_row,
     hold_and_resume_are_absolute,
-    held_means_standing,
+    hold_means_standstill,
     the_line_is_the_row_moved_towards,
     resume_of_nothing_does_nothing,
     abort_from_another_thread_ends_the_motion,

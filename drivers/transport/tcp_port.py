@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import select
 import socket
 
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.transport.byte_port import BytePort
+from drivers.transport.socket_port import BLOCK, SocketPort
 
 _CONNECT_TIMEOUT_S = 1.0
 _WRITE_TIMEOUT_S = 0.2
-_BLOCK = 1 << 16
 # A peer that vanished without a word (power, cable) is found out after 1 + 3 · 1 s.
 _KEEP_ALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 
 
-class TcpPort(BytePort):
+class TcpPort(SocketPort):
     """A client socket without Nagle's delay, watched by keep-alive probes."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
-        self._socket: socket.socket | None = None
 
     @property
     def name(self) -> str:
@@ -47,13 +41,11 @@ class TcpPort(BytePort):
 
     def read(self, timeout_s: float) -> bytes:
         """Return what the kernel holds, at most 64 KiB at once."""
-        opened = self._require_open()
-        poll = select.poll()
-        poll.register(opened, select.POLLIN)
-        if not poll.poll(timeout_s * 1e3):
+        opened = self.wait(timeout_s)
+        if opened is None:
             return b""
         try:
-            data = opened.recv(_BLOCK)
+            data = opened.recv(BLOCK)
         except OSError as error:
             raise self._explain_loss(str(error)) from error
         if not data:
@@ -63,24 +55,13 @@ class TcpPort(BytePort):
     def write(self, data: bytes) -> None:
         """Send within 0.2 s; a peer that takes longer hangs."""
         try:
-            self._require_open().sendall(data)
+            self.require_open().sendall(data)
         except TimeoutError as error:
             raise DeviceTimeout(
                 f"{self.name} takes no bytes; the device or its network hangs"
             ) from error
         except OSError as error:
             raise self._explain_loss(str(error)) from error
-
-    def close(self) -> None:
-        """Close the connection."""
-        opened, self._socket = self._socket, None
-        if opened is not None:
-            opened.close()
-
-    def _require_open(self) -> socket.socket:
-        if self._socket is None:
-            raise ConnectionLost(f"{self.name} is not open; connect first")
-        return self._socket
 
     def _explain_loss(self, why: str) -> ConnectionLost:
         return ConnectionLost(

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import select
 import socket
 
 from drivers.interfaces.errors import ConnectionLost
-from drivers.transport.byte_port import BytePort
-
-_BLOCK = 1 << 16
+from drivers.transport.socket_port import BLOCK, SocketPort
 
 
-class UdpPort(BytePort):
+class UdpPort(SocketPort):
     """Listens; each datagram ends a line, whether it says so or not.
 
     host : address to listen at; empty for all of this host
     """
-
-    def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
-        self._socket: socket.socket | None = None
 
     @property
     def name(self) -> str:
@@ -42,13 +35,11 @@ class UdpPort(BytePort):
 
     def read(self, timeout_s: float) -> bytes:
         """Return the next datagram."""
-        opened = self._require_open()
-        poll = select.poll()
-        poll.register(opened, select.POLLIN)
-        if not poll.poll(timeout_s * 1e3):
+        opened = self.wait(timeout_s)
+        if opened is None:
             return b""
         try:
-            data = opened.recv(_BLOCK)
+            data = opened.recv(BLOCK)
         except OSError as error:
             raise ConnectionLost(f"{self.name} is gone ({error})") from error
         return data if data.endswith(b"\n") else data + b"\n"
@@ -56,14 +47,3 @@ class UdpPort(BytePort):
     def write(self, data: bytes) -> None:
         """Refuse: there is nobody to send to."""
         raise ConnectionLost(f"{self.name} listens only; leave commands out")
-
-    def close(self) -> None:
-        """Release the port. Idempotent."""
-        opened, self._socket = self._socket, None
-        if opened is not None:
-            opened.close()
-
-    def _require_open(self) -> socket.socket:
-        if self._socket is None:
-            raise ConnectionLost(f"{self.name} is not open; connect first")
-        return self._socket

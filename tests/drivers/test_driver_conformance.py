@@ -413,7 +413,7 @@ def test_a_faulty_tracker_is_caught(check, faults):
             {"abort": lambda self: None},
         ),
         (motion.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
-        (motion.held_means_standing, {"brakes": 0.2}),
+        (motion.hold_means_standstill, {"brakes": 0.2}),
         (motion.the_line_is_the_row_moved_towards, {"first_line": 1}),
         (motion.the_line_is_the_row_moved_towards, {"counts_lines": False}),
         (motion.a_claimed_watchdog_holds_the_feed, {"watches": False}),

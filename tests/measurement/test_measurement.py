@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.measurement.axis_order import arrange_axes
 from app.measurement.faults import Fault
-from app.measurement.measurement import Measurement, arrange_axes
+from app.measurement.measurement import Measurement
 from app.measurement.messages import (
     CellVerb,
     FaultReported,

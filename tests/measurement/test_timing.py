@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from app.measurement.controller_monitor import ControllerMonitor
 from app.measurement.faults import Fault
-from app.measurement.measurement_monitor import ControllerMonitor
 from app.measurement.timing import EngineSettings, RunningClock, Stopwatch
 
 
