@@ -245,6 +245,16 @@ def test_the_position_follows_the_machine(panel, service):
     expect(page.locator("output")).to_have_text(expected)
 
 
+def test_an_answer_cut_short_is_not_taken_for_one(panel, service):
+    page = panel.open()
+    page.route(
+        "**/machines/current:connect",
+        lambda route: route.fulfill(status=200, body='{"connected": tr'),
+    )
+    follow(page, "Connect devices")
+    expect(page.locator("#problems")).to_contain_text("The service does not answer")
+
+
 def test_a_refused_connect_says_what_to_do(panel, service, witness):
     witness.expect(*REFUSED)
     service.refuse_connect = True

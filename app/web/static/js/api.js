@@ -22,14 +22,26 @@ async function call(method, path, { json, form, version, key, patience_ms = PATI
   const body = form ?? (json === undefined ? undefined : JSON.stringify(json));
   const signal = AbortSignal.timeout(patience_ms);
   let answer;
+  let text;
   try {
     answer = await fetch(ROOT + path, { method, headers, body, signal, cache: "no-store" });
+    text = await answer.text();
   } catch {
     throw new Problem(0, { code: "unreachable" });
   }
-  const content = await answer.json().catch(() => ({}));
+  const content = read(text, answer);
   if (!answer.ok) throw new Problem(answer.status, content);
   return content;
+}
+
+/** The document of an answer. One cut short is no document; a refusal on the way may have none. */
+function read(text, { ok }) {
+  try {
+    return text ? JSON.parse(text) : {};
+  } catch {
+    if (ok) throw new Problem(0, { code: "unreachable" });
+    return {};
+  }
 }
 
 const items = (page) => page.items ?? page;
