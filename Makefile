@@ -41,14 +41,18 @@ setup-system: ## Debian packages the tests call (apt-get, as root)
 	@.ci/system-packages test
 
 .PHONY: test
-test: setup-system check ## check, and the tests with coverage
+test: setup-system check ## check, and the tests
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" --durations=15
+
+.PHONY: coverage
+coverage: setup-system setup ## the same tests, counting lines and branches: a third slower
 	rm -f .coverage .coverage.*
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" \
-	  --cov --cov-report= --cov-fail-under=90 --durations=15
+	  --cov --cov-report= --cov-fail-under=90
 
 .PHONY: test-long
 test-long: setup-system setup ## the tests that need minutes
-	$(SINGLE) $(BIN)/pytest -q -m long --timeout 900
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m long --timeout 900
 
 .PHONY: bench
 bench: setup ## the numbers that count, as ratios

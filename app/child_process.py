@@ -20,8 +20,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 
-from app.service_log import read_log_settings, receive_log, send_log
-from app.thread_limits import choose_thread_limits
+from truepath.app.service_log import read_log_settings, receive_log, send_log
+from truepath.app.thread_limits import choose_thread_limits
 
 BACKGROUND_NICENESS = 10
 """Of processes that compute: the reader of the tracker's port goes first."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 
 class TruepathError(Exception):
     """Root of the service's own errors."""
@@ -31,6 +34,11 @@ class BundleError(BadInput):
         if column is not None:
             place += f", column {column}"
         super().__init__(f"{place}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Cross to another process whole: `args` alone do not make it again."""
+        place = {"file": self.file, "row": self.row, "column": self.column}
+        return partial(BundleError, remedy=self.remedy, **place), (self.problem,)
 
 
 class NotUsable(BadInput):

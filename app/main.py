@@ -18,30 +18,35 @@ from typing import Any
 
 import structlog
 
-from app.api.application import create_application
-from app.api.server import Server, bind_socket, format_address, ignore_raised_signals
-from app.api.service import Service
-from app.errors import BadInput
-from app.files.machine_file import machine_from_json, read_machine
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.context import JobContext
-from app.jobs.database import Database
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.errors import InUse
-from app.jobs.event_bus import EventBus
-from app.jobs.executor import ProcessExecutor
-from app.jobs.live_estimation import LiveEstimation
-from app.jobs.runs import RunCatalogue
-from app.jobs.science import analyse_recorded, prepare
-from app.jobs.store import Store
-from app.jobs.workers import choose_workers
-from app.kinematics.machine import Machine
-from app.measurement.cell import Cell
-from app.measurement.messages import CellConfig, StreamTimeouts
-from app.plugins import load
-from app.service_log import configure_log
-from app.settings import Settings
-from app.web import pages
+from truepath.app.api.application import create_application
+from truepath.app.api.server import (
+    Server,
+    bind_socket,
+    format_address,
+    ignore_raised_signals,
+)
+from truepath.app.api.service import Service
+from truepath.app.errors import BadInput
+from truepath.app.files.machine_file import machine_from_json, read_machine
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.errors import InUse
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.executor import ProcessExecutor
+from truepath.app.jobs.live_estimation import LiveEstimation
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.science import analyse_recorded, prepare
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.workers import choose_workers
+from truepath.app.kinematics.machine import Machine
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import CellConfig, StreamTimeouts
+from truepath.app.plugins import load
+from truepath.app.service_log import configure_log
+from truepath.app.settings import Settings
+from truepath.app.web import pages
 
 log = structlog.get_logger(__name__)
 
@@ -151,6 +156,9 @@ def _load_machine(
         settings.motion_options,
         StreamTimeouts(**{f"{k}_s": v for k, v in settings.tracker_patience_s.items()}),
         allow_no_watchdog=settings.allow_no_watchdog,
+        thermometer_driver=settings.thermometer_driver,
+        thermometer_options=settings.thermometer_options,
+        light=settings.light,
     )
     return read_machine(settings.machine_file), config
 
@@ -179,7 +187,12 @@ def _start_simulators(
         motion=bench.motion_options,
     )
     config = CellConfig(
-        "streaming", bench.tracker_options, "modbus", bench.motion_options
+        "streaming",
+        bench.tracker_options,
+        "modbus",
+        bench.motion_options,
+        thermometer_driver="modbus-registers",
+        thermometer_options=bench.thermometer_options,
     )
     return machine_from_json(bench.machine), config
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 
 def find_plugins(group: str) -> dict[str, EntryPoint]:

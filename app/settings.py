@@ -24,9 +24,9 @@ from pydantic_settings import (
 from sqlalchemy import make_url
 from sqlalchemy.exc import ArgumentError
 
-from app.errors import BadInput
+from truepath.app.errors import BadInput
+from truepath.drivers.interfaces.tracker_records import Light
 
-Option = str | int | float | bool
 _PATIENCE = ("silent", "dead", "beam", "late", "point")
 _LONGEST_S = 3600.0
 
@@ -63,11 +63,17 @@ class Settings(BaseSettings):
 
     machine_file: Path | None = None
     tracker_driver: str = "streaming"
-    tracker_options: dict[str, Option] = Field(default_factory=dict)
+    tracker_options: dict[str, Any] = Field(default_factory=dict)
     tracker_patience_s: dict[str, float] = Field(default_factory=dict)
     """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`."""
     motion_driver: str = "modbus"
-    motion_options: dict[str, Option] = Field(default_factory=dict)
+    motion_options: dict[str, Any] = Field(default_factory=dict)
+    tracker_light: dict[str, float] = Field(default_factory=dict)
+    """Of a tracker that does not correct its distances for the air: `wavelength_nm`,
+    `is_group` (1 of modulated light), `assumed_index`. Empty: nothing is corrected."""
+    thermometer_driver: str = ""
+    """Empty: no thermometers but those that the tracker has."""
+    thermometer_options: dict[str, Any] = Field(default_factory=dict)
     allow_no_watchdog: bool = False
     """Move a machine that does not hold the feed by itself when the service dies."""
 
@@ -96,6 +102,11 @@ class Settings(BaseSettings):
         return given
 
     @model_validator(mode="after")
+    def _require_light(self) -> Self:
+        self.light  # noqa: B018, refuses what is no light
+        return self
+
+    @model_validator(mode="after")
     def _require_loopback(self) -> Self:
         if not self.is_loopback and not self.allow_plain_http:
             raise ValueError(
@@ -104,6 +115,18 @@ class Settings(BaseSettings):
                 "both, or accept the risk with --allow-plain-http"
             )
         return self
+
+    @property
+    def light(self) -> Light | None:
+        """What `tracker_light` states. Raises ValueError if it is no light."""
+        stated = dict(self.tracker_light)
+        if not stated:
+            return None
+        is_group = bool(stated.pop("is_group", True))
+        try:
+            return Light(**stated, is_group=is_group)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"tracker_light: {error}") from error
 
     @property
     def is_loopback(self) -> bool:

@@ -14,16 +14,16 @@ import numpy as np
 import paper_method
 from measure import measure, ratio
 
-from app.alignment.align import align
-from app.files.bundle import read_bundle
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Machine
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results.analysis import analyse
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.alignment.align import align
+from truepath.app.files.bundle import read_bundle
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.analysis import analyse
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 SEED, ROWS, FEED = 5, 72, 2500.0
 SPACING_MM = 22.0

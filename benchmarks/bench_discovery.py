@@ -17,18 +17,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
 from document import table, write_section
 
-from app.discovery.discover import discover
-from app.files.bundle import read_bundle
-from app.results.discovery_json import discovery_json
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.hidden.screw_cyclic import ScrewCyclic
-from simulators.hidden.settling_stand import SettlingStand
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.discovery.discover import discover
+from truepath.app.files.bundle import read_bundle
+from truepath.app.results.discovery_json import discovery_json
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
+from truepath.simulators.hidden.settling_stand import SettlingStand
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 SEED, LINES, FEED_MM_MIN = 4, 66, 6000.0
 THREE = (

@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
 from document import table, write_section
 
-from app.files.bundle import read_bundle
-from app.results.analysis import analyse
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.files.bundle import read_bundle
+from truepath.app.results.analysis import analyse
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 SEED, FEED_MM_MIN = 4, 24_000.0
 GANTRY = (6000.0, 2500.0, 1200.0)

@@ -24,33 +24,33 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from app.estimation.observability import usual_precision_matrix
-from app.files.machine_file import machine_from_json
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import Machine, MotionLimits
-from app.kinematics.splines import natural_spline
-from app.kinematics.symbols import SQUARENESS
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, Stops, row_times_s
-from app.motion.workspace import Workspace
-from app.numerics.design_criteria import IntegratedVariance, find_best_place
-from app.planning.design_state import DesignState, inverse
-from app.planning.initial_design import choose_station, start_design
-from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
-from app.planning.next_configuration import (
+from truepath.app.estimation.observability import usual_precision_matrix
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import Machine, MotionLimits
+from truepath.app.kinematics.splines import natural_spline
+from truepath.app.kinematics.symbols import SQUARENESS
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.motion.corner_path import corner_path
+from truepath.app.motion.motion_times import Drive, Stops, row_times_s
+from truepath.app.motion.workspace import Workspace
+from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.app.planning.design_state import DesignState, inverse
+from truepath.app.planning.initial_design import choose_station, start_design
+from truepath.app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
+from truepath.app.planning.next_configuration import (
     next_configuration,
     search_space,
 )
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from app.planning.point_design import PointDesignState
-from drivers.interfaces.records import Path as MachinePath
-from simulators import synthetic
-from simulators.scenario import load_machine
-from simulators.timeline import Program
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.planning.point_design import PointDesignState
+from truepath.drivers.interfaces.records import Path as MachinePath
+from truepath.simulators import synthetic
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 FEED, DWELL_S = 6000.0, 0.4

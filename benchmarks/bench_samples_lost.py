@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from app.child_process import BACKGROUND_NICENESS
-from app.cli.client import Client
-from app.files.machine_file import machine_from_json
-from app.planning.default_path import default_path
-from simulators.scenario import load_machine
+from truepath.app.child_process import BACKGROUND_NICENESS
+from truepath.app.cli.client import Client
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.planning.default_path import default_path
+from truepath.simulators.scenario import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 DOCUMENT = Path(__file__).parents[1] / "docs" / "measurement.md"

@@ -16,30 +16,30 @@ from judging import map_mm, true_map_mm, volume
 from recordings import machine_content, random_air, random_content, run_of
 from target_seats import draw_machine, remove_rigid_motion
 
-from app.alignment.align import align_all
-from app.estimation.batch import estimate
-from app.files.machine_file import machine_from_json
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.machine import Machine
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.motion.line_of_sight import Box
-from app.motion.workspace import StationAreas, Workspace
-from app.planning.plan import Plan
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from drivers.interfaces.records import Path as MachinePath
-from simulators import synthetic
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.tracker_eccentricity import TrackerEccentricity
-from simulators.hidden.tracker_range_offset import TrackerRangeOffset
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.timeline import Program
-from simulators.tracker_head import TrackerPose
-from simulators.truth_machine import perfect
+from truepath.app.alignment.align import align_all
+from truepath.app.estimation.batch import estimate
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.motion.line_of_sight import Box
+from truepath.app.motion.workspace import StationAreas, Workspace
+from truepath.app.planning.plan import Plan
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.drivers.interfaces.records import Path as MachinePath
+from truepath.simulators import synthetic
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
+from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.timeline import Program
+from truepath.simulators.tracker_head import TrackerPose
+from truepath.simulators.truth_machine import perfect
 
 PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
 USUAL = TrackerSpecification()

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from drivers.cnc.modbus import registers as r
+from truepath.drivers.cnc.modbus import registers as r
 
 PAGE = Path(__file__).with_name("modbus-register-map.md")
 
@@ -27,6 +27,7 @@ def _blocks() -> str:
         ("status", r.STATUS, "polled"),
         ("alarm text", r.ALARM_TEXT, "read in ALARM"),
         ("control", r.CONTROL, "heartbeat and watchdog"),
+        ("limits", r.LIMITS, "may be missing: exception 2"),
         ("command", r.COMMAND, "written in one request"),
     ]
     return _table(

@@ -31,6 +31,7 @@ closed form from seed and time alone, at any speed of the clock.
     faults          what goes wrong, when
     tracker_*       the tracker behind its wire
     cnc_*, modbus_* the CNC behind its wire
+    thermometer_gateway  sensors of machine and air on Modbus, in the process of the CNC
     bench, command  both processes together, for tests and for test rigs
     replay*         devices that repeat a recorded Run
     control_*, rig  a rig worked from outside; pytest_plugin: fixtures on it

@@ -14,23 +14,30 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from simulators.board import BoardReader, new_board
-from simulators.errors import SimulatorError
-from simulators.faults import parse_fault
-from simulators.followed_positions import open_source
-from simulators.hidden.drawing import as_json, parse_hidden
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import MotionFollower
-from simulators.hidden.superposition import locate_target_mm
-from simulators.links import require_free
-from simulators.machine_clock import MachineClock
-from simulators.machine_file import parse_machine
-from simulators.processes import DeviceProcess, DeviceProcesses
-from simulators.profile import Limits
-from simulators.random_machine import random_machine
-from simulators.scenario import load_machine
-from simulators.tracker_head import TrackerPose, place_anew, random_clock, random_pose
-from simulators.truth_machine import TruthMachine
+from truepath.simulators.board import BoardReader, new_board
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.faults import parse_fault
+from truepath.simulators.followed_positions import open_source
+from truepath.simulators.hidden.drawing import as_json, parse_hidden
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.motion import MotionFollower
+from truepath.simulators.hidden.superposition import locate_target_mm
+from truepath.simulators.links import require_free
+from truepath.simulators.machine_clock import MachineClock
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.processes import DeviceProcess, DeviceProcesses
+from truepath.simulators.profile import Limits
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.tracker_head import (
+    TrackerPose,
+    place_anew,
+    random_clock,
+    random_pose,
+)
+from truepath.simulators.truth_machine import TruthMachine
+
+_HOSTS = {"thermometers": "cnc"}  # devices in the process of another
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +60,11 @@ class Bench(DeviceProcesses):
     machine : content of machine.json; the bundled demonstration machine without it
     speed : device clocks run so many times faster than the wall clock; the patience of
         links (keep-alive, watchdog) stays in wall seconds
-    faults : see `simulators.faults`; `inject` adds more while it runs
+    faults : see `truepath.simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
     source : axis positions in place of the simulated CNC, a name or a descriptor, see
-        `simulators.followed_positions`; source_unit_s : a step of its first column
+        `followed_positions`; source_unit_s : a step of its first column
     protocol : `gst` where it streams; `geocom` and `t2sa` are polled
     hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
         seed; their time begins with the bench
@@ -145,7 +152,9 @@ class Bench(DeviceProcesses):
             del links["cnc"]
         try:
             for device, link in links.items():
-                faults = [text for name, text in self._faults if name == device]
+                faults = [
+                    t for name, t in self._faults if _HOSTS.get(name, name) == device
+                ]
                 orders = self._common | {"link": link, "faults": faults}
                 module = f"{device}_process"
                 self._processes[device] = DeviceProcess(module, orders, [motion])
@@ -162,9 +171,10 @@ class Bench(DeviceProcesses):
 
     def inject(self, fault: str) -> None:
         """Let a fault begin now, or as long after now as it says."""
-        device = parse_fault(fault).device
+        named = parse_fault(fault).device
+        device = _HOSTS.get(named, named)
         if device not in self._processes:
-            raise SimulatorError(f"{fault}: there is no simulated {device} here")
+            raise SimulatorError(f"{fault}: there is no simulated {named} here")
         self._processes[device].tell(fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:

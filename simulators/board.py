@@ -19,8 +19,8 @@ import zlib
 
 import numpy as np
 
-from simulators.errors import SimulatorError
-from simulators.timeline import Timeline
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.timeline import Timeline
 
 _HEAD = struct.Struct("<QQQI")
 _BODY_AT = 64

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from simulators.machine_file import MachineFile
-from simulators.randomness import generator
-from simulators.recording import Recording, Temperatures
-from simulators.truth_machine import TruthMachine
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.randomness import generator
+from truepath.simulators.recording import Recording, Temperatures
+from truepath.simulators.truth_machine import TruthMachine
 
 _GRID_MARGIN_MM = 15.0
 _POINTS = 8  # of the grid, along each axis

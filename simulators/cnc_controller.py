@@ -11,18 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.cnc.modbus.registers import (
+from truepath.drivers.cnc.modbus.registers import (
     ALLOWED,
     MAX_WAYPOINTS,
     Command,
     HoldReason,
     Result,
 )
-from drivers.interfaces.records import UNABLE, MotionState
-from simulators import interruption
-from simulators.machine_file import MachineFile
-from simulators.profile import Limits
-from simulators.timeline import Program, Timeline, follow, standing
+from truepath.drivers.interfaces.records import UNABLE, MotionState
+from truepath.simulators import interruption
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.profile import Limits
+from truepath.simulators.timeline import Program, Timeline, follow, standing
 
 MAX_FEED_MM_MIN = 40_000.0
 # In lead times: a minute on the wall, longer than a tracker process is ever late.
@@ -38,6 +38,8 @@ class Controller:
     lead_s : how long after a decision to brake it takes effect; five times as long
         after one to move
     """
+
+    model = "Simulated CNC"
 
     def __init__(
         self,

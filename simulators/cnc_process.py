@@ -1,22 +1,28 @@
-"""The CNC as a process of its own: `python -m simulators.cnc_process`."""
+"""The CNC as a process of its own: `python -m truepath.simulators.cnc_process`."""
 
 from __future__ import annotations
 
 import select
 from typing import Any
 
-from drivers.cnc.modbus.registers import HoldReason
-from drivers.interfaces.records import MotionState
-from simulators.board import BoardWriter
-from simulators.child import LifeLine, is_question
-from simulators.cnc_controller import Controller
-from simulators.cnc_registers import Clocks, CncRegisters
-from simulators.faults import Fault, Schedule, parse_fault
-from simulators.machine_clock import AwakeClock, MachineClock
-from simulators.machine_file import parse_machine
-from simulators.modbus_ports import ModbusPort, make_modbus_ports
-from simulators.modbus_wire import READ_HOLDING, answer, exception
-from simulators.profile import Limits
+from truepath.drivers.cnc.modbus.registers import HoldReason
+from truepath.drivers.interfaces.records import MotionState
+from truepath.simulators.board import BoardWriter
+from truepath.simulators.child import LifeLine, is_question
+from truepath.simulators.cnc_controller import Controller
+from truepath.simulators.cnc_registers import Clocks, CncRegisters
+from truepath.simulators.faults import Fault, Schedule, parse_fault
+from truepath.simulators.hidden.drawing import from_json
+from truepath.simulators.machine_clock import AwakeClock, MachineClock
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.modbus_ports import (
+    ModbusPort,
+    ModbusTcpPort,
+    make_modbus_ports,
+)
+from truepath.simulators.modbus_wire import READ_HOLDING, answer, exception
+from truepath.simulators.profile import Limits
+from truepath.simulators.thermometer_gateway import UNITS, ThermometerGateway
 
 PERIOD_S = 0.01
 _LEAD_S = 0.02
@@ -80,6 +86,11 @@ class Panel:
         if self._strikes("wrong-identity", now_s):
             self._registers.lie_about_identity()
 
+    @property
+    def has_moved(self) -> bool:
+        """Whether an axis has moved since the start."""
+        return self._controller.has_moved
+
     def disconnects(self) -> bool:
         """Tell whether connections break now."""
         return self._strikes("disconnect", self._clock.now_s()) is not None
@@ -138,38 +149,88 @@ def main() -> None:
         return
     try:
         ports = make_modbus_ports(orders["link"])
+        sensors = ModbusTcpPort(orders["link"]["host"], 0, UNITS)
     except OSError as error:
         life.report_failure(error)
         return
     board = BoardWriter(orders["board"])
     try:
-        panel = _panel(orders, board)
-        life.report({name: port.address for name, port in ports.items()})
-        _serve(life, list(ports.values()), panel)
+        clock = MachineClock(orders["epoch_ns"], orders["speed"])
+        panel = _panel(orders, board, clock)
+        gateway = _gateway(orders)
+        addresses = {name: port.address for name, port in ports.items()}
+        rows = {"registers": gateway.describe()}
+        life.report(addresses | {"thermometers": sensors.address | rows})
+        served = _Thermometers(gateway, sensors, clock)
+        _serve(life, list(ports.values()), panel, served)
     finally:
-        for port in ports.values():
+        for port in (*ports.values(), sensors):
             port.close()
 
 
-def _serve(life: LifeLine, ports: list[ModbusPort], panel: Panel) -> None:
+class _Thermometers:
+    """The gateway of the sensors and its port."""
+
+    def __init__(
+        self, gateway: ThermometerGateway, port: ModbusTcpPort, clock: MachineClock
+    ) -> None:
+        self._gateway, self._port, self._clock = gateway, port, clock
+
+    def inject(self, line: str) -> None:
+        """Take a fault that begins now."""
+        self._gateway.faults.add(parse_fault(line), self._clock.now_s())
+
+    def descriptors(self) -> list[int]:
+        """Return the descriptors of the port."""
+        return self._port.descriptors()
+
+    def serve(self, *, has_moved: bool) -> None:
+        """Answer what is asked now."""
+        now_s, faults = self._clock.now_s(), self._gateway.faults
+        if has_moved:
+            faults.begin(now_s)
+        if faults.strikes("disconnect", now_s):
+            self._port.disconnect()
+        self._port.serve(lambda unit, pdu: self._gateway.answer(unit, pdu, now_s))
+
+
+def _serve(
+    life: LifeLine, ports: list[ModbusPort], panel: Panel, sensors: _Thermometers
+) -> None:
     while not life.ended:
         for line in life.lines():
             if is_question(line):
                 life.report(panel.read_state())
+            elif line.startswith("thermometers:"):
+                sensors.inject(line)
             else:
                 panel.inject(line)
         panel.update()
+        sensors.serve(has_moved=panel.has_moved)
         if panel.disconnects():
             for port in ports:
                 port.disconnect()
         for port in ports:
-            port.serve(panel.answer)
+            port.serve(lambda _unit, pdu: panel.answer(pdu))
         waited = [life.descriptor, *(d for port in ports for d in port.descriptors())]
+        waited += sensors.descriptors()
         select.select(waited, [], [], PERIOD_S)
 
 
-def _panel(orders: dict[str, Any], board: BoardWriter) -> Panel:
-    clock = MachineClock(orders["epoch_ns"], orders["speed"])
+def _gateway(orders: dict[str, Any]) -> ThermometerGateway:
+    return ThermometerGateway(
+        parse_machine(orders["machine"]),
+        [from_json(effect) for effect in orders["hidden"]],
+        orders["seed"],
+        Schedule(
+            fault
+            for fault in map(parse_fault, orders["faults"])
+            if fault.device == "thermometers"
+        ),
+    )
+
+
+def _panel(orders: dict[str, Any], board: BoardWriter, clock: MachineClock) -> Panel:
     controller = Controller(
         parse_machine(orders["machine"]),
         Limits(**orders["limits"]),
@@ -178,7 +239,9 @@ def _panel(orders: dict[str, Any], board: BoardWriter) -> Panel:
     )
     clocks = Clocks(clock.now_s, AwakeClock(_LATE_S))
     registers = CncRegisters(controller, clocks, f"SIM-C{orders['seed']:06d}")
-    faults = Schedule(map(parse_fault, orders["faults"]))
+    faults = Schedule(
+        fault for fault in map(parse_fault, orders["faults"]) if fault.device == "cnc"
+    )
     return Panel(controller, registers, faults, clock)
 
 

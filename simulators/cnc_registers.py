@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from drivers.cnc.modbus import registers as regmap
-from drivers.cnc.modbus.registers import (
+from truepath.drivers.cnc.modbus import registers as regmap
+from truepath.drivers.cnc.modbus.registers import (
     BY_NAME,
     Access,
     AxisKind,
@@ -17,22 +17,23 @@ from drivers.cnc.modbus.registers import (
     HoldReason,
     Result,
 )
-from drivers.interfaces.records import MotionState
-from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
-from simulators.machine_file import Axis, RotaryAxis
-from simulators.modbus_wire import (
+from truepath.drivers.interfaces.records import MotionState
+from truepath.simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
+from truepath.simulators.machine_file import Axis, RotaryAxis
+from truepath.simulators.modbus_wire import (
     ILLEGAL_ADDRESS,
     ILLEGAL_VALUE,
     ModbusError,
     Registers,
 )
-from simulators.timeline import Program
+from truepath.simulators.timeline import Program
 
 _BLOCKS = (
     regmap.IDENTITY,
     regmap.STATUS,
     regmap.ALARM_TEXT,
-    regmap.Block(BY_NAME["heartbeat"].address, 2),
+    regmap.CONTROL,
+    regmap.LIMITS,
     regmap.COMMAND,
 )
 _EXISTING = frozenset(
@@ -90,6 +91,8 @@ class CncRegisters(Registers):
         if self._value("heartbeat") != before:
             self._beat()
         self._take_watchdog()
+        if address == regmap.LIMITS.address:
+            self._limit_override(values[0] / regmap.OVERRIDE_COUNTS)
         sequence = self._value("command_sequence")
         if sequence not in (0, self._value("command_ack")):
             result = self._run(self._value("command"))
@@ -135,7 +138,7 @@ class CncRegisters(Registers):
         self._put("axis_kinds", [int(_kind(axis)) for axis in machine.axes])
         self._put("max_waypoints", regmap.MAX_WAYPOINTS)
         self._put("maker", "Truepath")
-        self._put("model", "Simulated CNC")
+        self._put("model", self._controller.model)
         self._put("serial_number", serial)
         self._put("firmware", "1.0")
         self._put("travel_min", regmap.position_counts(machine.low.tolist()))
@@ -269,6 +272,10 @@ class CncRegisters(Registers):
 
     def _beat(self) -> None:
         self._last_beat_s = self._clocks.wall_s()
+
+    def _limit_override(self, largest: float) -> None:
+        if 0.0 < largest < self._controller.feed_override:
+            self._controller.override(largest, self._clocks.machine_s())
 
     def _take_watchdog(self) -> None:
         asked_ms = self._value("watchdog")

@@ -18,15 +18,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from simulators.bench import Bench
-from simulators.control_orders import obey
-from simulators.control_socket import ControlSocket
-from simulators.errors import SimulatorError
-from simulators.faults import KINDS, parse_fault
-from simulators.hidden.drawing import EFFECTS
-from simulators.processes import DeviceProcesses
-from simulators.replay import Replay
-from simulators.scenario import list_machines, load_machine
+from truepath.simulators.bench import Bench
+from truepath.simulators.control_orders import obey
+from truepath.simulators.control_socket import ControlSocket
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.faults import KINDS, parse_fault
+from truepath.simulators.hidden.drawing import EFFECTS
+from truepath.simulators.processes import DeviceProcesses
+from truepath.simulators.replay import Replay
+from truepath.simulators.scenario import list_machines, load_machine
 
 _LAST_PORT = 65535
 _CHECK_S = 0.5

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from simulators.bench import Bench
-from simulators.bundle_files import truth_of
-from simulators.errors import SimulatorError
-from simulators.processes import DeviceProcesses
+from truepath.simulators.bench import Bench
+from truepath.simulators.bundle_files import truth_of
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.processes import DeviceProcesses
 
 Order = dict[str, Any]
 

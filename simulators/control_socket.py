@@ -1,7 +1,7 @@
 """The control socket of a rig: orders in, answers out, one JSON object a line.
 
 A Unix socket that its owner alone can open. Nothing blocks: the rig serves it beside
-everything else. `simulators.rig` is the other end.
+everything else. `truepath.simulators.rig` is the other end.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 MAX_LINE = 1 << 20
 _BLOCK = 1 << 16

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.machine_file import LinearAxis
+from truepath.simulators.machine_file import LinearAxis
 
 _HARMONICS = np.arange(1, 5)
 _GRID = 201  # places to normalise by

@@ -7,10 +7,11 @@
     tracker:spike@800n*0.3          sample 800 is off by 0.3 mm
     cnc:alarm@row5                  alarm on the way to row 5
     tracker:target@row12*4          from row 12 on the fourth target is looked at
+    thermometers:stuck@60s*1        the first sensor shows the same from then on
 
 `begin` counts device seconds (`s`) since the first START (tracker) or the first motion
-(CNC), samples (`n`) or rows (`row5`); in a fault injected into a running simulator it
-counts from then. Without `begin` a fault is there from the first moment on; one that
+(others), samples (`n`) or rows (`row5`); in a fault injected into a running simulator
+it counts from then. Without `begin` a fault is there from the first moment on; one that
 strikes single frames strikes the first.
 """
 
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,18 @@ CNC_KINDS = {
     "disconnect": Kind("TCP connections close", lasts=False),
     "wrong-identity": Kind("another device answers"),
 }
-KINDS = {"tracker": TRACKER_KINDS, "cnc": CNC_KINDS}
+THERMOMETER_KINDS = {  # amount: number of the sensor, from 1; 0 is all
+    "silence": Kind("requests for it are not answered"),
+    "stuck": Kind("it shows what it showed at the begin"),
+    "broken-wire": Kind("it shows its highest number, or none"),
+    "exception": Kind("requests are answered by this exception code", 4.0),
+    "disconnect": Kind("TCP connections close", lasts=False),
+}
+KINDS = {
+    "tracker": TRACKER_KINDS,
+    "cnc": CNC_KINDS,
+    "thermometers": THERMOMETER_KINDS,
+}
 
 _NUMBER = r"\d+(?:\.\d*)?|\.\d+"
 _FORM = re.compile(

@@ -13,8 +13,8 @@ import stat
 
 import numpy as np
 
-from simulators.errors import SimulatorError
-from simulators.timeline import SHORTEST_MM, Timeline, path_length, standing
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.timeline import SHORTEST_MM, Timeline, path_length, standing
 
 _KEPT_S = 10.0
 _BLOCK = 1 << 16

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulators.faults import Fault, Schedule
+from truepath.simulators.faults import Fault, Schedule
 
 
 class FrameDamage:

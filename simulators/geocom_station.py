@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simulators.line_instrument import LineInstrument
-from simulators.polled_head import SHOT_S, PolledHead
-from simulators.timeline import Timeline
+from truepath.simulators.line_instrument import LineInstrument
+from truepath.simulators.polled_head import SHOT_S, PolledHead
+from truepath.simulators.timeline import Timeline
 
 _OK, _NOT_IMPLEMENTED, _ANGLE_ONLY, _NO_TARGET, _NO_LOCK = 0, 5, 1285, 8710, 8725
 _FIELD_RAD = 0.01  # off the sight, in which a prism is still seen

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulators.profile import Limits, brake, ride
-from simulators.timeline import (
+from truepath.simulators.profile import Limits, brake, ride
+from truepath.simulators.timeline import (
     Program,
     State,
     Timeline,

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from simulators.polled_head import PolledHead
-from simulators.timeline import Timeline
-from simulators.tracker_head import TrackerPose
+from truepath.simulators.polled_head import PolledHead
+from truepath.simulators.timeline import Timeline
+from truepath.simulators.tracker_head import TrackerPose
 
 Say = Callable[[Timeline, float], bytes]
 """Makes a reply at the machine's time at which it is due."""

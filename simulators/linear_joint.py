@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.error_motions import ErrorMotion, JointedMotion
-from simulators.joint import Joint, rotation_matrices
+from truepath.simulators.error_motions import ErrorMotion, JointedMotion
+from truepath.simulators.joint import Joint, rotation_matrices
 
 
 @dataclass(frozen=True, slots=True)

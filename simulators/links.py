@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 _BLOCK = 1 << 16
 _PTYS = "/dev/pts/"
@@ -173,7 +173,10 @@ class TcpPort(Port):
         return [self._host.fileno()]
 
     def receive(self) -> bytes | None:
-        """Take a new host, or what the present one has sent."""
+        """Return what the present host has sent, else look for a new one."""
+        data = self._read_host()
+        if data:
+            return data
         with contextlib.suppress(BlockingIOError):
             fresh, _ = self._listener.accept()
             if self._has_host():
@@ -184,6 +187,10 @@ class TcpPort(Port):
             fresh.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._host = fresh
             return None
+        return data
+
+    def _read_host(self) -> bytes | None:
+        """Return what has come; None if the host has gone."""
         if self._host is None:
             return b""
         try:
@@ -225,6 +232,11 @@ class TcpPort(Port):
     def waiting_bytes(self) -> int:
         """Bytes that the connection has not taken."""
         return len(self._waiting)
+
+    def linger(self, seconds: bytes) -> None:
+        """Set what the end of the connection waits for, as `SO_LINGER` has it."""
+        if self._host is not None:
+            self._host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, seconds)
 
     def disconnect(self) -> None:
         """Close the connection; the listener stays."""

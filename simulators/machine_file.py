@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 ROTARY_DIRECTIONS = {

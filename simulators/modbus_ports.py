@@ -6,12 +6,12 @@ import contextlib
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simulators.links import PtyPort
-from simulators.modbus_wire import (
+from truepath.simulators.links import PtyPort
+from truepath.simulators.modbus_wire import (
     GATEWAY_TARGET_SILENT,
     RtuFramer,
     TcpFramer,
@@ -21,13 +21,14 @@ from simulators.modbus_wire import (
 )
 
 UNIT = 1
+_BROADCAST = 0
 _TCP_UNITS = (0, UNIT, 255)
 _BLOCK = 4096
 # Longer than the pause of a scheduler, shorter than the time-out of a master.
 _HALF_REQUEST_S = 0.1
 
-# Answers a PDU; None is silence.
-Answer = Callable[[bytes], bytes | None]
+# Answers what is sent to a unit, a PDU; None is silence.
+Answer = Callable[[int, bytes], bytes | None]
 
 
 class ModbusPort(ABC):
@@ -56,9 +57,10 @@ class ModbusPort(ABC):
 
 
 class ModbusTcpPort(ModbusPort):
-    """A listener with any number of connections."""
+    """A listener with any number of connections; other units are not reached."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, units: Sequence[int] = _TCP_UNITS) -> None:
+        self._units = units
         self._listener = socket.create_server((host, port), backlog=16)
         self._listener.setblocking(False)
         self._masters: dict[socket.socket, TcpFramer] = {}
@@ -109,8 +111,8 @@ class ModbusTcpPort(ModbusPort):
             self._drop(master)
             return
         for transaction, unit, pdu in requests:
-            if unit in _TCP_UNITS:
-                reply = answer(pdu)
+            if unit in self._units:
+                reply = answer(unit, pdu)
             else:
                 reply = exception(pdu, GATEWAY_TARGET_SILENT)
             if reply is not None:
@@ -122,9 +124,10 @@ class ModbusTcpPort(ModbusPort):
 
 
 class ModbusRtuPort(ModbusPort):
-    """A pseudo-terminal that looks like a serial line with one device on it."""
+    """A pseudo-terminal that looks like a serial line with devices on it."""
 
-    def __init__(self, link: Path | None) -> None:
+    def __init__(self, link: Path | None, units: Sequence[int] = (UNIT,)) -> None:
+        self._units = units
         self._pty = PtyPort(link)
         self._framer = RtuFramer()
         self._heard_s = 0.0
@@ -139,7 +142,7 @@ class ModbusRtuPort(ModbusPort):
         return self._pty.descriptors()
 
     def serve(self, answer: Answer) -> None:
-        """Answer what is for our unit; a broadcast (unit 0) is done without answer."""
+        """Answer what is for our units; a broadcast (unit 0) is done without answer."""
         data = self._pty.receive()
         if not data:
             return
@@ -148,8 +151,9 @@ class ModbusRtuPort(ModbusPort):
             self._framer.expire()
         self._heard_s = now_s
         for unit, pdu in self._framer.feed(data):
-            reply = answer(pdu) if unit in (0, UNIT) else None
-            if reply is not None and unit == UNIT:
+            is_ours = unit == _BROADCAST or unit in self._units
+            reply = answer(unit, pdu) if is_ours else None
+            if reply is not None and unit != _BROADCAST:
                 self._pty.send(rtu_frame(unit, reply))
 
     def disconnect(self) -> None:
@@ -161,10 +165,16 @@ class ModbusRtuPort(ModbusPort):
         self._pty.close()
 
 
-def make_modbus_ports(link: Mapping[str, Any]) -> dict[str, ModbusPort]:
-    """Return the ports of a CNC's link, as a bench states it."""
-    ports: dict[str, ModbusPort] = {"tcp": ModbusTcpPort(link["host"], link["port"])}
+def make_modbus_ports(
+    link: Mapping[str, Any],
+    *,
+    tcp_units: Sequence[int] = _TCP_UNITS,
+    rtu_units: Sequence[int] = (UNIT,),
+) -> dict[str, ModbusPort]:
+    """Return the ports of a device's link, as a bench states it."""
+    tcp = ModbusTcpPort(link["host"], link["port"], tcp_units)
+    ports: dict[str, ModbusPort] = {"tcp": tcp}
     if link["rtu"]:
         symlink = link["rtu_symlink"]
-        ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None)
+        ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None, rtu_units)
     return ports

@@ -6,9 +6,9 @@ import itertools
 
 import numpy as np
 
-from simulators.machine_file import MachineFile
-from simulators.randomness import generator
-from simulators.timeline import Program
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.randomness import generator
+from truepath.simulators.timeline import Program
 
 MARGIN_MM = 10.0
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.tracker.streaming.measurements import StatusBit
-from simulators.faults import Schedule
-from simulators.timeline import Timeline
-from simulators.tracker_device import TrackerDevice, TrackerParts
-from simulators.tracker_head import SampleNoise, TrackerPose
+from truepath.drivers.tracker.streaming.measurements import StatusBit
+from truepath.simulators.faults import Schedule
+from truepath.simulators.timeline import Timeline
+from truepath.simulators.tracker_device import TrackerDevice, TrackerParts
+from truepath.simulators.tracker_head import SampleNoise, TrackerPose
 
 SHOT_S = 0.4  # for a distance, by the machine's clock
 

@@ -1,6 +1,6 @@
 """Simulated devices as processes of their own, seen from the process that starts them.
 
-The life line of `simulators.child`, from the other end.
+The life line of `truepath.simulators.child`, from the other end.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 _START_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 3.0
@@ -36,7 +36,7 @@ class DeviceProcess:
         # Many small matrices: threads of a BLAS would only fight for the cores.
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(  # noqa: S603, our own module
-            [sys.executable, "-m", f"simulators.{module}"],
+            [sys.executable, "-m", f"truepath.simulators.{module}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -154,6 +154,11 @@ class DeviceProcesses:
         return {**self._addresses["cnc"]["rtu"], "baudrate": 115_200, "unit": 1}
 
     @property
+    def thermometer_options(self) -> dict[str, Any]:
+        """Options for the factory of the driver of thermometers; empty without any."""
+        return dict(self._addresses.get("cnc", {}).get("thermometers", {}))
+
+    @property
     def process_ids(self) -> dict[str, int]:
         """Process identifiers by name."""
         return {name: process.process_id for name, process in self._processes.items()}
@@ -176,6 +181,8 @@ class DeviceProcesses:
             where["modbus_tcp"] = self.motion_options
         if self.has_rtu:
             where["modbus_rtu"] = self.motion_options_rtu
+        if self.thermometer_options:
+            where["thermometers"] = self.thermometer_options
         return where | {
             "machine": self.machine.get("name", ""),
             "pids": self.process_ids,

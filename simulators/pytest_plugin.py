@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from simulators.rig import Rig
+    from truepath.simulators.rig import Rig
 
 _OPTION = "--truepath-control"
 
@@ -61,7 +61,7 @@ def start_lasting_truepath_bench(
 
 
 def _starter(config: pytest.Config, stack: ExitStack) -> Callable[..., Rig]:
-    from simulators.rig import Rig, running_rig
+    from truepath.simulators.rig import Rig, running_rig
 
     def start(**options: Any) -> Rig:
         control = config.getoption(_OPTION)

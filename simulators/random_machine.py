@@ -7,21 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulators import error_motions
-from simulators.error_motions import JointedMotion
-from simulators.joint import Joint, rotation_matrices
-from simulators.linear_joint import LinearJoint
-from simulators.machine_file import (
+from truepath.simulators import error_motions
+from truepath.simulators.error_motions import JointedMotion
+from truepath.simulators.joint import Joint, rotation_matrices
+from truepath.simulators.linear_joint import LinearJoint
+from truepath.simulators.machine_file import (
     DIRECTIONS,
     ROTARY_DIRECTIONS,
     LinearAxis,
     MachineFile,
     RotaryAxis,
 )
-from simulators.randomness import generator
-from simulators.rotary_joint import RotaryJoint
-from simulators.truth_machine import SQUARENESS, TruthMachine
-from simulators.turning_motions import (
+from truepath.simulators.randomness import generator
+from truepath.simulators.rotary_joint import RotaryJoint
+from truepath.simulators.truth_machine import SQUARENESS, TruthMachine
+from truepath.simulators.turning_motions import (
     TurningMotion,
     across_the_axis,
     along_the_axis,

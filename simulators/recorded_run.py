@@ -17,10 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.framing import check_frame
-from drivers.tracker.streaming.messages import Ack, StreamInfo, Type, parse_message
-from simulators.errors import SimulatorError
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.framing import check_frame
+from truepath.drivers.tracker.streaming.messages import (
+    Ack,
+    StreamInfo,
+    Type,
+    parse_message,
+)
+from truepath.simulators.errors import SimulatorError
 
 _SAMPLE_BYTES = 48  # a record of the stream `tracker`, its number first
 _BATCH_S = 0.15  # the bytes of a batch came in this time before it, at most

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect
-from simulators.timeline import Program, Timeline
-from simulators.tracker_head import TrackerClock, TrackerPose
-from simulators.truth_machine import TruthMachine
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.timeline import Program, Timeline
+from truepath.simulators.tracker_head import TrackerClock, TrackerPose
+from truepath.simulators.truth_machine import TruthMachine
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from simulators.errors import SimulatorError
-from simulators.processes import DeviceProcess, DeviceProcesses
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.processes import DeviceProcess, DeviceProcesses
 
 
 class Replay(DeviceProcesses):

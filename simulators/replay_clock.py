@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from simulators.recorded_run import Move
+from truepath.simulators.recorded_run import Move
 
 _TELL_EARLY_S = 0.25  # a host looks a few times a second
 _OPENING_S = 0.06  # of the stream, until a host has seen it begin

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.cnc.modbus.registers import HoldReason, Result
-from drivers.interfaces.records import MotionState
-from simulators.cnc_controller import Controller
-from simulators.machine_file import MachineFile
-from simulators.profile import Limits
-from simulators.recorded_run import RecordedRun
-from simulators.replay_clock import ReplayClock
-from simulators.timeline import Program
+from truepath.drivers.cnc.modbus.registers import HoldReason, Result
+from truepath.drivers.interfaces.records import MotionState
+from truepath.simulators.cnc_controller import Controller
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.profile import Limits
+from truepath.simulators.recorded_run import RecordedRun
+from truepath.simulators.replay_clock import ReplayClock
+from truepath.simulators.timeline import Program
 
 _SAME = 0.02  # mm or deg between an ordered and a recorded end
 _AHEAD = 4  # rows that a machine passes between two looks, at most

@@ -1,4 +1,7 @@
-"""Tracker and CNC of a Run as one process: `python -m simulators.replay_process`."""
+"""Tracker and CNC of a Run as one process.
+
+`python -m truepath.simulators.replay_process`
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,18 @@ import time
 from pathlib import Path
 from typing import Any
 
-from simulators.child import LifeLine, is_question
-from simulators.cnc_registers import Clocks, CncRegisters
-from simulators.errors import SimulatorError
-from simulators.links import Port, make_port
-from simulators.machine_clock import AwakeClock
-from simulators.machine_file import parse_machine
-from simulators.modbus_ports import ModbusPort, make_modbus_ports
-from simulators.modbus_wire import answer
-from simulators.recorded_run import RecordedRun, read_recorded_run
-from simulators.replay_clock import ReplayClock
-from simulators.replay_controller import ReplayController
-from simulators.replay_tracker import ReplayTracker
+from truepath.simulators.child import LifeLine, is_question
+from truepath.simulators.cnc_registers import Clocks, CncRegisters
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.links import Port, make_port
+from truepath.simulators.machine_clock import AwakeClock
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.modbus_ports import ModbusPort, make_modbus_ports
+from truepath.simulators.modbus_wire import answer
+from truepath.simulators.recorded_run import RecordedRun, read_recorded_run
+from truepath.simulators.replay_clock import ReplayClock
+from truepath.simulators.replay_controller import ReplayController
+from truepath.simulators.replay_tracker import ReplayTracker
 
 _PERIOD_S = 0.02
 _LATE_S = 0.1
@@ -76,7 +79,7 @@ def _serve(
         _converse(tracker, port)
         port.send(tracker.due(time.monotonic()))
         for one in ports.values():
-            one.serve(lambda pdu: answer(pdu, registers) if registers else None)
+            one.serve(lambda _unit, pdu: answer(pdu, registers) if registers else None)
         if registers:
             registers.watch()
         readable = [life.descriptor, *port.descriptors()]

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.framing import FrameReader
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
     DeviceInfo,
     Format,
@@ -28,8 +28,8 @@ from drivers.tracker.streaming.messages import (
     encode_message,
     parse_message,
 )
-from simulators.recorded_run import RecordedRun
-from simulators.replay_clock import ReplayClock
+from truepath.simulators.recorded_run import RecordedRun
+from truepath.simulators.replay_clock import ReplayClock
 
 # A host that ends its stream some time after the last motion gets the rest at once
 # before that time is over, so that no sample is left behind.

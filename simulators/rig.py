@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 _ANSWER_TIMEOUT_S = 10.0
 _END_TIMEOUT_S = 10.0
@@ -108,7 +108,7 @@ def running_rig(options: Mapping[str, Any]) -> Iterator[Rig]:
         control = Path(folder) / "control"
         process = subprocess.Popen(  # noqa: S603, our own module
             [
-                *(sys.executable, "-m", "simulators.command", "--json"),
+                *(sys.executable, "-m", "truepath.simulators.command", "--json"),
                 *("--control", str(control), "--links", folder),
                 *spell(options),
             ],

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.joint import Joint, rotation_matrices
-from simulators.machine_file import ROTARY_DIRECTIONS, RotaryAxis
-from simulators.turning_motions import TurningMotion
+from truepath.simulators.joint import Joint, rotation_matrices
+from truepath.simulators.machine_file import ROTARY_DIRECTIONS, RotaryAxis
+from truepath.simulators.turning_motions import TurningMotion
 
 
 @dataclass(frozen=True, slots=True)

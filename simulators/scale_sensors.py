@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect
-from simulators.machine_file import MachineFile
-from simulators.randomness import generator
-from simulators.recording import Temperatures
-from simulators.tracker_head import TrackerClock
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.randomness import generator
+from truepath.simulators.recording import Temperatures
+from truepath.simulators.tracker_head import TrackerClock
 
 _USUAL_DEGC = 20.0
 _SIGMA_K = 0.02

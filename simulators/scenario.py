@@ -7,12 +7,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from simulators.errors import SimulatorError
+from truepath.simulators.errors import SimulatorError
 
 
 def list_machines() -> tuple[str, ...]:
     """Return the names of the machines that come with the simulators."""
-    folder = resources.files("simulators") / "scenarios"
+    folder = resources.files("truepath.simulators") / "scenarios"
     return tuple(
         sorted(
             entry.name.removesuffix(".json")
@@ -28,7 +28,7 @@ def load_machine(name: str | Path) -> dict[str, Any]:
     Raises SimulatorError naming the file, or what is bundled.
     """
     if str(name) in list_machines():
-        file = resources.files("simulators") / "scenarios" / f"{name}.json"
+        file = resources.files("truepath.simulators") / "scenarios" / f"{name}.json"
         return json.loads(file.read_text(encoding="utf-8"))
     try:
         content = json.loads(Path(name).read_text(encoding="utf-8"))

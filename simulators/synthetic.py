@@ -2,7 +2,7 @@
 
 Motion, truth, noise and clock are those of the simulators, evaluated at once.
 
-    python -m simulators.synthetic OUT --seed 3 --mode otf --feed 2500
+    python -m truepath.simulators.synthetic OUT --seed 3 --mode otf --feed 2500
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from simulators import interruption, paths, tracker_head, turning_paths
-from simulators.bundle_files import write_bundle_files
-from simulators.errors import SimulatorError
-from simulators.hidden.drawing import parse_hidden
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import Motion
-from simulators.hidden.superposition import locate_target_mm, misread
-from simulators.machine_file import MachineFile, parse_machine
-from simulators.profile import Limits
-from simulators.random_machine import random_machine
-from simulators.randomness import generator
-from simulators.recording import Recording
-from simulators.scale_sensors import read_sensors
-from simulators.scenario import load_machine
-from simulators.timeline import Program, Timeline, follow
-from simulators.tracker_head import Air, TrackerClock, TrackerPose
-from simulators.truth_machine import TruthMachine
+from truepath.simulators import interruption, paths, tracker_head, turning_paths
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.hidden.drawing import parse_hidden
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.hidden.superposition import locate_target_mm, misread
+from truepath.simulators.machine_file import MachineFile, parse_machine
+from truepath.simulators.profile import Limits
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.randomness import generator
+from truepath.simulators.recording import Recording
+from truepath.simulators.scale_sensors import read_sensors
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program, Timeline, follow
+from truepath.simulators.tracker_head import Air, TrackerClock, TrackerPose
+from truepath.simulators.truth_machine import TruthMachine
 
 BEAM_BROKEN = 1
 
@@ -271,7 +271,7 @@ def _program(machine: MachineFile, options: argparse.Namespace) -> Program:
 
 def _options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m simulators.synthetic", description=main.__doc__
+        prog="python -m truepath.simulators.synthetic", description=main.__doc__
     )
     parser.add_argument("out", type=Path, help="folder of the bundle")
     parser.add_argument(

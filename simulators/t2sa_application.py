@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from drivers.tracker.t2sa.codec import ErrorCode
-from simulators.line_instrument import LineInstrument
-from simulators.polled_head import SHOT_S, PolledHead
-from simulators.timeline import Timeline
-from simulators.tracker_head import to_cartesian
+from truepath.drivers.tracker.t2sa.codec import ErrorCode
+from truepath.simulators.line_instrument import LineInstrument
+from truepath.simulators.polled_head import SHOT_S, PolledHead
+from truepath.simulators.timeline import Timeline
+from truepath.simulators.tracker_head import to_cartesian
 
 _TIME = "11/23/2026 02:00:00"
 

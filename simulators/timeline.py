@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.profile import Limits, Stretch, rest_to_rest
+from truepath.simulators.profile import Limits, Stretch, rest_to_rest
 
 # A line shorter than this is no line: waypoints come in steps of 0.1 µm.
 SHORTEST_MM = 1e-6

@@ -11,25 +11,32 @@ from typing import Any
 
 import numpy as np
 
-from drivers.tracker.streaming.framing import FrameReader
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
+    VERBS_VERSION,
     VERSION,
     Ack,
+    Aim,
     DeviceInfo,
     DeviceState,
     Event,
     EventCode,
     Format,
+    GetAir,
     Hello,
+    Home,
     Message,
     Nak,
     NakCode,
     Ping,
+    Search,
+    Select,
+    SetAir,
     Start,
     Status,
     Stop,
@@ -38,14 +45,14 @@ from drivers.tracker.streaming.messages import (
     encode_message,
     parse_message,
 )
-from simulators.faults import Schedule
-from simulators.frame_damage import FrameDamage
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import MotionFollower
-from simulators.hidden.superposition import locate_target_mm, misread
-from simulators.randomness import generator
-from simulators.timeline import Timeline
-from simulators.tracker_head import (
+from truepath.simulators.faults import Schedule
+from truepath.simulators.frame_damage import FrameDamage
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.motion import MotionFollower
+from truepath.simulators.hidden.superposition import locate_target_mm, misread
+from truepath.simulators.randomness import generator
+from truepath.simulators.timeline import Timeline
+from truepath.simulators.tracker_head import (
     Air,
     SampleNoise,
     TrackerClock,
@@ -54,13 +61,15 @@ from simulators.tracker_head import (
     to_cartesian,
     to_spherical,
 )
-from simulators.truth_machine import TruthMachine
+from truepath.simulators.tracker_verbs import TrackerVerbs
+from truepath.simulators.truth_machine import TruthMachine
 
 MAX_RATE_HZ = 5000.0
 PING_PATIENCE_S = 5.0
 STATUS_PERIOD_S = 0.5
 BUFFER_BYTES = 1 << 16
 _LOCKED_SIGNAL = 200
+_VERSIONS = (VERSION, VERBS_VERSION)
 _PUSH = np.array([0.6, -0.64, 0.48])  # of a knock, where to
 
 
@@ -113,6 +122,11 @@ class TrackerDevice:
         self._follower = MotionFollower(
             parts.truth.machine, remembers=bool(parts.hidden)
         )
+        self._timeline: Timeline | None = None
+        self._verbs = TrackerVerbs(
+            [target.name for target in parts.truth.machine.reflectors],
+            self._locate_direction,
+        )
 
     @property
     def streaming(self) -> bool:
@@ -149,6 +163,7 @@ class TrackerDevice:
         waiting_bytes : what the link has not taken yet. Beyond the device's buffer
         samples are lost, and the next one says so.
         """
+        self._timeline = timeline
         if self._stream is None:
             return b""
         if wall_s - self._last_heard_s > PING_PATIENCE_S:
@@ -170,12 +185,15 @@ class TrackerDevice:
 
     def _answer(self, body: bytes, true_s: float) -> Message | None:
         match parse_message(body):
-            case Hello(transaction, version) if version != VERSION:
-                text = f"this device speaks version {VERSION}"
+            case Hello(transaction, version) if version not in _VERSIONS:
+                text = f"this device speaks versions {VERSION} to {VERBS_VERSION}"
                 code = NakCode.VERSION_NOT_SPOKEN
                 return Nak(transaction, Type.HELLO, code, text)
-            case Hello(transaction):
-                return Ack(transaction, Type.HELLO, self._info(true_s))
+            case Hello(transaction, version):
+                self._verbs.is_known = version >= VERBS_VERSION
+                return Ack(transaction, Type.HELLO, self._info(true_s, version))
+            case Home() | Aim() | Search() | Select() | SetAir() | GetAir() as verb:
+                return self._verbs.answer(verb, true_s)
             case Start() as start:
                 return self._start(start, true_s)
             case Stop(transaction):
@@ -188,11 +206,12 @@ class TrackerDevice:
             case _:
                 return None
 
-    def _info(self, true_s: float) -> DeviceInfo:
+    def _info(self, true_s: float, version: int) -> DeviceInfo:
         if self._faults.strikes("wrong-identity", true_s):
             return DeviceInfo("Nobody", "Barcode scanner", "0", "0", 1.0, version=99)
         serial = f"SIM-{self._parts.seed:06d}"
-        return DeviceInfo("Truepath", "Simulated tracker", serial, "1.0", MAX_RATE_HZ)
+        who = "Truepath", "Simulated tracker", serial, "1.0"
+        return DeviceInfo(*who, MAX_RATE_HZ, version)
 
     def _start(self, start: Start, true_s: float) -> Message:
         if not 0.0 < start.rate_hz <= MAX_RATE_HZ:
@@ -278,6 +297,9 @@ class TrackerDevice:
         for fault, mask in self._faults.struck("spike", moments_s, number):
             polar[mask, 0] += fault.amount
         status = np.zeros(len(moments_s), np.int64)
+        status[self._verbs.list_targets(moments_s) == None] |= (  # noqa: E711
+            StatusBit.BEAM_BROKEN
+        )
         for _, mask in self._faults.struck("beam-break", moments_s, number):
             status[mask] |= StatusBit.BEAM_BROKEN
         return polar, status
@@ -285,20 +307,32 @@ class TrackerDevice:
     def _locate_target_mm(
         self, timeline: Timeline, moments_s: np.ndarray
     ) -> np.ndarray:
-        """Return where the target is that the tracker looks at, the first at first."""
-        parts, reflectors = self._parts, self._parts.truth.machine.reflectors
-        targets = np.full(len(moments_s), reflectors[0].name, object)
+        """Return where the target is that the tracker looks at."""
+        reflectors = self._parts.truth.machine.reflectors
+        targets = self._verbs.list_targets(moments_s)
+        targets[targets == None] = reflectors[0].name  # noqa: E711
         rows = timeline.rows(moments_s)
         for fault, mask in self._faults.struck("target", moments_s, rows):
             number = min(max(int(fault.amount), 1), len(reflectors))
             targets[mask] = reflectors[number - 1].name
-        motion = self._follower.follow(timeline)
-        place_mm = locate_target_mm(
-            parts.truth, motion, moments_s, targets.tolist(), parts.hidden
-        )
+        place_mm = self._locate_mm(timeline, moments_s, targets.tolist())
         for fault, mask in self._faults.struck("knock", moments_s, rows):
             place_mm[mask] += fault.amount * _PUSH
         return place_mm
+
+    def _locate_mm(
+        self, timeline: Timeline, moments_s: np.ndarray, names: list[str]
+    ) -> np.ndarray:
+        parts, motion = self._parts, self._follower.follow(timeline)
+        return locate_target_mm(parts.truth, motion, moments_s, names, parts.hidden)
+
+    def _locate_direction(self, name: str, true_s: float) -> tuple[float, float]:
+        """Return azimuth and elevation of a target by the newest that is known."""
+        if self._timeline is None:
+            return 0.0, 0.0
+        place_mm = self._locate_mm(self._timeline, np.array([true_s]), [name])
+        _, azimuth, elevation = to_spherical(self._parts.pose.from_table(place_mm))[0]
+        return float(azimuth), float(elevation)
 
     def _beam_event(self, raw: RawSamples) -> bytes:
         locked = not raw.status[-1] & StatusBit.BEAM_BROKEN
@@ -329,6 +363,6 @@ def _explain(body: bytes) -> NakCode:
     """Return why a body is no command."""
     if body[0] != VERSION:
         return NakCode.VERSION_NOT_SPOKEN
-    if body[1] in (Type.HELLO, Type.START, Type.STOP, Type.PING):
+    if Type.HELLO <= body[1] <= Type.GET_AIR:
         return NakCode.BAD_ARGUMENT
     return NakCode.UNKNOWN_COMMAND

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.joint import rotation_matrices
-from simulators.machine_file import MachineFile, TrackerFigures
-from simulators.randomness import generator
-from simulators.truth_machine import perfect
+from truepath.simulators.joint import rotation_matrices
+from truepath.simulators.machine_file import MachineFile, TrackerFigures
+from truepath.simulators.randomness import generator
+from truepath.simulators.truth_machine import perfect
 
 _BLOCK = 256  # samples at once
 _PROBES = 500  # places that stand for the volume

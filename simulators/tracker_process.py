@@ -1,4 +1,7 @@
-"""The tracker as a process of its own: `python -m simulators.tracker_process`."""
+"""The tracker as a process of its own.
+
+`python -m truepath.simulators.tracker_process`
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,22 @@ import select
 import time
 from typing import Any
 
-from simulators import tracker_head
-from simulators.board import BoardReader
-from simulators.child import LifeLine, is_question
-from simulators.faults import Schedule, parse_fault
-from simulators.followed_positions import FollowedPositions
-from simulators.geocom_station import GeoComStation
-from simulators.hidden.drawing import from_json
-from simulators.line_instrument import LineInstrument
-from simulators.links import Port, make_port
-from simulators.machine_clock import MachineClock
-from simulators.machine_file import parse_machine
-from simulators.polled_head import PolledHead
-from simulators.random_machine import random_machine
-from simulators.t2sa_application import T2saApplication
-from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
-from simulators.tracker_head import Air
+from truepath.simulators import tracker_head
+from truepath.simulators.board import BoardReader
+from truepath.simulators.child import LifeLine, is_question
+from truepath.simulators.faults import Schedule, parse_fault
+from truepath.simulators.followed_positions import FollowedPositions
+from truepath.simulators.geocom_station import GeoComStation
+from truepath.simulators.hidden.drawing import from_json
+from truepath.simulators.line_instrument import LineInstrument
+from truepath.simulators.links import Port, make_port
+from truepath.simulators.machine_clock import MachineClock
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.polled_head import PolledHead
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.t2sa_application import T2saApplication
+from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
+from truepath.simulators.tracker_head import Air
 
 # Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
 PERIOD_S = 0.02

@@ -11,17 +11,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from simulators import error_motions
-from simulators.error_motions import ErrorMotion, JointedMotion
-from simulators.joint import Joint
-from simulators.linear_joint import LinearJoint
-from simulators.machine_file import (
+from truepath.simulators import error_motions
+from truepath.simulators.error_motions import ErrorMotion, JointedMotion
+from truepath.simulators.joint import Joint
+from truepath.simulators.linear_joint import LinearJoint
+from truepath.simulators.machine_file import (
     DIRECTIONS,
     MachineFile,
     Reflector,
 )
-from simulators.rotary_joint import RotaryJoint
-from simulators.turning_motions import (
+from truepath.simulators.rotary_joint import RotaryJoint
+from truepath.simulators.turning_motions import (
     TurningMotion,
 )
 

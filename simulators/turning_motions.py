@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulators.machine_file import RotaryAxis
+from truepath.simulators.machine_file import RotaryAxis
 
 _HARMONICS = np.arange(1, 5)
 _GRID = 721  # half a degree of a full turn

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simulators.machine_file import MachineFile, Reflector
-from simulators.paths import MARGIN_MM
-from simulators.randomness import generator
-from simulators.timeline import Program
+from truepath.simulators.machine_file import MachineFile, Reflector
+from truepath.simulators.paths import MARGIN_MM
+from truepath.simulators.randomness import generator
+from truepath.simulators.timeline import Program
 
 MARGIN_DEG = 1.0
 _FASTEST_DEG_S = 40.0

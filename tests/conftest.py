@@ -14,16 +14,22 @@ import numpy as np
 import pytest
 import structlog
 
-from app.files.bundle import zip_bundle
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import LinearAxis, Machine, RotaryAxis, Target, TrackerNoise
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path, TrackerSamples
-from simulators import paths, synthetic
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.files.bundle import zip_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import (
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    Target,
+    TrackerNoise,
+)
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.simulators import paths, synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import sys
 import pytest
 import structlog
 
-from app.child_process import ChildProcess
-from app.service_log import configure_log
+from truepath.app.child_process import ChildProcess
+from truepath.app.service_log import configure_log
 
 BODIES = """
 import logging, os, time
 import structlog
-from app.child_process import ChildProcess
+from truepath.app.child_process import ChildProcess
 
 def log_lines(link):
     logging.getLogger("driver").info("connected to %s", "COM3")

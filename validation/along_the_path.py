@@ -15,8 +15,8 @@ from figures import plt
 from recordings import random_air, random_content
 from study import study
 
-from simulators import paths, synthetic
-from simulators.machine_file import parse_machine
+from truepath.simulators import paths, synthetic
+from truepath.simulators.machine_file import parse_machine
 
 MACHINES, FEED_MM_MIN = 20, 10_000.0
 

@@ -11,9 +11,9 @@ import numpy as np
 from hidden_worlds import World
 from recordings import run_of
 
-from app.discovery.discover import discover
-from app.errors import EstimationError
-from app.results.discovery_json import discovery_json
+from truepath.app.discovery.discover import discover
+from truepath.app.errors import EstimationError
+from truepath.app.results.discovery_json import discovery_json
 
 NOTHING, UNNAMED = "nothing", "unnamed"
 _REFUSED = {

@@ -39,17 +39,17 @@ from stream_disturbances import (
 )
 from target_seats import draw_machine, remove_rigid_motion
 
-from app.errors import TruepathError
-from app.files.run import Run
-from app.kinematics.conditions import make_standstill
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results.analysis import analyse
-from app.results.findings import Findings
-from simulators import paths, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.synthetic import Setting, record
-from simulators.truth_machine import perfect
+from truepath.app.errors import TruepathError
+from truepath.app.files.run import Run
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.analysis import analyse
+from truepath.app.results.findings import Findings
+from truepath.simulators import paths, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.synthetic import Setting, record
+from truepath.simulators.truth_machine import perfect
 
 SEED, CLEAN, _CLEAN_FROM = 9801, 120, 1000
 _GRID = 300

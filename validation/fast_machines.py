@@ -18,18 +18,18 @@ from forecasts import FIRST_SEED, program_of
 from recordings import random_air, random_content
 from study import Study, study
 
-from app.files.machine_file import machine_from_json
-from app.motion.workspace import Workspace
-from app.planning.plan import Plan
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from simulators import synthetic
-from simulators.hidden.inertial_bend import InertialBend
-from simulators.machine_file import parse_machine
-from simulators.paths import chord_path
-from simulators.profile import Limits
-from simulators.timeline import Program
-from simulators.tracker_head import random_pose
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.plan import Plan
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.simulators import synthetic
+from truepath.simulators.hidden.inertial_bend import InertialBend
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.paths import chord_path
+from truepath.simulators.profile import Limits
+from truepath.simulators.timeline import Program
+from truepath.simulators.tracker_head import random_pose
 
 MACHINES, FAST_MACHINES = 5, 5
 FEEDS_MM_MIN = (6000.0, 10_000.0, 16_000.0)

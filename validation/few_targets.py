@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.paths import standstill_points
-from simulators.truth_machine import TruthMachine
+from truepath.app.alignment.align import align
+from truepath.app.alignment.observations import Observations
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.paths import standstill_points
+from truepath.simulators.truth_machine import TruthMachine
 
 POINTS, OFF_MM, OTHER = 200, 0.02, "another"
 KINDS = {

@@ -17,21 +17,21 @@ from few_targets import KINDS, OTHER, draw_machine, measure
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
-from app.alignment.observations import Observations
-from app.estimation.batch import Estimate, estimate
-from app.estimation.design_matrix import linearise
-from app.estimation.information import compute_posterior
-from app.estimation.normal_equations import compute_information
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results.error_tables import build_error_tables
-from simulators import synthetic
-from simulators.machine_file import MachineFile, parse_machine
-from simulators.random_machine import random_machine
-from simulators.truth_machine import TruthMachine, perfect
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.batch import Estimate, estimate
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.error_tables import build_error_tables
+from truepath.simulators import synthetic
+from truepath.simulators.machine_file import MachineFile, parse_machine
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.truth_machine import TruthMachine, perfect
 
 MACHINES, FIRST_SEED, GRID = 20, 1001, 300
 SHAPES = 8  # of an error motion here: four harmonics, a sine and a cosine each

@@ -15,17 +15,17 @@ from document import table, write_section
 from recordings import random_air, random_content
 from study import study
 
-from app.files.machine_file import machine_from_json
-from app.motion.workspace import Workspace
-from app.planning.plan import Plan
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from drivers.interfaces.records import Path
-from simulators import synthetic
-from simulators.machine_file import parse_machine
-from simulators.profile import Limits
-from simulators.timeline import Program
-from simulators.tracker_head import random_pose
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.plan import Plan
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators import synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.profile import Limits
+from truepath.simulators.timeline import Program
+from truepath.simulators.tracker_head import random_pose
 
 # Machines of lower seeds were looked at while the method was made.
 FIRST_SEED = 1001

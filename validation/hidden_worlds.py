@@ -15,14 +15,14 @@ import numpy as np
 from ideal_test import signal_to_noise
 from recordings import plan_program, random_air, random_content
 
-from simulators import paths, synthetic
-from simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
-from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.hidden.thermal_growth import ThermalGrowth
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.synthetic import ROUGH, Setting
-from simulators.timeline import Program, follow
+from truepath.simulators import paths, synthetic
+from truepath.simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.synthetic import ROUGH, Setting
+from truepath.simulators.timeline import Program, follow
 
 KINDS = (
     "single",

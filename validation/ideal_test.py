@@ -17,17 +17,17 @@ from information_bound import true_noise
 from judging import true_parameters
 from recordings import run_of
 
-from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import linearise
-from app.estimation.normal_equations import compute_information
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.model import MachineModel
-from simulators.recording import Recording
-from simulators.tracker_head import Air
+from truepath.app.alignment.align import align
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Parameter
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.model import MachineModel
+from truepath.simulators.recording import Recording
+from truepath.simulators.tracker_head import Air
 
 CELL_MM = 3.0
 

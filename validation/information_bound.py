@@ -16,17 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from judging import Volume, map_mm, true_parameters
 
-from app.alignment.observations import Observations
-from app.estimation.batch import Estimate
-from app.estimation.design_matrix import linearise
-from app.estimation.information import compute_posterior
-from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.effects.inertial_bend import InertialBend
-from app.kinematics.model import MachineModel
-from simulators.recording import Recording
-from simulators.tracker_head import Air
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.effects.inertial_bend import InertialBend
+from truepath.app.kinematics.model import MachineModel
+from truepath.simulators.recording import Recording
+from truepath.simulators.tracker_head import Air
 
 
 @dataclass(frozen=True)

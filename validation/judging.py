@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results.error_tables import choose_table_positions
-from simulators.truth_machine import TruthMachine
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.error_tables import choose_table_positions
+from truepath.simulators.truth_machine import TruthMachine
 
 _NODES = 12
 

@@ -25,14 +25,14 @@ from target_seats import (
     record_seated,
 )
 
-from app.files.machine_file import machine_from_json
-from app.motion.default_points import default_points
-from app.planning.default_path import default_path
-from drivers.interfaces.records import TrackerSamples
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.timeline import Program
-from simulators.turning_paths import turning_points
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.motion.default_points import default_points
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.timeline import Program
+from truepath.simulators.turning_paths import turning_points
 
 FIRST_SEED, MACHINES = 8401, 6
 SIZES_UM = (0.0, 20.0, 100.0)

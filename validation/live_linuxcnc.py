@@ -3,7 +3,8 @@
 The simulated tracker follows the motor positions that LinuxCNC commands each
 millisecond, adds the exact errors of a random machine, and streams them at 500 Hz.
 Cell, recorder and analysis are those of the service; the truth shares nothing with
-them. Needs Debian's linuxcnc-uspace and root.
+them. One case drives over the register map, by the driver `modbus`. Needs Debian's
+linuxcnc-uspace and root.
 """
 
 from __future__ import annotations
@@ -22,23 +23,24 @@ from typing import Any
 import numpy as np
 from document import table, write_section
 
-from app.files.bundle import write_bundle
-from app.files.machine_file import machine_from_json
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.files.bundle import write_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
 )
-from app.measurement.run_reading import open_run
-from app.planning.default_path import default_path
-from simulators.bench import Bench
-from simulators.linuxcnc.files import LinuxCncMachine
-from simulators.linuxcnc.rig import LinuxCncRig
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.simulators.bench import Bench
+from truepath.simulators.linuxcnc.files import LinuxCncMachine
+from truepath.simulators.linuxcnc.rig import LinuxCncRig
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3
@@ -49,6 +51,7 @@ FIRST_SEED = 1001
 PAGE = FilePath(__file__).resolve().parent.parent / "docs" / "linuxcnc.md"
 HEAD = (
     "machine",
+    "driver",
     "lines",
     "time s",
     "samples",
@@ -58,7 +61,7 @@ HEAD = (
     "factor",
     "inside 2u",
 )
-_MAIN = "import sys; from app.cli.command import main; sys.exit(main())"
+_MAIN = "import sys; from truepath.app.cli.command import main; sys.exit(main())"
 
 
 @dataclass(frozen=True)
@@ -84,13 +87,14 @@ class LiveRig:
 
     linuxcnc: LinuxCncRig
     bench: Bench
+    driver: str
     options: Mapping[str, Any]
 
     @property
     def config(self) -> CellConfig:
         """Drivers and options of the service's cell."""
         return CellConfig(
-            "streaming", self.bench.tracker_options, "linuxcnc", self.options
+            "streaming", self.bench.tracker_options, self.driver, self.options
         )
 
 
@@ -105,8 +109,11 @@ def live_rig(content: Mapping[str, Any], seed: int, case: Case) -> Iterator[Live
     machine_on_linuxcnc = LinuxCncMachine(
         travel, kinematics=case.kinematics, hal=case.hal
     )
+    is_modbus = case.driver == "modbus"
     with (
-        LinuxCncRig(machine_on_linuxcnc, samples=True) as linuxcnc,
+        LinuxCncRig(
+            machine_on_linuxcnc, samples=True, gateway=content if is_modbus else None
+        ) as linuxcnc,
         Bench(
             content,
             seed,
@@ -114,9 +121,15 @@ def live_rig(content: Mapping[str, Any], seed: int, case: Case) -> Iterator[Live
             source_unit_s=SAMPLE_S,
         ) as bench,
     ):
-        ready = {"reset_at_connect": True, "home_at_connect": True}
-        ready["prologue"] = case.prologue
-        yield LiveRig(linuxcnc, bench, linuxcnc.motion_options | ready)
+        if is_modbus:
+            options = linuxcnc.modbus_options
+            with ModbusController(**options) as controller:
+                controller.reset()
+                controller.home(10.0)
+        else:
+            ready = {"reset_at_connect": True, "home_at_connect": True}
+            options = linuxcnc.motion_options | ready | {"prologue": case.prologue}
+        yield LiveRig(linuxcnc, bench, case.driver, options)
 
 
 def measure(rig: LiveRig, order: MeasurementOrder, within_s: float) -> RunClosed:
@@ -258,6 +271,7 @@ class Case:
     """A machine of the simulators' scenarios and how LinuxCNC drives it.
 
     prologue : what the driver says before each motion
+    driver : of the motion; `modbus` drives over the register map
     """
 
     name: str
@@ -265,9 +279,11 @@ class Case:
     kinematics: str = ""
     hal: str = ""
     prologue: str = ""
+    driver: str = "linuxcnc"
 
 
 THREE_AXES = Case("demo", 60)
+OVER_MODBUS = replace(THREE_AXES, driver="modbus")
 FIVE_AXES = Case(
     "trunnion",
     96,
@@ -276,6 +292,7 @@ FIVE_AXES = Case(
     "net kinstype motion.analog-out-03 => motion.switchkins-type\n",
     "M68 E3 Q0; M66 E0 L0",
 )
+CASES = {"demo": THREE_AXES, "demo-modbus": OVER_MODBUS, "trunnion": FIVE_AXES}
 
 
 def run_case(case: Case, seed: int, folder: FilePath) -> Outcome:
@@ -290,6 +307,7 @@ def describe(case: Case, outcome: Outcome) -> list[str]:
     """Return a row of the table."""
     return [
         f"`{case.name}`, {len(load_machine(case.name)['axes'])} axes",
+        f"`{case.driver}`",
         str(case.lines),
         f"{outcome.seconds:.0f}",
         str(outcome.samples),
@@ -304,12 +322,12 @@ def describe(case: Case, outcome: Outcome) -> list[str]:
 def main() -> None:
     """Calibrate and write the table; one case alone is printed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--case", choices=[THREE_AXES.name, FIVE_AXES.name])
+    parser.add_argument("--case", choices=[*CASES])
     parser.add_argument("--seed", type=int, default=FIRST_SEED)
     options = parser.parse_args()
     rows: list[list[str]] = []
-    for case in (THREE_AXES, FIVE_AXES):
-        if options.case in (None, case.name):
+    for name, case in CASES.items():
+        if options.case in (None, name):
             # Not below /tmp, which LinuxCNC does not see.
             with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
                 outcome = run_case(case, options.seed, FilePath(folder))

@@ -22,19 +22,19 @@ from draws import keep_rows, make_parser, read_rows
 from hidden_worlds import draw_program
 from recordings import random_air, random_content, run_of
 
-from app.estimation.live import LiveEstimator
-from app.files.run import Run
-from simulators import paths, synthetic
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import Motion
-from simulators.hidden.setup_step import SetupStep
-from simulators.hidden.table_drift import TableDrift
-from simulators.hidden.thermal_growth import ThermalGrowth
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.synthetic import Setting
-from simulators.timeline import follow
+from truepath.app.estimation.live import LiveEstimator
+from truepath.app.files.run import Run
+from truepath.simulators import paths, synthetic
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.timeline import follow
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "live.md"

@@ -22,14 +22,14 @@ from recordings import (
 )
 from study import Study, study
 
-from app.alignment.align import align
-from app.alignment.sequence import fit_rigid
-from app.files.machine_file import machine_from_json
-from app.kinematics.conditions import make_standstill
-from app.kinematics.volumetric_map import build_volumetric_map
-from simulators import paths, synthetic
-from simulators.machine_file import parse_machine
-from simulators.timeline import Program
+from truepath.app.alignment.align import align
+from truepath.app.alignment.sequence import fit_rigid
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.simulators import paths, synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.timeline import Program
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")

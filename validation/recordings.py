@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.planning.default_path import default_path
-from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
-from simulators import paths
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.timeline import Program
-from simulators.tracker_head import Air
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath.simulators import paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.timeline import Program
+from truepath.simulators.tracker_head import Air
 
 CHAINS = ("w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-b-X-Z-t", "w-X-Y-b-Z-t", "w-Z-b-Y-X-t")
 

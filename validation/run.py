@@ -22,6 +22,7 @@ SCRIPTS = (
     "forecasts",
     "fast_machines",
     "disturbed_runs",
+    "wrong_programs",
     "target_seats",
     "five_axes",
     "five_axes_in_motion",

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.kinematics.splines import CubicSpline
-from app.numerics.design_criteria import IntegratedVariance
+from truepath.app.kinematics.splines import CubicSpline
+from truepath.app.numerics.design_criteria import IntegratedVariance
 
 
 def independent(spline: CubicSpline) -> IntegratedVariance:

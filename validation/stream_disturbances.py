@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.interfaces.records import TrackerSamples
+from truepath.drivers.interfaces.records import TrackerSamples
 
 Disturb = Callable[[TrackerSamples, np.random.Generator], TrackerSamples]
 

@@ -16,22 +16,22 @@ import numpy as np
 from document import table, write_section
 from recordings import run_of
 
-from app.alignment.align import align
-from app.estimation.batch import estimate
-from app.files.machine_file import machine_from_json
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.conditions import make_standstill
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.numerics.rigid import cross_matrix
-from app.planning.default_path import default_path
-from drivers.interfaces.records import Path
-from simulators import synthetic, turning_paths
-from simulators.hidden.effect import HiddenEffect
-from simulators.machine_file import parse_machine
-from simulators.recording import Recording
-from simulators.timeline import Program
-from simulators.truth_machine import perfect
+from truepath.app.alignment.align import align
+from truepath.app.estimation.batch import estimate
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.numerics.rigid import cross_matrix
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.recording import Recording
+from truepath.simulators.timeline import Program
+from truepath.simulators.truth_machine import perfect
 
 MACHINES, FIRST_SEED, POINTS, GRID = 20, 1, 200, 300
 OFF_MM = (0.005, 0.02, 0.1, 3.0)

@@ -9,33 +9,37 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import (
+from truepath.app.alignment.cell_blocks import (
     CellBlock,
     reduce_pass,
     reduce_standstills,
 )
-from app.alignment.cell_observations import join_blocks
-from app.alignment.cleaning import find_valid_samples, require_mm, require_seconds
-from app.alignment.driving import describe_driving
-from app.alignment.left_out import LeftOut, describe_unusable
-from app.alignment.measured_points import (
+from truepath.app.alignment.cell_observations import join_blocks
+from truepath.app.alignment.cleaning import (
+    find_valid_samples,
+    require_mm,
+    require_seconds,
+)
+from truepath.app.alignment.driving import describe_driving
+from truepath.app.alignment.left_out import LeftOut, describe_unusable
+from truepath.app.alignment.measured_points import (
     find_measured,
     list_as_stops,
     reduce_points,
 )
-from app.alignment.nominal_path import (
+from truepath.app.alignment.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from app.alignment.observations import Observations, Pass
-from app.alignment.reduction import CELL_MM
-from app.alignment.seating import find_seating, seat_targets
-from app.alignment.segmentation import Stream, cut_into_passes
-from app.alignment.sequence import Matching, match_stops, require_targets
-from app.alignment.stops import StopSequence, find_stops
-from app.alignment.surroundings import add_surroundings
-from app.errors import AlignmentError
-from app.files.run import PointRows, Run
+from truepath.app.alignment.observations import Observations, Pass
+from truepath.app.alignment.reduction import CELL_MM
+from truepath.app.alignment.seating import find_seating, seat_targets
+from truepath.app.alignment.segmentation import Stream, cut_into_passes
+from truepath.app.alignment.sequence import Matching, match_stops, require_targets
+from truepath.app.alignment.stops import StopSequence, find_stops
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.errors import AlignmentError
+from truepath.app.files.run import PointRows, Run
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _FEWEST_ASTRAY = 3  # standstills that a machine may make by itself

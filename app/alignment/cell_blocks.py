@@ -7,16 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.cell_gate import leave_out_cells
-from app.alignment.left_out import LeftOut, describe_samples
-from app.alignment.nominal_path import Curve, NominalPath
-from app.alignment.observations import Pass
-from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
-from app.alignment.segmentation import Stream
-from app.alignment.sequence import Matching
-from app.alignment.stops import StopSequence, standstill_speed_mm_s
-from app.files.run import Run
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.cell_gate import leave_out_cells
+from truepath.app.alignment.left_out import LeftOut, describe_samples
+from truepath.app.alignment.nominal_path import Curve, NominalPath
+from truepath.app.alignment.observations import Pass
+from truepath.app.alignment.reduction import (
+    CELL_MM,
+    Cells,
+    count_cells,
+    reduce_to_cells,
+)
+from truepath.app.alignment.segmentation import Stream
+from truepath.app.alignment.sequence import Matching
+from truepath.app.alignment.stops import StopSequence, standstill_speed_mm_s
+from truepath.app.files.run import Run
+from truepath.app.numerics.rigid import RigidTransform
 
 STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the least
 _TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end

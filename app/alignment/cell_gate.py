@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.lib.stride_tricks import sliding_window_view
 
-from app.alignment.left_out import LeftOut
-from app.alignment.reduction import Cells, beam_frame
-from app.kinematics.machine import TrackerNoise
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.reduction import Cells, beam_frame
+from truepath.app.kinematics.machine import TrackerNoise
 
 USUAL_OU = 0.15  # correlated part of the noise, of the stated one: hall and tracker
 _BESIDE = 4  # cells on either side

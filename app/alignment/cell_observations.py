@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.cell_blocks import CellBlock
-from app.alignment.left_out import LeftOut, gather
-from app.alignment.observations import Observations, Pass
-from app.alignment.seating import Seats, refer_to_first
-from app.files.run import Run
-from app.kinematics.conditions import Conditions
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.cell_blocks import CellBlock
+from truepath.app.alignment.left_out import LeftOut, gather
+from truepath.app.alignment.observations import Observations, Pass
+from truepath.app.alignment.seating import Seats, refer_to_first
+from truepath.app.files.run import Run
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.numerics.rigid import RigidTransform
 
 
 def join_blocks(

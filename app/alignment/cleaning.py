@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from numpy.lib.stride_tricks import sliding_window_view
 
-from app.errors import AlignmentError
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.errors import AlignmentError
+from truepath.drivers.interfaces.records import TrackerSamples
 
 _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _FASTEST_MM_S2 = 5000.0  # acceleration of a machine: no spike, however rare samples are

@@ -10,11 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from app.alignment.nominal_path import NominalPath
-from app.alignment.observations import Driving, Pass
-from app.alignment.segmentation import Stream
-from app.alignment.sequence import Matching
-from app.alignment.stops import StopSequence
+from truepath.app.alignment.nominal_path import NominalPath
+from truepath.app.alignment.observations import Driving, Pass
+from truepath.app.alignment.segmentation import Stream
+from truepath.app.alignment.sequence import Matching
+from truepath.app.alignment.stops import StopSequence
 
 _OTHER_FEED = 0.03  # of the commanded one; controllers keep it far better
 _STEADY_S = 0.5  # at least: a short line may not come to its feed

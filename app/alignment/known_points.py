@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.alignment.sequence import fit_rigid
-from app.errors import AlignmentError
-from app.files.run import Run
-from app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.alignment.align import align
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.sequence import fit_rigid
+from truepath.app.errors import AlignmentError
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 
 _NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
 _REPEATS_MM = 0.003  # machine and reflector, within minutes

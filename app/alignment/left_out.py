@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.alignment.cleaning import STALLED
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.alignment.cleaning import STALLED
+from truepath.drivers.interfaces.records import TrackerSamples
 
 Cause = Literal[
     "spikes",

@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.cell_blocks import CellBlock
-from app.alignment.left_out import LeftOut
-from app.alignment.nominal_path import NominalPath
-from app.alignment.reduction import Cells, beam_frame
-from app.alignment.sequence import Matching
-from app.alignment.stops import StopSequence
-from app.files.run import PointRows, Run
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.alignment.cell_blocks import CellBlock
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.nominal_path import NominalPath
+from truepath.app.alignment.reduction import Cells, beam_frame
+from truepath.app.alignment.sequence import Matching
+from truepath.app.alignment.stops import StopSequence
+from truepath.app.files.run import PointRows, Run
+from truepath.drivers.interfaces.records import TrackerSamples
 
 
 def find_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:

@@ -16,10 +16,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.kinematics.conditions import observe_targets
-from app.kinematics.machine import Machine, RotaryAxis
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path
+from truepath.app.kinematics.conditions import observe_targets
+from truepath.app.kinematics.machine import Machine, RotaryAxis
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
 _STRAIGHT_MM = 1e-6  # off the chord: rounding

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.alignment.left_out import LeftOut
-from app.alignment.reduction import CELL_S, beam_frame
-from app.kinematics.conditions import Conditions
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.reduction import CELL_S, beam_frame
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)

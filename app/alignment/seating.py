@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.kinematics.conditions import observe_targets
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.numerics.rigid import cross_matrix
-from drivers.interfaces.records import Path
+from truepath.app.kinematics.conditions import observe_targets
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.numerics.rigid import cross_matrix
+from truepath.drivers.interfaces.records import Path
 
 MOST_SIGMAS = 6.0  # that a target may sit off
 _LARGE_MM = 0.3  # below it levers and curves are as good as stated

@@ -18,11 +18,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
-from app.alignment.observations import Pass
-from app.alignment.sequence import TOLERANCE_MM, Matching
-from app.alignment.stops import StopSequence, speed_mm_s
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
+from truepath.app.alignment.observations import Pass
+from truepath.app.alignment.sequence import TOLERANCE_MM, Matching
+from truepath.app.alignment.stops import StopSequence, speed_mm_s
+from truepath.app.numerics.rigid import RigidTransform
 
 _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise

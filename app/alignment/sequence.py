@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.seating import MOST_SIGMAS, Seating, Seats
-from app.alignment.stop_chains import find_longest_chain, match_places
-from app.alignment.stops import StopSequence
-from app.errors import AlignmentError
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.seating import MOST_SIGMAS, Seating, Seats
+from truepath.app.alignment.stop_chains import find_longest_chain, match_places
+from truepath.app.alignment.stops import StopSequence
+from truepath.app.errors import AlignmentError
+from truepath.app.numerics.rigid import RigidTransform
 
 TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
 _WIDER_MM = 2.5, 5.0  # of a machine that is far off
@@ -69,6 +69,7 @@ def match_stops(
         pose = fit_rigid(seated[waypoint], places[stop])
         near_mm = TOLERANCE_MM + seating.reach_mm
         stop, waypoint = match_places(places, pose.apply(seated), near_mm)
+        _require_followed(len(stop), len(places), len(waypoint_mm), ordered_by)
         seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
     pose = fit_rigid(seated[waypoint], places[stop])
     _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
@@ -141,15 +142,20 @@ def _recognise(
             wider = find_longest_chain(places, waypoints, alike + within_mm)
             if len(wider[0]) >= clear:
                 return wider
-    if len(stop) < max(3, round(0.5 * min(w, max(m, 1)))):
-        raise AlignmentError(
-            f"the stream does not follow {ordered_by}: of {w} commanded standstills "
-            f"{len(stop)} were recognised among {m} in the stream; check that the "
-            "recording belongs to this path, has its order and measures the targets "
-            "that are named in it; a machine that errs by more than "
-            f"{_WIDER_MM[-1]:g} mm looks like this as well"
-        )
+    _require_followed(len(stop), m, w, ordered_by)
     return stop, waypoint
+
+
+def _require_followed(found: int, stops: int, waypoints: int, ordered_by: str) -> None:
+    if found < max(3, round(0.5 * min(waypoints, max(stops, 1)))):
+        raise AlignmentError(
+            f"the stream does not follow {ordered_by}: of {waypoints} commanded "
+            f"standstills {found} were recognised among {stops} in the stream; check "
+            "that the recording belongs to this path, has its order and measures the "
+            "targets that are named in it; a machine that errs by more than "
+            f"{_WIDER_MM[-1]:g} mm looks like this as well, and so does a control that "
+            "rounds corners where the rows have no dwell"
+        )
 
 
 def require_targets(

@@ -13,33 +13,33 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.cell_blocks import (
+from truepath.app.alignment.cell_blocks import (
     CellBlock,
     reduce_pass,
     reduce_standstills,
 )
-from app.alignment.cell_observations import join_blocks
-from app.alignment.cleaning import find_valid_samples
-from app.alignment.left_out import LeftOut, describe_unusable
-from app.alignment.nominal_path import compute_nominal_path
-from app.alignment.observations import Observations, Pass
-from app.alignment.seating import Seating, Seats, find_seating, seat_targets
-from app.alignment.segmentation import Stream, cut_into_passes
-from app.alignment.sequence import (
+from truepath.app.alignment.cell_observations import join_blocks
+from truepath.app.alignment.cleaning import find_valid_samples
+from truepath.app.alignment.left_out import LeftOut, describe_unusable
+from truepath.app.alignment.nominal_path import compute_nominal_path
+from truepath.app.alignment.observations import Observations, Pass
+from truepath.app.alignment.seating import Seating, Seats, find_seating, seat_targets
+from truepath.app.alignment.segmentation import Stream, cut_into_passes
+from truepath.app.alignment.sequence import (
     TOLERANCE_MM,
     Matching,
     fit_rigid,
     match_stops,
     seat_places,
 )
-from app.alignment.stop_chains import SKIP
-from app.alignment.stops import StopStream, join_stops
-from app.errors import AlignmentError
-from app.files.run import Run
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.numerics.rigid import RigidTransform
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.alignment.stop_chains import SKIP
+from truepath.app.alignment.stops import StopStream, join_stops
+from truepath.app.errors import AlignmentError
+from truepath.app.files.run import Run
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
 _WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose

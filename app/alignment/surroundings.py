@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.kinematics.conditions import RecordedState
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path, TemperatureSamples
+from truepath.app.alignment.observations import Observations
+from truepath.app.files.environment import interpolate, is_usable
+from truepath.app.kinematics.conditions import RecordedState
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path, TemperatureSamples
 
 
 def add_surroundings(
@@ -83,9 +84,13 @@ def _since_reversal(
 def _temperatures(
     samples: TemperatureSamples | None, time_s: Float64[np.ndarray, " n"]
 ) -> tuple[tuple[str, ...], Float64[np.ndarray, "n s"] | None]:
-    if samples is None or not len(samples.time_s):
+    """Return what sensors showed in each cell; one with a long hole is left out."""
+    if samples is None or not len(samples.time_s) or not len(time_s):
         return (), None
-    celsius = np.zeros((len(time_s), len(samples.names)))
-    for k in range(len(samples.names)):
-        celsius[:, k] = np.interp(time_s, samples.time_s, samples.celsius[:, k])
-    return samples.names, celsius
+    ends = float(time_s.min()), float(time_s.max())
+    used = {
+        name: interpolate(samples.time_s, column, time_s)
+        for name, column in zip(samples.names, samples.celsius.T, strict=True)
+        if is_usable(samples.time_s, column, *ends)
+    }
+    return (tuple(used), np.stack(list(used.values()), axis=1)) if used else ((), None)

@@ -1,6 +1,6 @@
 """HTTP under `/api/v1`: requests in, answers out; no science, no decisions.
 
-A route checks its body (`models`), calls one verb of `app.jobs` or reads the catalogue,
+A route checks its body (`models`), calls one verb of `jobs` or reads the catalogue,
 and describes the answer as clients see it. Every refusal is a problem of RFC 9457;
 `problems.py` leads from errors to problems. Requests that change something
 carry what makes them safe to repeat: an Idempotency-Key creates one job, and If-Match

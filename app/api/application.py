@@ -2,7 +2,7 @@
 
 The page at /docs is made of local files: the shop floor has no CDN. The description of
 the interface is checked in, so that a change is seen as one in review; it is written by
-`python -m app.api.application docs/openapi.json`.
+`python -m truepath.app.api.application docs/openapi.json`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
-from app.api import (
+from truepath.app.api import (
     events,
     jobs,
     machine,
@@ -29,15 +29,15 @@ from app.api import (
     results,
     runs,
 )
-from app.api.models.base import PREFIX
-from app.api.security import Guard
-from app.api.service import Service
+from truepath.app.api.models.base import PREFIX
+from truepath.app.api.security import Guard
+from truepath.app.api.service import Service
 
 MAX_BODY_BYTES = 1 << 20
 _FORM_BYTES = 1 << 20
 SCHEMA_PATH = "/api/v1/openapi.json"
-_ASSETS = files("app.web") / "static" / "vendor" / "swagger-ui"
-_SWAGGER = files("app.api") / "swagger"
+_ASSETS = files("truepath.app.web") / "static" / "vendor" / "swagger-ui"
+_SWAGGER = files("truepath.app.api") / "swagger"
 
 docs = APIRouter(include_in_schema=False)
 

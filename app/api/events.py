@@ -22,10 +22,10 @@ from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
-from app.api.jobs import describe_job
-from app.api.problems import declare_problems
-from app.api.service import Service, ServiceDep
-from app.jobs.job import Job, JobEvent, decode_job, format_utc_now
+from truepath.app.api.jobs import describe_job
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.jobs.job import Job, JobEvent, decode_job, format_utc_now
 
 TICK_S = 1.0
 WAITING = 50

@@ -10,8 +10,8 @@ from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Response
 
-from app.api.models.base import PREFIX, Problem
-from app.api.models.job import (
+from truepath.app.api.models.base import PREFIX, Problem
+from truepath.app.api.models.job import (
     DiscoveryLinks,
     JobLinks,
     JobOut,
@@ -20,16 +20,21 @@ from app.api.models.job import (
     Stopped,
     TrendLinks,
 )
-from app.api.models.job_request import JobRequest
-from app.api.models.plan import PlanOut
-from app.api.paging import PagingDep
-from app.api.problems import declare_problems, describe_failure
-from app.api.request_headers import IdempotencyKeyHeader, Version, format_etag, make_key
-from app.api.service import ServiceDep
-from app.errors import NotFound
-from app.jobs.job import Job
-from app.jobs.live_notice import OnNotice
-from app.jobs.transitions import State
+from truepath.app.api.models.job_request import JobRequest
+from truepath.app.api.models.plan import PlanOut
+from truepath.app.api.paging import PagingDep
+from truepath.app.api.problems import declare_problems, describe_failure
+from truepath.app.api.request_headers import (
+    IdempotencyKeyHeader,
+    Version,
+    format_etag,
+    make_key,
+)
+from truepath.app.api.service import ServiceDep
+from truepath.app.errors import NotFound
+from truepath.app.jobs.job import Job
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 stop = APIRouter(tags=["jobs"])

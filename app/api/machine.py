@@ -10,14 +10,14 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
-from app.api.problems import declare_problems
-from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from app.errors import NotFound
-from app.files.machine_file import machine_to_json
-from app.jobs.cell_supervisor import CellStatus
-from app.jobs.errors import NoMachine
-from app.jobs.job import format_utc_now
-from app.kinematics.machine import Machine
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from truepath.app.errors import NotFound
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.errors import NoMachine
+from truepath.app.jobs.job import format_utc_now
+from truepath.app.kinematics.machine import Machine
 
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])
@@ -42,6 +42,7 @@ class Connection(BaseModel):
     connected: bool
     tracker: DeviceIdentity | None
     motion: DeviceIdentity | None
+    thermometers: DeviceIdentity | None = None
 
 
 class MachineOut(Connection):

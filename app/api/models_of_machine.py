@@ -11,15 +11,15 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from app.api.models.base import JOB_ID, Identifier, Links
-from app.api.paging import PagingDep
-from app.api.problems import declare_problems
-from app.api.service import Service, ServiceDep
-from app.errors import NotFound
-from app.files.verdict import State as VerdictState
-from app.jobs.job import Job, JobKind
-from app.jobs.transitions import State
-from app.results.model_history import (
+from truepath.app.api.models.base import JOB_ID, Identifier, Links
+from truepath.app.api.paging import PagingDep
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.errors import NotFound
+from truepath.app.files.verdict import State as VerdictState
+from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.transitions import State
+from truepath.app.results.model_history import (
     find_model_file,
     read_difference,
     read_growth,

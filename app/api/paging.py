@@ -11,9 +11,9 @@ from fastapi import Depends, Query, Request, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
-from app.errors import BadInput
-from app.jobs.job import Job
-from app.jobs.runs import RunRecord
+from truepath.app.errors import BadInput
+from truepath.app.jobs.job import Job
+from truepath.app.jobs.runs import RunRecord
 
 Limit = Annotated[int, Query(ge=1, le=200, description="Entries on a page.")]
 After = Annotated[

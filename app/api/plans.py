@@ -8,8 +8,8 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
-from app.api.models.base import PREFIX, Mm, Problem
-from app.api.models.plan import (
+from truepath.app.api.models.base import PREFIX, Mm, Problem
+from truepath.app.api.models.plan import (
     PlanCheck,
     PlanCheckOut,
     PlanLinks,
@@ -17,18 +17,18 @@ from app.api.models.plan import (
     PlanRequest,
     PlanResource,
 )
-from app.api.problems import declare_problems, describe_failure
-from app.api.request_headers import IdempotencyKeyHeader, format_etag, make_key
-from app.api.service import Service, ServiceDep
-from app.errors import NotFound
-from app.files.commanded_file import decode_commanded_json
-from app.jobs.errors import NoMachine
-from app.jobs.job import Job, JobKind
-from app.jobs.plan_orders import check_rows
-from app.jobs.requested_job import RequestedJob
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded
-from app.motion.nc_programs.programs import (
+from truepath.app.api.problems import declare_problems, describe_failure
+from truepath.app.api.request_headers import IdempotencyKeyHeader, format_etag, make_key
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.errors import NotFound
+from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.jobs.errors import NoMachine
+from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.plan_orders import check_rows
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.nc_programs.programs import (
     list_dialects,
     name_control,
     name_file,
@@ -185,7 +185,7 @@ def get_plan_grade(
     job = service.store.get(job_id)
     set_up = _read_set_up(job, service, "commands nothing to be graded")
     # Imported where it computes: the service itself carries no science.
-    from app.results.grade_json import grade_set_up
+    from truepath.app.results.grade_json import grade_set_up
 
     only = job.perpendicular_only
     found = grade_set_up(*set_up, tracker_mm=tracker_mm, perpendicular_only=only)

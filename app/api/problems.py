@@ -21,10 +21,10 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.types import Scope
 
-from app import errors as app_errors
-from app.api.models.base import Problem
-from app.jobs import errors as job_errors
-from app.jobs.job import Failure
+from truepath.app import errors as app_errors
+from truepath.app.api.models.base import Problem
+from truepath.app.jobs import errors as job_errors
+from truepath.app.jobs.job import Failure
 
 MAX_ERRORS = 20
 MEDIA_TYPE = "application/problem+json"
@@ -40,14 +40,15 @@ class ProblemKind:
     action: str
 
 
-_TABLE = tomllib.loads(files("app.api").joinpath("problems.toml").read_text("utf-8"))
+_TABLE = tomllib.loads(
+    files("truepath.app.api").joinpath("problems.toml").read_text("utf-8")
+)
 
 PROBLEM_KINDS: Mapping[type[Exception], ProblemKind] = {
     getattr(import_module(module), family): ProblemKind(**kind)
     for module, families in _TABLE["families"].items()
     for family, kind in families.items()
 }
-_BY_NAME = {family.__name__: kind for family, kind in PROBLEM_KINDS.items()}
 
 BY_STATUS: Mapping[int, ProblemKind] = {
     int(status): ProblemKind(int(status), **kind)
@@ -57,17 +58,25 @@ BY_STATUS: Mapping[int, ProblemKind] = {
 INTERNAL = BY_STATUS[500]
 
 
-def find_kind(error: Exception) -> ProblemKind:
+def find_kind(error: type[Exception]) -> ProblemKind:
     """Return the kind of a problem that an error is; the nearest family counts."""
-    for family in type(error).__mro__:
+    for family in error.__mro__:
         if family in PROBLEM_KINDS:
             return PROBLEM_KINDS[family]
     return INTERNAL
 
 
+_BY_NAME = {
+    name: find_kind(error)
+    for module in _TABLE["families"]
+    for name, error in vars(import_module(module)).items()
+    if isinstance(error, type) and issubclass(error, Exception)
+}
+
+
 def describe_error(error: Exception) -> dict[str, Any]:
     """Return the problem that an error is, without what only the request knows."""
-    kind = find_kind(error)
+    kind = find_kind(type(error))
     if kind is INTERNAL:
         return problem(kind)
     extra: dict[str, Any] = {}

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
-from app.api.models.trend import TrendOut
-from app.api.problems import declare_problems
-from app.api.service import Service, ServiceDep
-from app.errors import NotFound
-from app.files.verdict import Verdict, verdict_from_json, verdict_json
+from truepath.app.api.models.trend import TrendOut
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.errors import NotFound
+from truepath.app.files.verdict import Verdict, verdict_from_json, verdict_json
 
 router = APIRouter(prefix="/jobs", tags=["results"])
 

@@ -12,13 +12,13 @@ from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from app.api.models.base import PREFIX, Links
-from app.api.paging import PagingDep
-from app.api.problems import declare_problems
-from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from app.files.bundle import check_archive
-from app.jobs.errors import DiskFull
-from app.jobs.runs import RunRecord
+from truepath.app.api.models.base import PREFIX, Links
+from truepath.app.api.paging import PagingDep
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from truepath.app.files.bundle import check_archive
+from truepath.app.jobs.errors import DiskFull
+from truepath.app.jobs.runs import RunRecord
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])

@@ -19,7 +19,7 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.api.problems import (
+from truepath.app.api.problems import (
     BY_STATUS,
     INTERNAL,
     ProblemKind,

@@ -13,8 +13,8 @@ import uvicorn
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
-from app.api.service import Service
-from app.errors import BadInput
+from truepath.app.api.service import Service
+from truepath.app.errors import BadInput
 
 GRACE_S = 3
 """How long an answer under way may take once the service has to end."""

@@ -10,14 +10,14 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.database import Database
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.event_bus import EventBus
-from app.jobs.job import JobEvent
-from app.jobs.runs import RunCatalogue
-from app.jobs.store import Store
-from app.kinematics.machine import Machine
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.job import JobEvent
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.store import Store
+from truepath.app.kinematics.machine import Machine
 
 LEAST_FREE_BYTES = 500 << 20
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from app.cli.summary import (
+from truepath.app.cli.summary import (
     describe_effect,
     print_result,
     print_verdict,
     summarise_result,
     warn_of_verdict,
 )
-from app.cli.terminal import (
+from truepath.app.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
@@ -27,11 +27,11 @@ from app.cli.terminal import (
     say,
     show_progress,
 )
-from app.files.verdict import verdict_json
+from truepath.app.files.verdict import verdict_json
 
 if TYPE_CHECKING:
-    from app.numerics.adaptive_trials import Mapper
-    from app.results.prediction import Prediction
+    from truepath.app.numerics.adaptive_trials import Mapper
+    from truepath.app.results.prediction import Prediction
 
 
 def analyse(
@@ -67,15 +67,15 @@ def analyse(
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
     collect_seldom()
-    from app.estimation.prior_model import read_prior_model
-    from app.files.bundle import read_bundle
-    from app.numerics.adaptive_trials import TrialPlan
-    from app.reporting.analysis_files import (
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.files.bundle import read_bundle
+    from truepath.app.numerics.adaptive_trials import TrialPlan
+    from truepath.app.reporting.analysis_files import (
         read_runs,
         render_analysis,
         write_analysis,
     )
-    from app.results.analysis import analyse
+    from truepath.app.results.analysis import analyse
 
     require_folder(output, "the results")
     workers = _open_workers() if monte_carlo else nullcontext(map)
@@ -124,11 +124,11 @@ def discover(
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
     collect_seldom()
-    from app.estimation.prior_model import read_prior_model
-    from app.files.bundle import read_bundle
-    from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_report import write_discovery
-    from app.results.discovery import discover_runs
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.files.bundle import read_bundle
+    from truepath.app.reporting.analysis_files import read_runs
+    from truepath.app.reporting.discovery_report import write_discovery
+    from truepath.app.results.discovery import discover_runs
 
     require_folder(output, "the results")
     with show_progress("discover") as on_progress:
@@ -157,7 +157,7 @@ def predict(
     json: Json = False,
 ) -> None:
     """Volumetric error and its standard uncertainty at any points."""
-    from app.results.points_csv import predict_points
+    from truepath.app.results.points_csv import predict_points
 
     predicted = predict_points(result, points, output)
     warn_of_verdict(verdict_json(predicted.verdict))
@@ -171,8 +171,8 @@ def predict(
 
 def _open_workers() -> AbstractContextManager[Mapper]:
     # Only trials ask who computes: settings and workers are not loaded for others.
-    from app.jobs.workers import choose_workers, open_workers
-    from app.settings import load_settings
+    from truepath.app.jobs.workers import choose_workers, open_workers
+    from truepath.app.settings import load_settings
 
     return open_workers(choose_workers(load_settings()))
 

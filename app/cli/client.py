@@ -9,10 +9,10 @@ from http.client import HTTPConnection, HTTPException
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.cli.terminal import NotedProgress, print_stages, say
-from app.errors import JobError, MeasurementFailed, TruepathError
-from app.files.verdict import TITLES
-from app.jobs.transitions import FINAL
+from truepath.app.cli.terminal import NotedProgress, print_stages, say
+from truepath.app.errors import JobError, MeasurementFailed, TruepathError
+from truepath.app.files.verdict import TITLES
+from truepath.app.jobs.transitions import FINAL
 
 READY_TIMEOUT_S = 60.0
 _TIMEOUT_S = 30.0

@@ -10,17 +10,18 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from app.cli import (
+from truepath.app.cli import (
     analysis_commands,
+    driver_commands,
     import_command,
     planning_commands,
     result_commands,
     service_commands,
     trend_commands,
 )
-from app.errors import BadInput, TruepathError
-from app.thread_limits import choose_thread_limits
-from drivers.interfaces.errors import DeviceError
+from truepath.app.errors import BadInput, TruepathError
+from truepath.app.thread_limits import choose_thread_limits
+from truepath.drivers.interfaces.errors import DeviceError
 
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
 _CTRL_C = 130  # as Typer answers it
@@ -66,6 +67,7 @@ def truepath(
 # In the order in which --help lists them: as they are used.
 app.command()(service_commands.serve)
 app.command()(service_commands.demo)
+app.command()(driver_commands.drivers)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
     context_settings={

@@ -16,21 +16,21 @@ from typing import Any
 
 import numpy as np
 
-from app.cli.summary import print_result, summarise_result, warn_of_verdict
-from app.cli.terminal import NotedProgress, print_json, say, show_progress
-from app.compensation.remaining_error import remove_rigid_motion
-from app.errors import BadInput, MeasurementFailed, PlanningError
-from app.files.bundle import write_bundle
-from app.files.commanded_file import decode_commanded_json
-from app.files.machine_file import decode_machine
-from app.files.result_file import result_from_json
-from app.files.run import Run
-from app.jobs.live_estimation import LiveEstimation, LiveSteering
-from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.plan_orders import order_first_part, plan_measurement
-from app.kinematics.machine import Machine
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.cli.summary import print_result, summarise_result, warn_of_verdict
+from truepath.app.cli.terminal import NotedProgress, print_json, say, show_progress
+from truepath.app.compensation.remaining_error import remove_rigid_motion
+from truepath.app.errors import BadInput, MeasurementFailed, PlanningError
+from truepath.app.files.bundle import write_bundle
+from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.files.machine_file import decode_machine
+from truepath.app.files.result_file import result_from_json
+from truepath.app.files.run import Run
+from truepath.app.jobs.live_estimation import LiveEstimation, LiveSteering
+from truepath.app.jobs.live_process import LiveEstimateOrder
+from truepath.app.jobs.plan_orders import order_first_part, plan_measurement
+from truepath.app.kinematics.machine import Machine
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     CellState,
     FaultReported,
@@ -38,16 +38,16 @@ from app.measurement.messages import (
     MeasurementProgress,
     RunClosed,
 )
-from app.measurement.run_reading import open_run
-from app.motion.configurations import Commanded
-from app.motion.motion_times import travel_time_s
-from app.motion.travel import check_travel
-from app.planning.default_path import default_path
-from app.plugins import load
-from app.reporting.analysis_files import render_analysis, write_analysis
-from app.results.analysis import analyse
-from app.results.prediction import predict
-from drivers.interfaces.records import Path as ToolPath
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import travel_time_s
+from truepath.app.motion.travel import check_travel
+from truepath.app.planning.default_path import default_path
+from truepath.app.plugins import load
+from truepath.app.reporting.analysis_files import render_analysis, write_analysis
+from truepath.app.results.analysis import analyse
+from truepath.app.results.prediction import predict
+from truepath.drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
 ADAPTIVE_MINUTES = 5.0
@@ -128,7 +128,12 @@ class Demo:
         run_file = self.output / "run.sqlite"
         run_file.unlink(missing_ok=True)
         config = CellConfig(
-            "streaming", bench.tracker_options, "modbus", bench.motion_options
+            "streaming",
+            bench.tracker_options,
+            "modbus",
+            bench.motion_options,
+            thermometer_driver="modbus-registers",
+            thermometer_options=bench.thermometer_options,
         )
         order = MeasurementOrder(
             "demo", str(run_file), machine, path, grows=self.adaptive

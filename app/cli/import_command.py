@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from app.cli.terminal import (
+from truepath.app.cli.terminal import (
     Json,
     list_files,
     print_files,
@@ -17,11 +17,11 @@ from app.cli.terminal import (
     require_folder,
     say,
 )
-from app.errors import AlignmentError, BadInput
+from truepath.app.errors import AlignmentError, BadInput
 
 if TYPE_CHECKING:
-    from app.files.run import Run
-    from app.files.tracker_text.recording import Recording
+    from truepath.app.files.run import Run
+    from truepath.app.files.tracker_text.recording import Recording
 
 _CSV = ".csv"
 
@@ -87,12 +87,12 @@ def import_recording(
     json: Json = False,
 ) -> None:
     """A recording of any tracker's software, as a bundle for `analyse`."""
-    from app.files.bundle import write_bundle
-    from app.files.recorded_files import MAX_STREAM_TEXT_BYTES
-    from app.files.run import Run
-    from app.files.tracker_text.options import TextOptions, parse_columns
-    from app.files.tracker_text.recording import read_recording
-    from app.files.whole_files import read_whole
+    from truepath.app.files.bundle import write_bundle
+    from truepath.app.files.recorded_files import MAX_STREAM_TEXT_BYTES
+    from truepath.app.files.run import Run
+    from truepath.app.files.tracker_text.options import TextOptions, parse_columns
+    from truepath.app.files.tracker_text.recording import read_recording
+    from truepath.app.files.whole_files import read_whole
 
     require_folder(output, "the bundle")
     options = TextOptions(
@@ -131,9 +131,9 @@ def import_recording(
 
 
 def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, str]:
-    from app.files.commanded_file import read_set_up
-    from app.files.commanded_program import read_commanded_program
-    from app.files.machine_file import read_machine
+    from truepath.app.files.commanded_file import read_set_up
+    from truepath.app.files.commanded_program import read_commanded_program
+    from truepath.app.files.machine_file import read_machine
 
     if path.suffix.lower() == _CSV:
         return *read_set_up(machine, path), "rows"
@@ -144,7 +144,7 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
 
 def _check_alignment(run: Run) -> None:
     """Refuse a recording that does not fit what was commanded; name a mirrored one."""
-    from app.alignment.align import align
+    from truepath.app.alignment.align import align
 
     try:
         align(run)

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.summary import UNITS, describe_effect, find_unit, warn_of_verdict
-from app.cli.terminal import (
+from truepath.app.cli.summary import UNITS, describe_effect, find_unit, warn_of_verdict
+from truepath.app.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
@@ -22,7 +22,7 @@ from app.cli.terminal import (
     require_folder,
     show_progress,
 )
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 
 def grade(
@@ -44,8 +44,8 @@ def grade(
 ) -> None:
     """What a set-up is worth, from its geometry alone; nothing moves."""
     collect_seldom()
-    from app.files.commanded_file import read_set_up
-    from app.results.grade_json import grade_set_up
+    from truepath.app.files.commanded_file import read_set_up
+    from truepath.app.results.grade_json import grade_set_up
 
     place = None if tracker is None else _parse_place(tracker)
     found = grade_set_up(
@@ -117,13 +117,13 @@ def plan(
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
     collect_seldom()
-    from app.estimation.prior_model import read_prior_model
-    from app.files.machine_file import read_machine
-    from app.files.workspace_file import read_workspace
-    from app.motion.workspace import Workspace
-    from app.planning.plan_making import make_plan
-    from app.planning.plan_order import PlanOrder
-    from app.reporting.plan_report import write_plan
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.files.machine_file import read_machine
+    from truepath.app.files.workspace_file import read_workspace
+    from truepath.app.motion.workspace import Workspace
+    from truepath.app.planning.plan_making import make_plan
+    from truepath.app.planning.plan_order import PlanOrder
+    from truepath.app.reporting.plan_report import write_plan
 
     request = PlanOrder(
         mode,
@@ -177,7 +177,7 @@ def _parse_place(text: str) -> list[float]:
 
 
 def _print_plan(document: Mapping[str, Any]) -> None:
-    from app.reporting.plan_report import explain_feeds
+    from truepath.app.reporting.plan_report import explain_feeds
 
     predicted = document["predicted"]
     _print_predicted(document["machine"]["name"], predicted)

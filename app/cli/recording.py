@@ -10,12 +10,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from app.cli.terminal import say, show_progress
-from app.measurement.messages import RunClosed
-from app.measurement.recorder import Recorder
-from app.measurement.run_file import RunHeader
-from app.measurement.stream_reader import StreamState, record_stream
-from drivers.interfaces.tracker import Tracker
+from truepath.app.cli.terminal import say, show_progress
+from truepath.app.files.refraction import choose_refraction
+from truepath.app.measurement.environment_reader import (
+    EnvironmentReader,
+    list_groups,
+    name_channels,
+)
+from truepath.app.measurement.faults import Fault
+from truepath.app.measurement.messages import RunClosed
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.run_file import RunHeader
+from truepath.app.measurement.stream_reader import StreamState, record_stream
+from truepath.drivers.interfaces.thermometers import Thermometers
+from truepath.drivers.interfaces.tracker import Tracker
+from truepath.drivers.interfaces.tracker_records import Light
 
 _NOTES = {
     StreamState.GOOD: "",
@@ -27,7 +36,13 @@ _NOTES = {
 
 
 def record_run(
-    tracker: Tracker, header: RunHeader, file: Path, seconds: float | None
+    tracker: Tracker,
+    header: RunHeader,
+    file: Path,
+    seconds: float | None,
+    *,
+    thermometers: Thermometers | None = None,
+    light: Light | None = None,
 ) -> RunClosed:
     """Record until Ctrl-C, or for so many seconds; close the Run whatever happens.
 
@@ -39,7 +54,21 @@ def record_run(
         show_progress("record") as on_progress,
     ):
         who = {"tracker": tracker.connect()}
-        recorder = Recorder(file, replace(header, devices=who))
+        groups = list_groups(tracker, thermometers)
+        header = replace(
+            header,
+            devices=who,
+            channels=name_channels(groups),
+            refraction=choose_refraction(tracker.capabilities, light),
+        )
+        recorder = Recorder(file, header)
+
+        def on_notice(notice: Fault) -> None:
+            recorder.event(notice.code, notice.text)
+            say(notice.text)
+
+        environment = EnvironmentReader(groups, recorder, on_notice)
+        environment.start()
         outcome = "failed"
         start_s = time.monotonic()
         has_samples = False
@@ -57,6 +86,9 @@ def record_run(
             record_stream(tracker, recorder, header.rate_hz, end.wait, on_samples)
             outcome = "finished"
         finally:
+            environment.stop()
+            if thermometers is not None:
+                thermometers.close()
             closed = recorder.close(outcome)
     return closed
 

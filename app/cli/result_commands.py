@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from app.cli.summary import UNITS, find_unit, print_verdict, warn_of_verdict
-from app.cli.terminal import (
+from truepath.app.cli.summary import UNITS, find_unit, print_verdict, warn_of_verdict
+from truepath.app.cli.terminal import (
     Json,
     OutputFolder,
     ResultFile,
@@ -21,7 +21,7 @@ from app.cli.terminal import (
     require_folder,
     say,
 )
-from app.errors import BadInput, NotUsable
+from truepath.app.errors import BadInput, NotUsable
 
 
 def compare(
@@ -44,8 +44,8 @@ def compare(
 ) -> None:
     """A result against a direct measurement of single error motions."""
     collect_seldom()
-    from app.reporting.comparison_report import compare_files
-    from app.results.comparison import ReferenceUncertainty
+    from truepath.app.reporting.comparison_report import compare_files
+    from truepath.app.results.comparison import ReferenceUncertainty
 
     require_folder(output, "the comparison")
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
@@ -69,6 +69,13 @@ def export(
     spacing: Annotated[
         float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
     ] = 10.0,
+    unmeasured: Annotated[
+        Literal["hold", "fade", "refuse"],
+        typer.Option(
+            help="Where an axis was not measured: hold the last value, fade to 0, or "
+            "refuse to write.",
+        ),
+    ] = "hold",
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -80,11 +87,17 @@ def export(
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
     collect_seldom()
-    from app.compensation.export import export_files
+    from truepath.app.compensation.export import export_files
+    from truepath.app.compensation.unmeasured import Unmeasured
 
     try:
         account = export_files(
-            result, format, output, spacing_mm=spacing, accept_verdict=accept_verdict
+            result,
+            format,
+            output,
+            spacing_mm=spacing,
+            unmeasured=Unmeasured(unmeasured),
+            accept_verdict=accept_verdict,
         )
     except NotUsable as error:
         raise BadInput(f"{error} --accept-verdict writes it all the same") from error
@@ -103,15 +116,30 @@ def export(
 
 def _print_compensation(account: Mapping[str, Any]) -> None:
     error = account["volumetric_error_um"]
-    before, after = error["before"]["mean"], error["after"]["mean"]
     print(f"carries: {account['carries']}")
     print(f"not carried: {account['not_carried']}")
-    print(f"mean volumetric error {before:.2f} µm, with these tables {after:.2f} µm")
-    print(f"lost between rows: {account['interpolation_loss_um']:.2f} µm at most")
+    print(
+        f"mean volumetric error {error['before']['mean']:.2f} µm, "
+        f"with these tables {_state_left(error['after'])}"
+    )
+    if account["unmeasured"] and (inside := error["after_where_measured"]):
+        print(f"where every axis was measured {_state_left(inside)}")
+    reasons = (
+        f"{reason.replace('_', ' ')} {value:.2f}"
+        for reason, value in account["left_um"].items()
+        if reason != "map"
+    )
+    print(f"of that, root mean squares in µm: {', '.join(reasons)}")
+    for statement in account["unmeasured"]:
+        print(f"not measured: {statement}")
     print(f"do: {account['note']}")
     for statement in account["unobservable"]:
         print(f"not in the tables: {statement}")
     print_files(account["files"])
+
+
+def _state_left(after: Mapping[str, float]) -> str:
+    return f"{after['mean']:.2f} ± {2.0 * after['mean_uncertainty']:.2f} µm (k = 2)"
 
 
 def _print_comparison(content: Mapping[str, Any], files: Sequence[Path]) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.terminal import (
+from truepath.app.cli.terminal import (
     Json,
     OutputFolder,
     collect_seldom,
@@ -15,7 +15,7 @@ from app.cli.terminal import (
     print_files,
     print_json,
 )
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 
 def serve(
@@ -50,9 +50,9 @@ def serve(
     ] = False,
 ) -> None:
     """REST API and operator page."""
-    from app.cli.client import calibrate
-    from app.main import serve
-    from app.settings import load_settings
+    from truepath.app.cli.client import calibrate
+    from truepath.app.main import serve
+    from truepath.app.settings import load_settings
 
     settings = load_settings(
         config,
@@ -98,7 +98,7 @@ def demo(
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
     collect_seldom()
-    from app.cli.demo import Demo
+    from truepath.app.cli.demo import Demo
 
     faults = tuple(fault or ())
     shown = Demo(output, feed, minutes, speed, seed, faults, target_um, adaptive)
@@ -107,7 +107,7 @@ def demo(
 
 def simulate(context: typer.Context) -> None:
     """Simulated tracker and CNC as stand-alone processes, for test rigs."""
-    from app.plugins import load
+    from truepath.app.plugins import load
 
     simulator = load("truepath.simulators", "command")
     raise typer.Exit(simulator(context.args) or 0)
@@ -131,14 +131,14 @@ def record(
     json: Json = False,
 ) -> None:
     """The tracker's stream beside a CNC without any link, as a bundle to analyse."""
-    from app.cli.recording import record_run
-    from app.files.bundle import write_bundle
-    from app.files.commanded_file import read_set_up
-    from app.measurement.run_file import RunHeader
-    from app.measurement.run_reading import open_run
-    from app.plugins import load
-    from app.settings import load_settings
-    from drivers.interfaces.tracker import PolledTracker
+    from truepath.app.cli.recording import record_run
+    from truepath.app.device_options import make_device
+    from truepath.app.files.bundle import write_bundle
+    from truepath.app.files.commanded_file import read_set_up
+    from truepath.app.measurement.run_file import RunHeader
+    from truepath.app.measurement.run_reading import open_run
+    from truepath.app.settings import load_settings
+    from truepath.drivers.interfaces.tracker import PolledTracker
 
     settings = load_settings(config)
     machine_file = machine or settings.machine_file
@@ -150,15 +150,26 @@ def record(
     run_file = output / "run.sqlite"
     if run_file.exists():
         raise BadInput(f"{run_file}: is there already; name another folder")
-    open_tracker = load("truepath.trackers", settings.tracker_driver)
-    tracker = open_tracker(**settings.tracker_options)
+    tracker = make_device("tracker", settings.tracker_driver, settings.tracker_options)
     if isinstance(tracker, PolledTracker):
         raise BadInput(
             f"tracker_driver {settings.tracker_driver} measures point by point, so it "
             "records nothing while a program runs; use a tracker that streams"
         )
+    thermometers = None
+    if settings.thermometer_driver:
+        thermometers = make_device(
+            "thermometer", settings.thermometer_driver, settings.thermometer_options
+        )
     output.mkdir(parents=True, exist_ok=True)
-    closed = record_run(tracker, header, run_file, seconds)
+    closed = record_run(
+        tracker,
+        header,
+        run_file,
+        seconds,
+        thermometers=thermometers,
+        light=settings.light,
+    )
     write_bundle(open_run(run_file), output)
     if json:
         counts = {"samples": closed.samples, "lost_samples": closed.lost_samples}

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.cli.terminal import list_files, print_files, print_table, say
-from app.files.verdict import verdict_from_json
+from truepath.app.cli.terminal import list_files, print_files, print_table, say
+from truepath.app.files.verdict import verdict_from_json
 
 Result = Mapping[str, Any]
 UNITS = {"um": "µm", "urad": "µrad"}

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.summary import print_verdict, warn_of_verdict
-from app.cli.terminal import (
+from truepath.app.cli.summary import print_verdict, warn_of_verdict
+from truepath.app.cli.terminal import (
     Json,
     OutputFolder,
     collect_seldom,
@@ -19,7 +19,7 @@ from app.cli.terminal import (
     require_folder,
     show_progress,
 )
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 
 def trend(
@@ -61,10 +61,10 @@ def trend(
 ) -> None:
     """The machine over time: tables at each measurement, later, when to repeat."""
     collect_seldom()
-    from app.files.bundle import read_bundle
-    from app.reporting.analysis_files import read_runs
-    from app.reporting.trend_report import write_trend
-    from app.results.trend import HOUR_S, Question, follow_machine
+    from truepath.app.files.bundle import read_bundle
+    from truepath.app.reporting.analysis_files import read_runs
+    from truepath.app.reporting.trend_report import write_trend
+    from truepath.app.results.trend import HOUR_S, Question, follow_machine
 
     require_folder(output, "the trend")
     with show_progress("trend") as on_progress:

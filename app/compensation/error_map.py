@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.format import AxisTable, PairTable
-from app.files.result_file import CalibrationResult
-from app.files.units import UM_PER_MM
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import reference_position_mm
-from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import DIRECTION, LINEAR, is_turn
-from app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.app.compensation.format import AxisTable, PairTable
+from truepath.app.compensation.unmeasured import MeasuredRange
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import reference_position_mm
+from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.symbols import DIRECTION, LINEAR, is_turn
+from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
 _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
@@ -127,25 +128,34 @@ def map_errors(result: CalibrationResult) -> ErrorMap:
 
 
 def tabulate_axis(
-    errors: ErrorMap, axis: LinearAxis, spacing_mm: float, most_points: int
+    errors: ErrorMap, measured: MeasuredRange, spacing_mm: float, most_points: int
 ) -> AxisTable:
-    """Return the table of an axis, rows at most `spacing_mm` apart where they fit."""
+    """Return the table of an axis, rows at most `spacing_mm` apart where they fit.
+
+    It is 0 where the axis comes to its reference in + direction, as one that is
+    referenced does.
+    """
+    axis = measured.axis
     travel = axis.high - axis.low
     wanted = math.ceil(travel / spacing_mm - 1e-9) + 1
     count = int(np.clip(wanted, 2, most_points))
     at_mm = np.linspace(axis.low, axis.high, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
-    place = errors.move_axis(axis, at_mm, errors.middle_mm)
+    seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
+    place = errors.move_axis(axis, seen_mm, errors.middle_mm)
     forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
-    zero = 0.5 * (forward + backward)[reference]
+    zero = forward[reference]
+    translation, rotation = _tabulate_motions(errors, axis, seen_mm)
+    pair = _tabulate_pair(errors, axis, seen_mm, most_points // count)
     return AxisTable(
         axis,
         at_mm,
         reference,
-        forward - zero,
-        backward - zero,
-        *_tabulate_motions(errors, axis, at_mm),
-        _tabulate_pair(errors, axis, at_mm, most_points // count),
+        weight * (forward - zero),
+        weight * (backward - zero),
+        weight * translation,
+        weight * rotation,
+        pair and replace(pair, error_mm=weight * pair.error_mm),
     )
 
 

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
-from app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
-from app.compensation.format import (
+from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
+from truepath.app.compensation.format import (
     AxisTable,
     CompensationFormat,
     CompensationTables,
+    Correction,
 )
-from app.compensation.remaining_error import (
+from truepath.app.compensation.remaining_error import (
     GRID,
     RANDOM,
+    RemainingError,
     evaluate_effects,
-    measure_lengths,
+    find_remaining,
 )
-from app.errors import BadInput
-from app.files.file_model import encode_json
-from app.files.result_file import read_result
-from app.files.units import UM_PER_MM
-from app.files.verdict import verdict_json
-from app.files.whole_files import replace_file
-from app.plugins import load
+from truepath.app.compensation.unmeasured import (
+    MeasuredRange,
+    Unmeasured,
+    find_measured_ranges,
+)
+from truepath.app.errors import BadInput
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.result_file import read_result
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.verdict import verdict_json
+from truepath.app.files.whole_files import replace_file
+from truepath.app.plugins import load
 
 GROUP = "truepath.compensation_formats"
 SPACING_MM = 10.0
@@ -51,6 +61,7 @@ def export_files(
     output: str | Path,
     *,
     spacing_mm: float = SPACING_MM,
+    unmeasured: Unmeasured = Unmeasured.HOLD,
     accept_verdict: bool = False,
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
@@ -58,6 +69,7 @@ def export_files(
     A single file is written to `output` itself; the names of several begin with the
     stem of `output`. Returns the account, `files` as paths.
 
+    unmeasured : what tables have where an axis was not measured
     accept_verdict : write the files of a result that is not to be used all the same
 
     Raises BundleError with the place in the result, BadInput as `export_result`,
@@ -68,7 +80,9 @@ def export_files(
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
     errors = map_errors(loaded)
-    export = export_result(errors, name, place.stem, spacing_mm=spacing_mm)
+    export = export_result(
+        errors, name, place.stem, spacing_mm=spacing_mm, unmeasured=unmeasured
+    )
     place.parent.mkdir(parents=True, exist_ok=True)
     alone = len(export.files) == 1 and place.suffix not in ("", suffix)
     written: list[str] = []
@@ -83,50 +97,105 @@ def export_files(
 
 
 def export_result(
-    errors: ErrorMap, name: str, stem: str, *, spacing_mm: float = SPACING_MM
+    errors: ErrorMap,
+    name: str,
+    stem: str,
+    *,
+    spacing_mm: float = SPACING_MM,
+    unmeasured: Unmeasured = Unmeasured.HOLD,
 ) -> Export:
     """Return the files of a format and their account.
 
     name : of an installed format; stem : of the file names
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
+    unmeasured : what tables have where an axis was not measured
 
-    Raises BadInput for an unknown format, or if the files, read back by the rule of the
-    controller, do not make the error smaller.
+    Raises BadInput for an unknown format, where a part of the travel was not measured
+    and is to be refused, or if the files, read back by the rule of the controller, do
+    not make the error smaller.
     """
-    kind = _load_format(name)
-    stamp = _write_stamp(errors, name)
+    kind, found = _load_format(name), errors.result.measured
+    measured = find_measured_ranges(errors.machine, found, unmeasured)
+    gaps = [one.describe() for one in measured.values() if one.missing]
+    stamp = _write_stamp(errors, name, gaps)
 
-    def tabulate(of: ErrorMap) -> CompensationTables:
-        most = kind.most_points
-        tables = tuple(tabulate_axis(of, axis, spacing_mm, most) for axis in of.axes)
+    def tabulate(
+        of: ErrorMap, among: Mapping[str, MeasuredRange] = measured
+    ) -> CompensationTables:
+        tables = tuple(
+            tabulate_axis(of, among[axis.name], spacing_mm, kind.most_points)
+            for axis in of.axes
+        )
         return CompensationTables(stem, of.machine, tables, stamp)
+
+    def read_back(among: Mapping[str, MeasuredRange]) -> Correction:
+        return kind.read(kind.write(tabulate(errors, among)), errors.machine)
 
     content = tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
-    before, after = measure_lengths(errors), measure_lengths(errors, correction)
-    _require_gain(kind, before["mean"], after["mean"])
+    before = find_remaining(errors, measured)
+    after = find_remaining(errors, measured, correction)
+    _require_gain(kind, before, after)
+    beyond_um = 0.0
+    if gaps:
+        every = find_measured_ranges(errors.machine, found, None)
+        all_of_it = find_remaining(errors, every, read_back(every))
+        beyond_um = after.find_difference_um(all_of_it)
     account = {
         "schema": SCHEMA,
         "format": name,
         "control": kind.control,
         "files": list(files),
-        **_describe_content(errors, kind, content.tables),
+        **_describe_content(errors, kind, content.tables, measured),
         "volumetric_error_um": {
-            "before": before,
-            "after": after,
+            "before": before.state_map(),
+            "after": after.state(),
+            "after_where_measured": after.state(measured=True),
             "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
             "travel, coming up and coming down, without the rigid motion of the whole; "
-            "of the map of the result, read back by the rule of the controller",
+            "after: as the controller reads the files back, of errors that the "
+            "measurement allows, drawn from its covariance; uncertainty k = 1",
         },
+        "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
         "effects": list(evaluate_effects(errors, kind, tabulate, correction)),
     }
     return Export(files, account)
 
 
-def _require_gain(kind: CompensationFormat, before_um: float, after_um: float) -> None:
-    """Refuse files that do not make the error smaller."""
+def _split_left(
+    errors: ErrorMap,
+    kind: CompensationFormat,
+    tables: tuple[AxisTable, ...],
+    after: RemainingError,
+    beyond_um: float,
+) -> dict[str, float]:
+    """Return what is left by its reasons, each as the root mean square of its length.
+
+    Squares of what files leave of the map add up to the square of `map`.
+    """
+    losses = _find_interpolation_losses_mm(errors, tables)
+    squares = sum(3.0 * float(np.mean(np.square(lost))) for lost in losses)
+    between_um = UM_PER_MM * math.sqrt(squares)
+    rounding_um = kind.resolution_um * float(np.sqrt(len(tables) / 12.0))
+    known = between_um**2 + rounding_um**2 + beyond_um**2
+    return {
+        "map": after.rms_um,
+        "not_carried": float(np.sqrt(max(after.rms_um**2 - known, 0.0))),
+        "between_rows": between_um,
+        "rounding": rounding_um,
+        "unmeasured_range": beyond_um,
+        "not_known_by_the_measurement": after.unknown_um,
+    }
+
+
+def _require_gain(
+    kind: CompensationFormat, before: RemainingError, after: RemainingError
+) -> None:
+    """Refuse files that do not make the error smaller where it was measured."""
+    before_um = before.state_map(measured=True)["mean"]
+    after_um = after.state_map(measured=True)["mean"]
     if after_um > _BETTER * before_um:
         raise BadInput(
             f"read back by the rule of {kind.control}, the files take the mean "
@@ -139,21 +208,23 @@ def _load_format(name: str) -> CompensationFormat:
     return load(GROUP, name)()
 
 
-def _find_interpolation_loss_um(
+def _find_interpolation_losses_mm(
     errors: ErrorMap, tables: tuple[AxisTable, ...]
-) -> float:
-    """Return the largest error of straight lines between rows, along the middle."""
-    worst = 0.0
+) -> list[Float64[np.ndarray, "n 3"]]:
+    """Return the error of straight lines between rows, along the middle, by axis."""
+    lost: list[Float64[np.ndarray, "n 3"]] = []
     for table in tables:
         at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
+        low, high = errors.result.measured.get(table.axis.name, (-np.inf, np.inf))
+        kept = (table.position_mm[:-1] >= low) & (table.position_mm[1:] <= high)
         error = errors.error_mm(errors.move_axis(table.axis, at, errors.middle_mm))
         between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
-        lost = error - error.mean(axis=0) - between + between.mean(axis=0)
-        worst = max(worst, float(np.abs(lost).max()))
-    return UM_PER_MM * worst
+        left = (error - between)[kept]
+        lost.append(left - left.mean(axis=0) if len(left) else left.reshape(0, 3))
+    return [left for left in lost if len(left)]
 
 
-def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
+def _write_stamp(errors: ErrorMap, name: str, gaps: Sequence[str]) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
@@ -164,6 +235,7 @@ def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
         f"for the tool at target offset {offset} mm",
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
+        *gaps,
         *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
@@ -171,9 +243,13 @@ def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
 
 
 def _describe_content(
-    errors: ErrorMap, kind: CompensationFormat, tables: tuple[AxisTable, ...]
+    errors: ErrorMap,
+    kind: CompensationFormat,
+    tables: tuple[AxisTable, ...],
+    measured: Mapping[str, MeasuredRange],
 ) -> dict[str, Any]:
     machine = errors.machine
+    losses = _find_interpolation_losses_mm(errors, tables)
     rotary = [axis.name for axis in machine.rotary_axes]
     return {
         "machine": machine.name,
@@ -197,9 +273,15 @@ def _describe_content(
                 "spacing_mm": t.spacing_mm,
                 "from_mm": t.axis.low,
                 "to_mm": t.axis.high,
+                "measured_from_mm": measured[t.axis.name].low,
+                "measured_to_mm": measured[t.axis.name].high,
+                "zero": f"at {t.position_mm[t.reference]:g} mm, come to in + direction",
             }
             for t in tables
         },
+        "unmeasured": [one.describe() for one in measured.values() if one.missing],
         "beyond_the_travel": "the controller holds the end values",
-        "interpolation_loss_um": _find_interpolation_loss_um(errors, tables),
+        "interpolation_loss_um": max(
+            (UM_PER_MM * float(np.abs(lost).max()) for lost in losses), default=0.0
+        ),
     }

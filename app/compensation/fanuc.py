@@ -18,16 +18,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.format import (
+from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
     TableFormat,
 )
-from app.errors import BadInput
-from app.kinematics.effects.error_motion import reference_position_mm
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.effects.error_motion import reference_position_mm
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR
 
 _UNIT_MM = 0.001
 _LARGEST, _MOST = 7, 100  # of an increment; of the magnification
@@ -40,6 +40,7 @@ class Fanuc(TableFormat):
     control = "Fanuc, stored pitch error compensation"
     suffix = ".txt"
     most_points = 300
+    resolution_um = 1.0
     carries = "positioning of each axis, mean of both directions"
     not_carried = (
         "backlash (parameter 1851 has it), straightness, angular errors, squareness"

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.symbols import LINEAR
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class AxisTable:
     position_mm : (n,) equidistant, ascending, over the whole travel
     reference : index of the row nearest to the reference position, where tables are 0
     forward_mm, backward_mm : (n, 3) δ along the middle of the other axes' travel, less
-        its mean over both directions at the reference
+        what it is where the reference is come to in + direction
     translation_mm, rotation_rad : (n, 3) E and ω of the axis, for lever arms that count
         from the zero of the later axes; the target's offset is in E
     pair : with one other axis, where the model has such an effect
@@ -52,8 +52,9 @@ class AxisTable:
 
     @property
     def mean_mm(self) -> Float64[np.ndarray, "n 3"]:
-        """Mean of both directions."""
-        return 0.5 * (self.forward_mm + self.backward_mm)
+        """Mean of both directions, 0 at the reference."""
+        mean = 0.5 * (self.forward_mm + self.backward_mm)
+        return mean - mean[self.reference]
 
     @property
     def spacing_mm(self) -> float:
@@ -89,6 +90,7 @@ class CompensationFormat(ABC):
     control : its name for people
     suffix : of its files
     most_points : rows of a table that the controller takes
+    resolution_um : of its values
     carries, not_carried : in words, for the account
     sign : the rule that gives the file its sign
     sign_is_verified : whether that rule is from the maker's manual or source; else one
@@ -99,6 +101,7 @@ class CompensationFormat(ABC):
     control: ClassVar[str]
     suffix: ClassVar[str]
     most_points: ClassVar[int]
+    resolution_um: ClassVar[float] = 1e-3
     carries: ClassVar[str]
     not_carried: ClassVar[str]
     sign: ClassVar[str]

@@ -13,15 +13,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from app.compensation.format import (
+from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
     TableFormat,
 )
-from app.errors import BadInput
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR
 
 _WIDTH = 12
 _NUMBERS = ("AXISPOS", "BACKLASH", *LINEAR)
@@ -34,6 +34,7 @@ class Heidenhain(TableFormat):
     control = "Heidenhain TNC"
     suffix = ".com"
     most_points = 256
+    resolution_um = 1e-2
     carries = (
         "positioning with backlash, straightness and squareness along the middle of "
         "the travel"

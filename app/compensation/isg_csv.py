@@ -16,15 +16,15 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.format import (
+from truepath.app.compensation.format import (
     AxisTable,
     CompensationFormat,
     CompensationTables,
     Correction,
 )
-from app.errors import BadInput
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 
 
 class IsgCsv(CompensationFormat):

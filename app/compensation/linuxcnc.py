@@ -12,15 +12,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from app.compensation.format import (
+from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
     TableFormat,
 )
-from app.errors import BadInput
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR
 
 
 class LinuxCnc(TableFormat):

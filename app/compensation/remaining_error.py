@@ -8,19 +8,26 @@ with lost motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
-from app.compensation.error_map import ErrorMap
-from app.compensation.format import CompensationFormat, CompensationTables, Correction
-from app.files.units import UM_PER_MM
-from app.kinematics.model import CatalogueEffect
-from app.kinematics.symbols import is_positioning
-from app.numerics.rigid import cross_matrix
+from truepath.app.compensation.error_map import ErrorMap
+from truepath.app.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
+from truepath.app.compensation.unmeasured import MeasuredRange
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.model import CatalogueEffect
+from truepath.app.kinematics.symbols import is_positioning
+from truepath.app.numerics.rigid import cross_matrix
+from truepath.app.results.volumetric_error import draw_parameters
 
 GRID, RANDOM = 5, 400  # positions an axis of the grid; random positions
 _NOTHING_MM = 1e-9
@@ -50,19 +57,89 @@ def remove_rigid_motion(
     return error_mm - (flat @ fit).reshape(-1, 3)
 
 
-def measure_lengths(
-    errors: ErrorMap, correction: Correction | None = None
-) -> dict[str, float]:
-    """Return mean and largest length, µm, of δ plus correction in both directions."""
+@dataclass(frozen=True, slots=True)
+class RemainingError:
+    """What the errors leave at positions over the travel, both directions, in mm.
+
+    left_mm : (s, n, 3) of the map with the correction, without rigid motion
+    drawn_mm : (n, 3, d) what the map may be wrong by, drawn from its covariance
+    is_measured : (n,) where every axis was measured
+    """
+
+    left_mm: Float64[np.ndarray, "s n 3"]
+    drawn_mm: Float64[np.ndarray, "n 3 d"]
+    is_measured: Bool[np.ndarray, " n"]
+
+    def state_map(self, *, measured: bool = False) -> dict[str, float]:
+        """Return mean and largest length of the map itself, µm.
+
+        measured : at the places alone where every axis was measured, if there are any
+        """
+        kept = self.is_measured if measured and self.is_measured.any() else slice(None)
+        every = UM_PER_MM * np.linalg.norm(self.left_mm[:, kept], axis=2)
+        return {"mean": float(every.mean()), "largest": float(every.max())}
+
+    def state(self, *, measured: bool = False) -> dict[str, float] | None:
+        """Return mean length, largest and standard uncertainty of the mean, µm.
+
+        As `state_map`, of errors that the measurement allows; None without such places.
+        """
+        kept = self.is_measured if measured else np.ones_like(self.is_measured)
+        if not kept.any():
+            return None
+        total = self.left_mm[:, kept, :, None] + self.drawn_mm[kept]
+        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
+        mean, largest = lengths.mean(axis=(0, 1)), lengths.max(axis=(0, 1))
+        return {
+            "mean": float(mean.mean()),
+            "largest": float(largest.mean()),
+            "mean_uncertainty": float(mean.std()),
+        }
+
+    def find_difference_um(self, other: RemainingError) -> float:
+        """Return the root mean square length of what two corrections differ by."""
+        return UM_PER_MM * float(
+            np.sqrt(3.0 * np.mean((self.left_mm - other.left_mm) ** 2))
+        )
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square of the length that the map leaves."""
+        return UM_PER_MM * float(np.sqrt(3.0 * np.mean(self.left_mm**2)))
+
+    @property
+    def unknown_um(self) -> float:
+        """Root mean square of the length that the measurement does not know."""
+        return UM_PER_MM * float(np.sqrt(3.0 * np.mean(self.drawn_mm**2)))
+
+
+def find_remaining(
+    errors: ErrorMap,
+    measured: Mapping[str, MeasuredRange],
+    correction: Correction | None = None,
+) -> RemainingError:
+    """Return what is left of the errors with a correction, or without any."""
     position = _sample_positions(errors)
-    lengths: list[Float64[np.ndarray, " n"]] = []
+    left: list[Float64[np.ndarray, "n 3"]] = []
     for side in _SIDES:
         error = errors.error_mm(position, side)
         if correction is not None:
             error = error + correction(position, side)
-        lengths.append(np.linalg.norm(remove_rigid_motion(position, error), axis=1))
-    every = UM_PER_MM * np.concatenate(lengths)
-    return {"mean": float(every.mean()), "largest": float(every.max())}
+        left.append(error)
+    # One rigid motion of both directions: what lost motion is between them stays.
+    both = remove_rigid_motion(np.vstack([position] * len(_SIDES)), np.vstack(left))
+    inside = [
+        (position[:, column] >= one.low) & (position[:, column] <= one.high)
+        for column, one in enumerate(measured[axis.name] for axis in errors.axes)
+    ]
+    at = make_standstill(errors.machine, position)
+    J = errors.volumetric_map.jacobian(at).reshape(3 * len(position), -1)
+    drawn = J @ draw_parameters(errors.result.covariance)
+    return RemainingError(
+        both.reshape(len(_SIDES), len(position), 3),
+        drawn.reshape(len(position), 3, -1),
+        np.all(inside, axis=0),
+    )
 
 
 def evaluate_effects(

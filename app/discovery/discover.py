@@ -7,35 +7,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.alignment.reduction import CELL_MM
-from app.alignment.surroundings import add_surroundings
-from app.discovery.findings import (
+from truepath.app.alignment.align import align
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.reduction import CELL_MM
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.discovery.findings import (
     Finding,
     Gap,
     measure_gap,
     state_findings,
     state_possible,
 )
-from app.discovery.name_trial import NameTrial, TriedNames, is_open
-from app.discovery.residual_location import RunResidual, locate_residual
-from app.discovery.term_fitter import TermFit, TermFitter
-from app.discovery.term_search import TermSearch
-from app.estimation.baseline import (
+from truepath.app.discovery.name_trial import NameTrial, TriedNames, is_open
+from truepath.app.discovery.residual_location import RunResidual, locate_residual
+from truepath.app.discovery.term_fitter import TermFit, TermFitter
+from truepath.app.discovery.term_search import TermSearch
+from truepath.app.estimation.baseline import (
     Baseline,
     fit_baseline,
     refit_noise,
 )
-from app.estimation.folded_lines import build_lines
-from app.files.one_machine import one_machine
-from app.files.run import Run
-from app.kinematics.coarse_model import build_baseline_models
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.candidate_term import propose_terms
-from app.kinematics.effects.catalogue import list_families
-from app.kinematics.estimated_model import EstimatedModel
-from app.progress import ShareProgress, ignore_progress
+from truepath.app.estimation.folded_lines import build_lines
+from truepath.app.files.one_machine import one_machine
+from truepath.app.files.run import Run
+from truepath.app.kinematics.coarse_model import build_baseline_models
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.candidate_term import propose_terms
+from truepath.app.kinematics.effects.catalogue import list_families
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
 _MOST_CELLS = 12_000  # of all Runs: memory and time grow with them

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.evidence import TermData
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.discovery.evidence import TermData
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 _ROUNDS = 4  # the best time moves into a line, to its end, and beyond
 

@@ -19,10 +19,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
-from app.estimation.information import Information, compute_posterior
-from app.estimation.term_equations import CandidateBlocks, FoldedSums, TermEquations
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.estimation.information import Information, compute_posterior
+from truepath.app.estimation.term_equations import (
+    CandidateBlocks,
+    FoldedSums,
+    TermEquations,
+)
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 
@@ -127,6 +131,11 @@ class HeldOutMisfit:
     def expect_ratio(self, *, fast: bool = False) -> float:
         """Return the ratio of a complete model: noise and the fit's uncertainty."""
         return float(np.sqrt(1.0 + self.unknown.sum() / self._total_freedom(fast)))
+
+    def measure_excess(self, *, fast: bool = False) -> float:
+        """Return the squared misfit beyond that of noise, in units of the noise."""
+        ratio = self.measure_ratio(fast=fast)
+        return (ratio**2 - 1.0) * self._total_freedom(fast)
 
     def _total_freedom(self, fast: bool) -> float:
         return self.freedom.sum() + (self.fast_freedom.sum() if fast else 0.0)

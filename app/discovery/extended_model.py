@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.discover import Discovery, Finding
-from app.kinematics.effects.base import Effect
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.model import MachineModel, restore_effect
+from truepath.app.discovery.discover import Discovery, Finding
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.model import MachineModel, restore_effect
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.name_trial import TriedNames
-from app.discovery.term_fitter import TermFit, TermFitter
-from app.discovery.term_search import EQUIVALENT
-from app.estimation.line_blocks import RunData
-from app.estimation.noise import floor_mm
-from app.kinematics.effects.candidate_term import CandidateTerm
-from app.kinematics.effects.catalogue import (
+from truepath.app.discovery.name_trial import TriedNames
+from truepath.app.discovery.term_fitter import TermFit, TermFitter
+from truepath.app.discovery.term_search import EQUIVALENT
+from truepath.app.estimation.line_blocks import RunData
+from truepath.app.estimation.noise import floor_mm
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
     Family,
@@ -28,7 +28,7 @@ class Evidence:
 
     log_bayes : of the effect given the others, less the cost of the search
     held_out : gain in log score on lines that were held out of the fit
-    share : of the gap that it closes
+    share : of the gap above a complete model's that it closes, at most 1
     """
 
     log_bayes: float
@@ -111,7 +111,6 @@ def _state(
     if term.covariance is not None:
         covariance = term.covariance
     lost = without.misfit - best.misfit
-    gap = max(baseline.misfit - best.misfit, 1e-12)
     rivals = _find_rivals(fitter, without, term, log_bayes)
     return Finding(
         term,
@@ -120,10 +119,24 @@ def _state(
         ),
         theta,
         covariance,
-        Evidence(log_bayes, 0.5 * lost, lost / gap),
+        Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
         rivals,
         tried.grade(term, log_bayes, len(rivals)),
     )
+
+
+def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
+    """Return the share of the misfit above a complete model's that a term takes.
+
+    What the search has left open counts: a lone effect closes all of the gap only where
+    nothing but noise is left.
+    """
+    fast = best.has_fast
+    before = baseline.held_out.measure_excess(fast=fast)
+    departure = baseline.misfit - float(baseline.held_out.square.sum())
+    uncertain = float(best.held_out.unknown.sum())
+    gap = max(before + departure - uncertain, lost, 1e-12)
+    return lost / gap
 
 
 def _find_rivals(

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.discovery.evidence import HeldOutMisfit
-from app.discovery.term_fitter import TermFit, TermFitter
-from app.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.discovery.evidence import HeldOutMisfit
+from truepath.app.discovery.term_fitter import TermFit, TermFitter
+from truepath.app.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms

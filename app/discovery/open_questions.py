@@ -14,19 +14,24 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.discover import Discovery
-from app.discovery.term_fitter import TermFit
-from app.discovery.term_search import LEAST_EVIDENCE
-from app.estimation.design_matrix import Linearisation
-from app.estimation.line_blocks import PlacedLine
-from app.files.run import Run
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.candidate_term import CandidateTerm
-from app.kinematics.effects.catalogue import USUAL_MM
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN
-from app.planning.discrimination import POSE, DiscriminationDesign, LineChoice, Question
-from drivers.interfaces.records import Path
+from truepath.app.discovery.discover import Discovery
+from truepath.app.discovery.term_fitter import TermFit
+from truepath.app.discovery.term_search import LEAST_EVIDENCE
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.line_blocks import PlacedLine
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.kinematics.effects.catalogue import USUAL_MM
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from truepath.app.planning.discrimination import (
+    POSE,
+    DiscriminationDesign,
+    LineChoice,
+    Question,
+)
+from truepath.drivers.interfaces.records import Path
 
 FREE_FORM = "a free form"  # that explains the Runs as well as a possible name
 _THIN = LEAST_EVIDENCE + 3.0

@@ -6,16 +6,18 @@ groups hold: an effect that follows the line's number shows there and not elsewh
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
-from app.kinematics.machine import position_unit
+from truepath.app.alignment.observations import Observations
+from truepath.app.kinematics.machine import position_unit
 
 _BINS, _SIDE = 8, 4
+_SIDES = {-1.0: "− direction", 0.0: "not yet moved", 1.0: "+ direction"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +62,14 @@ class Covariate:
     """A number of each cell that the disagreement may depend on.
 
     label : with its unit; is_class : cells are grouped by the number as it is
+    names : of the classes, where their numbers mean nothing by themselves
     """
 
     name: str
     label: str
     values: Float64[np.ndarray, " n"]
     is_class: bool = False
+    names: Mapping[float, str] | None = None
 
 
 def list_covariates(seen: Observations) -> list[Covariate]:
@@ -84,7 +88,8 @@ def list_covariates(seen: Observations) -> list[Covariate]:
         label, place = f"{axis.name}, {position_unit(axis)}", at.position_mm[:, column]
         found.append(Covariate(f"position of {axis.name}", label, place))
         name = f"direction of {axis.name}"
-        found.append(Covariate(name, name, at.approach[:, column], is_class=True))
+        side = at.approach[:, column]
+        found.append(Covariate(name, "", side, is_class=True, names=_SIDES))
     if recorded is not None and recorded.temperature_degc is not None:
         celsius = recorded.temperature_degc.T
         for name, column in zip(recorded.sensors, celsius, strict=True):

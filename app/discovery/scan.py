@@ -14,12 +14,12 @@ from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from app.discovery.evidence import log_bayes
-from app.estimation.line_blocks import Residual
-from app.kinematics.effects.candidate_term import CandidateTerm
-from app.kinematics.effects.catalogue import Scan, Wave
-from app.kinematics.effects.sinusoid import attenuate_wave
-from app.numerics.spectrum import transform
+from truepath.app.discovery.evidence import log_bayes
+from truepath.app.estimation.line_blocks import Residual
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.kinematics.effects.catalogue import Scan, Wave
+from truepath.app.kinematics.effects.sinusoid import attenuate_wave
+from truepath.app.numerics.spectrum import transform
 
 _RATES = 8  # groups of cells of similar rate
 _FINER = 17  # values between neighbours of a scan's best one

@@ -8,21 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.event_time import locate_event
-from app.discovery.evidence import (
+from truepath.app.discovery.event_time import locate_event
+from truepath.app.discovery.evidence import (
     HeldOutMisfit,
     TermData,
     predict_held_out,
     prior_precision,
 )
-from app.discovery.scan import scan_term
-from app.discovery.value_refinement import refine_values
-from app.estimation.baseline import MachinePrior
-from app.estimation.folded_lines import FoldedLines
-from app.estimation.information import Posterior, compute_posterior
-from app.estimation.line_blocks import Residual, weight_residual
-from app.estimation.term_equations import TermEquations
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.discovery.scan import scan_term
+from truepath.app.discovery.value_refinement import refine_values
+from truepath.app.estimation.baseline import MachinePrior
+from truepath.app.estimation.folded_lines import FoldedLines
+from truepath.app.estimation.information import Posterior, compute_posterior
+from truepath.app.estimation.line_blocks import Residual, weight_residual
+from truepath.app.estimation.term_equations import TermEquations
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 _REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.discovery.term_fitter import TermFit, TermFitter
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.discovery.term_fitter import TermFit, TermFitter
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 # Log Bayes factor, cost paid. Noise and bends are estimated from the same lines, which
 # makes evidence out of nothing: clean Runs bring 5 to 8 in one of fifty.

@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.event_time import locate_event
-from app.discovery.evidence import TermData, prior_precision
-from app.estimation.information import Posterior, compute_posterior
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.candidate_term import CandidateTerm
+from truepath.app.discovery.event_time import locate_event
+from truepath.app.discovery.evidence import TermData, prior_precision
+from truepath.app.estimation.information import Posterior, compute_posterior
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Parameter
+from truepath.app.kinematics.effects.candidate_term import CandidateTerm
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty

@@ -15,26 +15,30 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.errors import Unidentifiable
-from app.estimation.confounded_prior import WholePrior, guess_whole_prior
-from app.estimation.design_matrix import Linearisation, middle_of
-from app.estimation.information import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.confounded_prior import WholePrior, guess_whole_prior
+from truepath.app.estimation.design_matrix import Linearisation, middle_of
+from truepath.app.estimation.information import (
     Information,
     Posterior,
     compute_posterior,
     invert_covariance,
 )
-from app.estimation.knots import can_refine, find_intervals, refine_motions
-from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.kinematics.coarse_model import LONGEST_NOISE_S, NestedModels, add_effects
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.model import MachineModel
-from app.numerics.rigid import RigidTransform
+from truepath.app.estimation.knots import can_refine, find_intervals, refine_motions
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.noise_fit import guess_noise, refine_runs
+from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
+from truepath.app.kinematics.coarse_model import (
+    LONGEST_NOISE_S,
+    NestedModels,
+    add_effects,
+)
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.numerics.rigid import RigidTransform
 
 
 class MachinePrior(Protocol):

@@ -8,33 +8,41 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.errors import Unidentifiable
-from app.estimation.direction import Fit, include_confounded, select_fit
-from app.estimation.extrapolation import Ranges, find_measured_ranges, soften_ends
-from app.estimation.knots import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.direction import Fit, include_confounded, select_fit
+from truepath.app.estimation.extrapolation import (
+    Ranges,
+    find_measured_ranges,
+    soften_ends,
+)
+from truepath.app.estimation.knots import (
     add_hidden_variance,
     find_intervals,
     join_cells,
     refine_motions,
 )
-from app.estimation.known_effects import KnownEffects
-from app.estimation.large_errors import is_linear, linearise_about
-from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.observability import (
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.large_errors import is_linear, linearise_about
+from truepath.app.estimation.noise_fit import guess_noise, refine_runs
+from truepath.app.estimation.observability import (
     Observability,
     assess_observability,
     name_undetermined,
 )
-from app.estimation.prior import widen_by_unknown_precision
-from app.estimation.ramp_noise import widen_ramps
-from app.estimation.run_estimate import RunEstimate, compute_residuals, estimate_run
-from app.estimation.runs import RunInformation, RunInput
-from app.kinematics.coarse_model import NestedModels, RunModels
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import ShapeModel
-from app.progress import ShareProgress, ignore_progress
+from truepath.app.estimation.prior import widen_by_unknown_precision
+from truepath.app.estimation.ramp_noise import widen_ramps
+from truepath.app.estimation.run_estimate import (
+    RunEstimate,
+    compute_residuals,
+    estimate_run,
+)
+from truepath.app.estimation.runs import RunInformation, RunInput
+from truepath.app.kinematics.coarse_model import NestedModels, RunModels
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import ShapeModel
+from truepath.app.progress import ShareProgress, ignore_progress
 
 _RAMP_ROUNDS = 2
 

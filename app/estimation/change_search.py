@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
-from app.estimation.information import Information
-from app.estimation.score import ScoredColumns
-from app.estimation.watch_sums import WatchSums
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.estimation.information import Information
+from truepath.app.estimation.score import ScoredColumns
+from truepath.app.estimation.watch_sums import WatchSums
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
 LOST_MOTION = "lost-motion-changed"

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import BadInput
-from app.estimation.batch import Estimate
-from app.estimation.direction import Fit
-from app.estimation.information import Information, OwnParameters
-from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.model import MachineModel
+from truepath.app.errors import BadInput
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import Information, OwnParameters
+from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.model import MachineModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,18 +29,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.information import Information, Posterior, compute_posterior
-from app.estimation.prior import (
+from truepath.app.estimation.information import (
+    Information,
+    Posterior,
+    compute_posterior,
+)
+from truepath.app.estimation.prior import (
     USUAL_PRECISION,
     BendingPrior,
     guess_prior,
 )
-from app.kinematics.effects.base import Effect, QuadraticPrior
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.effects.location_error import AxisLocation
-from app.kinematics.machine import RotaryAxis
-from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
+from truepath.app.kinematics.effects.base import Effect, QuadraticPrior
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.effects.location_error import AxisLocation
+from truepath.app.kinematics.machine import RotaryAxis
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.symbols import is_turn
 
 _WEIGHT = 2.0  # w: a usual size counts as much as two that are told
 # σ₀ of what a motion changes by from end to end, and of a number: a location, an angle.

@@ -14,10 +14,15 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.special import chdtri
 
-from app.alignment.observations import Observations
-from app.estimation.misfit import OF_LINE, Misfit, compute_step_limit
-from app.estimation.run_parts import RunPart, join_empty, leave_out, split_at_all
-from app.estimation.setup_steps import Step
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.misfit import OF_LINE, Misfit, compute_step_limit
+from truepath.app.estimation.run_parts import (
+    RunPart,
+    join_empty,
+    leave_out,
+    split_at_all,
+)
+from truepath.app.estimation.setup_steps import Step
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²

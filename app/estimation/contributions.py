@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.errors import Unidentifiable
-from app.estimation.batch import Estimate
-from app.estimation.direction import Fit
-from app.estimation.information import compute_posterior
-from app.estimation.runs import combine_runs
-from app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.runs import combine_runs
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
 
 
 @dataclass(frozen=True, slots=True)

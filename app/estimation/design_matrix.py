@@ -16,13 +16,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.alignment.observations import CellMeans, Observations
-from app.estimation.noise import NoiseModel, cell_noise
-from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
-from app.kinematics.effects.nuisance import TimingLaw, TrackerPose
-from app.kinematics.model import MachineModel
-from app.numerics.correlated_noise import Whitener, factorise
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.observations import CellMeans, Observations
+from truepath.app.estimation.noise import NoiseModel, cell_noise
+from truepath.app.kinematics.effects.base import Effect, EffectOfRun, Parameter
+from truepath.app.kinematics.effects.nuisance import TimingLaw, TrackerPose
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.numerics.correlated_noise import Whitener, factorise
+from truepath.app.numerics.rigid import RigidTransform
 
 _CELLS = 500  # of a block: few enough for the processor's cache, enough for its BLAS
 

@@ -10,19 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.estimation.confounded_prior import fit_confounded, guess_whole_prior
-from app.estimation.information import Information, Posterior
-from app.estimation.known_effects import KnownEffects
-from app.estimation.prior import BendingPrior, compute_evidence_cost
-from app.estimation.runs import (
+from truepath.app.estimation.confounded_prior import fit_confounded, guess_whole_prior
+from truepath.app.estimation.information import Information, Posterior
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.prior import BendingPrior, compute_evidence_cost
+from truepath.app.estimation.runs import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
-from app.kinematics.coarse_model import NestedModels
-from app.kinematics.effects.base import Effect
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.coarse_model import NestedModels
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.model import MachineModel
 
 # A precision fitted to nothing gains a little evidence; not this much, in −2 log.
 _PRICE = 2.0

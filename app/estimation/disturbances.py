@@ -15,21 +15,21 @@ from typing import Self
 import numpy as np
 from jaxtyping import Bool
 
-from app.alignment.left_out import LeftOut
-from app.alignment.observations import Observations
-from app.errors import Unidentifiable
-from app.estimation.batch import Estimate, estimate
-from app.estimation.contradictions import (
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.batch import Estimate, estimate
+from truepath.app.estimation.contradictions import (
     LEAST_KNOCK_MM,
     find_knocks,
     remove_plainest,
     spread_over_cells,
 )
-from app.estimation.direction import Fit
-from app.estimation.known_effects import KnownEffects
-from app.estimation.misfit import Misfit, assess_misfit
-from app.estimation.run_estimate import RunEstimate
-from app.estimation.run_parts import (
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.misfit import Misfit, assess_misfit
+from truepath.app.estimation.run_estimate import RunEstimate
+from truepath.app.estimation.run_parts import (
     Knock,
     RunPart,
     join_empty,
@@ -37,15 +37,15 @@ from app.estimation.run_parts import (
     measure_knock,
     split_at_all,
 )
-from app.estimation.usual_machine import (
+from truepath.app.estimation.usual_machine import (
     bends_freely,
     find_shifted_stops,
     fit_as_learnt,
     fit_usual_machine,
     is_doubtful,
 )
-from app.kinematics.coarse_model import RunModels
-from app.progress import ShareProgress, ignore_progress
+from truepath.app.kinematics.coarse_model import RunModels
+from truepath.app.progress import ShareProgress, ignore_progress
 
 _OF_SHIFT = 2.0  # of the gain of the worst line
 _ROUNDS, _HIDDEN_ROUNDS = 8, 3

@@ -26,17 +26,17 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 from scipy.stats import norm, qmc
 
-from app.estimation.common_basis import CommonBasis
-from app.estimation.drift_course import (
+from truepath.app.estimation.common_basis import CommonBasis
+from truepath.app.estimation.drift_course import (
     SIZES,
     Course,
     DriftSizes,
     compute_prior_log,
     make_sizes,
 )
-from app.estimation.drift_shapes import build_drift_shapes
-from app.estimation.prior import pool_precision
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.estimation.drift_shapes import build_drift_shapes
+from truepath.app.estimation.prior import pool_precision
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.error_motion import ErrorMotion, find_usual_size
-from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_straightness
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.error_motion import ErrorMotion, find_usual_size
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.symbols import is_straightness
 
 _SIZES = 1.0, 0.5, 0.2  # of the straight shape, one bend, two bends
 _USUAL_NUMBER = {"mm": 0.01, "rad": 2e-5}

@@ -21,16 +21,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.direction import Fit
-from app.estimation.information import compute_posterior
-from app.estimation.prior import BendingPrior
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import QuadraticPrior
-from app.kinematics.effects.error_motion import ErrorMotion, find_arm
-from app.kinematics.machine import Machine, RotaryAxis
-from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.prior import BendingPrior
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import QuadraticPrior
+from truepath.app.kinematics.effects.error_motion import ErrorMotion, find_arm
+from truepath.app.kinematics.machine import Machine, RotaryAxis
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.symbols import is_turn
 
 # An estimate shows about half of the curvature that is there: twice 3 κ² d.
 _DENSITY = 6.0

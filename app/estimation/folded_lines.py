@@ -11,19 +11,19 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.baseline import Baseline
-from app.estimation.line_blocks import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.baseline import Baseline
+from truepath.app.estimation.line_blocks import (
     Line,
     RunData,
     WhitenedBlocks,
     build_line,
     place_run,
 )
-from app.estimation.prior import diagonal_precision
-from app.estimation.within_cells import CellDeviations
-from app.files.run import Run
-from app.kinematics.effects.base import Effect
+from truepath.app.estimation.prior import diagonal_precision
+from truepath.app.estimation.within_cells import CellDeviations
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.base import Effect
 
 FOLDS = 8  # of lines, each held out once
 _POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.errors import Unidentifiable
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.errors import Unidentifiable
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
 _SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import Linearisation
-from app.estimation.information import Posterior
-from app.estimation.misfit_blocks import explain_timing, weigh
-from app.estimation.noise import raise_noise, total_precision
-from app.estimation.score import compute_score
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.information import Posterior
+from truepath.app.estimation.misfit_blocks import explain_timing, weigh
+from truepath.app.estimation.noise import raise_noise, total_precision
+from truepath.app.estimation.score import compute_score
 
 
 @dataclass(frozen=True, slots=True)

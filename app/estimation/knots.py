@@ -20,13 +20,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.alignment.reduction import CELL_MM
-from app.estimation.information import Posterior
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import KNOT_SPACING_MM
-from app.kinematics.machine import RotaryAxis
-from app.kinematics.model import MachineModel
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.reduction import CELL_MM
+from truepath.app.estimation.information import Posterior
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.identifiable import KNOT_SPACING_MM
+from truepath.app.kinematics.machine import RotaryAxis
+from truepath.app.kinematics.model import MachineModel
 
 _HIDDEN = 0.01  # of a motion's variance, between its knots
 _CLOSEST_MM = 1.05 * KNOT_SPACING_MM

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import chdtrc
 
-from app.estimation.information import (
+from truepath.app.estimation.information import (
     EXACTLY,
     Information,
     Posterior,
     invert_covariance,
 )
-from app.kinematics.model import CatalogueEffect, MachineModel
+from truepath.app.kinematics.model import CatalogueEffect, MachineModel
 
 _LOOSE = 100.0
 _MEASURED_SHARE = 0.05  # of a variance, removed by the Run: enough to contradict

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.information import Posterior
-from app.estimation.runs import RunInformation
-from app.kinematics.model import MachineModel
-from app.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.information import Posterior
+from truepath.app.estimation.runs import RunInformation
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.second_order import adds_up, compute_second_order_mm
 
 
 def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:

@@ -14,16 +14,16 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
-from app.estimation.baseline import Baseline, replace_pose
-from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.information import find_informative
-from app.estimation.noise import NoiseModel
-from app.estimation.within_cells import CellDeviations, compute_cell_deviations
-from app.files.run import Run
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.numerics.correlated_noise import Whitener
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.baseline import Baseline, replace_pose
+from truepath.app.estimation.design_matrix import DesignMatrix, Linearisation
+from truepath.app.estimation.information import find_informative
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.within_cells import CellDeviations, compute_cell_deviations
+from truepath.app.files.run import Run
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.numerics.correlated_noise import Whitener
 
 
 @dataclass(frozen=True)

@@ -20,47 +20,47 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import CellBlock
-from app.alignment.observations import Observations
-from app.alignment.streaming import StreamingAlignment
-from app.alignment.surroundings import add_surroundings
-from app.errors import Unidentifiable
-from app.estimation.confounded_prior import WholePrior
-from app.estimation.design_matrix import Linearisation
-from app.estimation.information import Information, Posterior
-from app.estimation.knots import add_hidden_variance, join_cells
-from app.estimation.known_effects import KnownEffects
-from app.estimation.live_gate import (
+from truepath.app.alignment.cell_blocks import CellBlock
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.streaming import StreamingAlignment
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.confounded_prior import WholePrior
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.information import Information, Posterior
+from truepath.app.estimation.knots import add_hidden_variance, join_cells
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.live_gate import (
     LineGate,
     LiveCheck,
     check_parts,
     split_at,
     weaken_prior,
 )
-from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.normal_equations import RecursiveEstimator
-from app.estimation.notices import ChangeWatch, Notice
-from app.estimation.prior import widen_by_unknown_precision
-from app.estimation.runs import RunInput
-from app.kinematics.coarse_model import (
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.noise_fit import guess_noise, refine_runs
+from truepath.app.estimation.normal_equations import RecursiveEstimator
+from truepath.app.estimation.notices import ChangeWatch, Notice
+from truepath.app.estimation.prior import widen_by_unknown_precision
+from truepath.app.estimation.runs import RunInput
+from truepath.app.kinematics.coarse_model import (
     add_bends,
     add_half_widths,
     build_coarse_model,
 )
-from app.kinematics.effects.base import Effect, Parameter, Role
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.identifiable import (
+from truepath.app.kinematics.effects.base import Effect, Parameter, Role
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,
     list_untold_effects,
 )
-from app.kinematics.machine import Machine
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.motion.configurations import Configurations
-from app.numerics.rigid import RigidTransform
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.motion.configurations import Configurations
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
 _FORETELL = 8  # lines or points; fewer foretell too little of the next

@@ -16,40 +16,40 @@ from itertools import takewhile
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.left_out import LeftOut
-from app.alignment.observations import Observations
-from app.errors import Unidentifiable
-from app.estimation.contradictions import MOST, remove_plainest, stand_out
-from app.estimation.design_matrix import Linearisation
-from app.estimation.direction import Fit
-from app.estimation.information import (
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.contradictions import MOST, remove_plainest, stand_out
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import (
     Information,
     Posterior,
     add_information,
     compute_posterior,
 )
-from app.estimation.innovation import compute_innovation
-from app.estimation.known_effects import KnownEffects
-from app.estimation.misfit import Misfit, assess_misfit
-from app.estimation.noise import NoiseModel, floor_mm, raise_noise
-from app.estimation.noise_fit import estimate_residual_noise
-from app.estimation.prior import BendingPrior
-from app.estimation.run_parts import (
+from truepath.app.estimation.innovation import compute_innovation
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.misfit import Misfit, assess_misfit
+from truepath.app.estimation.noise import NoiseModel, floor_mm, raise_noise
+from truepath.app.estimation.noise_fit import estimate_residual_noise
+from truepath.app.estimation.prior import BendingPrior
+from truepath.app.estimation.run_parts import (
     Knock,
     RunPart,
     leave_out,
     measure_knock,
     split,
 )
-from app.estimation.runs import (
+from truepath.app.estimation.runs import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
-from app.kinematics.effects.base import QuadraticPrior
-from app.kinematics.model import MachineModel
-from app.numerics.rigid import RigidTransform
+from truepath.app.kinematics.effects.base import QuadraticPrior
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.numerics.rigid import RigidTransform
 
 _ROUNDS = 3
 
@@ -199,8 +199,8 @@ def check_parts(
         fewer = remove_plainest(
             found.parts, [part.seen for part in found.parts], found.misfits
         )
-        if fewer is None:
-            break
+        if fewer is None or not all(len(part.seen) for part in fewer):
+            break  # nothing contradicts, or nothing would be left
         try:
             found = solve(fewer)
         except Unidentifiable:

@@ -21,21 +21,21 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
-from app.estimation.design_matrix import DesignMatrix, cut_into_blocks
-from app.estimation.direction import Fit
-from app.estimation.information import Information, add_information
-from app.estimation.misfit_blocks import BlockMisfit, MisfitBlock
-from app.estimation.noise import limit_noise
-from app.estimation.normal_equations import compute_information
-from app.estimation.setup_steps import Step, StepSearch, find_steps
-from app.estimation.step_candidates import (
+from truepath.app.estimation.design_matrix import DesignMatrix, cut_into_blocks
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import Information, add_information
+from truepath.app.estimation.misfit_blocks import BlockMisfit, MisfitBlock
+from truepath.app.estimation.noise import limit_noise
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.estimation.setup_steps import Step, StepSearch, find_steps
+from truepath.app.estimation.step_candidates import (
     Candidates,
     Drift,
     Prospects,
     Shared,
     StepSums,
 )
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5

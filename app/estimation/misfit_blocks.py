@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.noise import NoiseModel, total_precision
-from app.estimation.score import compute_score
-from app.estimation.step_candidates import StepSums
-from app.numerics.correlated_noise import Whitener
+from truepath.app.estimation.design_matrix import DesignMatrix, Linearisation
+from truepath.app.estimation.noise import NoiseModel, total_precision
+from truepath.app.estimation.score import compute_score
+from truepath.app.estimation.step_candidates import StepSums
+from truepath.app.numerics.correlated_noise import Whitener
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,14 +25,14 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.linalg import cho_factor, cho_solve
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import DesignMatrix
-from app.estimation.direction import Fit
-from app.estimation.knots import compute_hidden_variances
-from app.estimation.noise import NoiseModel, split_sigma_mm
-from app.estimation.prior import log_precision_variance
-from app.estimation.runs import RunInformation, combine_runs
-from app.numerics.adaptive_trials import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import DesignMatrix
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.knots import compute_hidden_variances
+from truepath.app.estimation.noise import NoiseModel, split_sigma_mm
+from truepath.app.estimation.prior import log_precision_variance
+from truepath.app.estimation.runs import RunInformation, combine_runs
+from truepath.app.numerics.adaptive_trials import (
     BLOCK,
     Interval,
     TrialBlock,

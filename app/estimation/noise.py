@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_gate import USUAL_OU
-from app.alignment.observations import Observations
+from truepath.app.alignment.cell_gate import USUAL_OU
+from truepath.app.alignment.observations import Observations
 
 _MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
 

@@ -20,15 +20,15 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import Unidentifiable
-from app.estimation.design_matrix import DesignMatrix
-from app.estimation.information import Information
-from app.estimation.noise import NoiseModel, split_sigma_mm
-from app.numerics.ornstein_uhlenbeck import (
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.design_matrix import DesignMatrix
+from truepath.app.estimation.information import Information
+from truepath.app.estimation.noise import NoiseModel, split_sigma_mm
+from truepath.app.numerics.ornstein_uhlenbeck import (
     OrnsteinUhlenbeckPrecision,
     build_ou_precision,
 )
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
 

@@ -15,21 +15,21 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.confounded_prior import guess_whole_prior
-from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.information import Information, add_information
-from app.estimation.known_effects import KnownEffects
-from app.estimation.noise import NoiseModel
-from app.estimation.noise_evidence import NoiseEvidence, Slope
-from app.estimation.prior import BendingPrior
-from app.estimation.runs import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.confounded_prior import guess_whole_prior
+from truepath.app.estimation.design_matrix import DesignMatrix, Linearisation
+from truepath.app.estimation.information import Information, add_information
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.noise_evidence import NoiseEvidence, Slope
+from truepath.app.estimation.prior import BendingPrior
+from truepath.app.estimation.runs import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.errors import EstimationError, Unidentifiable
-from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.information import Information, find_informative
-from app.estimation.noise import NoiseModel, cell_noise
-from app.numerics.correlated_noise import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import EstimationError, Unidentifiable
+from truepath.app.estimation.design_matrix import DesignMatrix, Linearisation
+from truepath.app.estimation.information import Information, find_informative
+from truepath.app.estimation.noise import NoiseModel, cell_noise
+from truepath.app.numerics.correlated_noise import (
     OrnsteinUhlenbeckState,
     eliminate_columns,
     extend,

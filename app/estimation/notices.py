@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.alignment.observations import Observations
-from app.estimation.change_search import LASTING, Change, ChangeSearch
-from app.estimation.design_matrix import Linearisation
-from app.estimation.information import Information
-from app.estimation.watch_sums import WatchSums
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.change_search import LASTING, Change, ChangeSearch
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.information import Information
+from truepath.app.estimation.watch_sums import WatchSums
 
 UNNAMED = "something-changed"
 _LIKELY, _CERTAIN = 8.0, 20.0  # by how much the next kind explains less

@@ -15,16 +15,16 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import eigh
 
-from app.estimation.confounded_prior import straight_precision
-from app.estimation.prior import diagonal_precision, guess_prior
-from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.estimation.separation import describe_confounded
-from app.kinematics.effects.base import Effect, ErrorCurve
-from app.kinematics.effects.error_motion import make_error_motion
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, is_turn
-from app.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
+from truepath.app.estimation.confounded_prior import straight_precision
+from truepath.app.estimation.prior import diagonal_precision, guess_prior
+from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
+from truepath.app.estimation.separation import describe_confounded
+from truepath.app.kinematics.effects.base import Effect, ErrorCurve
+from truepath.app.kinematics.effects.error_motion import make_error_motion
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.symbols import SQUARENESS, is_turn
+from truepath.app.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
 
 USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
 _POOR = 0.5  # standard deviation of a usual machine that the data leave, at least

@@ -20,14 +20,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import wrightomega
 
-from app.estimation.information import (
+from truepath.app.estimation.information import (
     Information,
     OwnParameters,
     Posterior,
     compute_posterior,
 )
-from app.kinematics.effects.base import Parameter, QuadraticPrior
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.effects.base import Parameter, QuadraticPrior
+from truepath.app.kinematics.model import MachineModel
 
 USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
 _ROUNDS = 40  # at most

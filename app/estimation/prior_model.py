@@ -8,12 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.errors import BundleError
-from app.estimation.known_effects import KnownEffects, extract_known_effects
-from app.files.result_file import LARGEST_BYTES, CalibrationResult, decode_result
-from app.files.verdict import Reason, Verdict
-from app.files.whole_files import read_whole
-from app.kinematics.machine import Machine
+from truepath.app.errors import BundleError
+from truepath.app.estimation.known_effects import KnownEffects, extract_known_effects
+from truepath.app.files.result_file import (
+    LARGEST_BYTES,
+    CalibrationResult,
+    decode_result,
+)
+from truepath.app.files.verdict import Reason, Verdict
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.machine import Machine
 
 
 @dataclass(frozen=True)

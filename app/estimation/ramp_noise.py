@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.noise import split_sigma_mm
-from app.estimation.runs import RunInformation, RunInput
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.noise import split_sigma_mm
+from truepath.app.estimation.runs import RunInformation, RunInput
 
 _TOLERATED = 0.3  # of the variance of noise: less is chance
 _CLOSE = 0.1  # of the variance that ramps have already

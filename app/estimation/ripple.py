@@ -20,16 +20,16 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.interpolate import CubicSpline
 
-from app.alignment.observations import Observations
-from app.alignment.reduction import beam_frame
-from app.estimation.batch import Estimate
-from app.estimation.run_estimate import RunEstimate
-from app.estimation.within_cells import measure_lag, straighten
-from app.files.run import Run
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import RotaryAxis
-from app.kinematics.symbols import DIRECTION, is_turn
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.reduction import beam_frame
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.run_estimate import RunEstimate
+from truepath.app.estimation.within_cells import measure_lag, straighten
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.machine import RotaryAxis
+from truepath.app.kinematics.symbols import DIRECTION, is_turn
+from truepath.app.numerics.rigid import RigidTransform
 
 _PLACE_MM = 1.0  # lines meet at one place within this
 _BLOCK = 2.0  # knots: what is longer, the error motions follow

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.design_matrix import DesignMatrix
-from app.estimation.information import Posterior
-from app.estimation.noise import NoiseModel, floor_mm
-from app.estimation.runs import RunInformation
-from app.kinematics.effects.nuisance import TargetSeat
-from app.kinematics.machine import Target, TrackerNoise
-from app.numerics.rigid import RigidTransform
+from truepath.app.estimation.design_matrix import DesignMatrix
+from truepath.app.estimation.information import Posterior
+from truepath.app.estimation.noise import NoiseModel, floor_mm
+from truepath.app.estimation.runs import RunInformation
+from truepath.app.kinematics.effects.nuisance import TargetSeat
+from truepath.app.kinematics.machine import Target, TrackerNoise
+from truepath.app.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)

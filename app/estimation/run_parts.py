@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.alignment.cell_gate import describe_cells
-from app.alignment.left_out import LeftOut
-from app.alignment.observations import Observations
-from app.estimation.setup_steps import Step
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.cell_gate import describe_cells
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.setup_steps import Step
+from truepath.app.numerics.rigid import RigidTransform
 
 _FEWEST_CELLS = 4  # of a line that was cut
 _LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose

@@ -15,19 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.errors import Unidentifiable
-from app.estimation.design_matrix import Linearisation, linearise
-from app.estimation.information import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.design_matrix import Linearisation, linearise
+from truepath.app.estimation.information import (
     Information,
     OwnParameters,
     add_information,
 )
-from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
-from app.kinematics.effects.base import Effect
-from app.kinematics.model import MachineModel
-from app.numerics.rigid import RigidTransform
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,11 +19,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.error_motion import ErrorMotion, find_usual_size
-from app.kinematics.identifiable import Confounded, build_identifiable_model
-from app.kinematics.machine import Machine, Target
-from app.kinematics.model import MachineModel
-from app.kinematics.symbols import DIRECTION, describe_symbol, is_turn
+from truepath.app.kinematics.effects.error_motion import ErrorMotion, find_usual_size
+from truepath.app.kinematics.identifiable import Confounded, build_identifiable_model
+from truepath.app.kinematics.machine import Machine, Target
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.symbols import DIRECTION, describe_symbol, is_turn
 
 _ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
 _STEP_MM = 10.0  # in which lengths are stated

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.step_candidates import Prospects, Shared
+from truepath.app.estimation.step_candidates import Prospects, Shared
 
 _SWEEPS = 1
 _OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait

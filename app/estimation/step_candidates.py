@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.score import ScoredColumns
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.estimation.score import ScoredColumns
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 _AT_ONCE = 256  # steps
 

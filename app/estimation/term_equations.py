@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.folded_lines import FOLDS, FoldedLines
-from app.estimation.information import Information
-from app.estimation.line_blocks import WhitenedBlocks
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
+from truepath.app.estimation.folded_lines import FOLDS, FoldedLines
+from truepath.app.estimation.information import Information
+from truepath.app.estimation.line_blocks import WhitenedBlocks
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect
 
 _KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
 

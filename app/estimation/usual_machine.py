@@ -20,16 +20,16 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.special import chdtri
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import DesignMatrix
-from app.estimation.direction import Fit
-from app.estimation.information import compute_posterior
-from app.estimation.misfit import collect_known
-from app.estimation.noise import NoiseModel, limit_noise
-from app.estimation.prior import guess_prior
-from app.estimation.runs import RunInformation, RunInput, collect_information
-from app.estimation.score import compute_score
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import DesignMatrix
+from truepath.app.estimation.direction import Fit
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.misfit import collect_known
+from truepath.app.estimation.noise import NoiseModel, limit_noise
+from truepath.app.estimation.prior import guess_prior
+from truepath.app.estimation.runs import RunInformation, RunInput, collect_information
+from truepath.app.estimation.score import compute_score
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 _UNUSUAL = 0.1  # of the usual precision of bending
 _FEW_CELLS = 1000  # that a few wrong ones may lead astray

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.information import Information, add_information
-from app.estimation.misfit_blocks import count_untimed, weigh
-from app.estimation.noise import raise_noise
-from app.kinematics.effects.backlash import make_half_width
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.machine import Machine
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import DesignMatrix, Linearisation
+from truepath.app.estimation.information import Information, add_information
+from truepath.app.estimation.misfit_blocks import count_untimed, weigh
+from truepath.app.estimation.noise import raise_noise
+from truepath.app.kinematics.effects.backlash import make_half_width
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.machine import Machine
 
 _POSE = 6
 _M_PER_MM = 1e-3

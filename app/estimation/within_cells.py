@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 
-from app.alignment.cleaning import find_valid_samples
-from app.alignment.observations import Observations
-from app.alignment.reduction import beam_frame
-from app.estimation.design_matrix import Linearisation
-from app.files.run import Run
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import Wave
-from app.numerics.spectrum import transform
+from truepath.app.alignment.cleaning import find_valid_samples
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.reduction import beam_frame
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.catalogue import Wave
+from truepath.app.numerics.spectrum import transform
 
 _OUTLIER = 5.0
 _KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial

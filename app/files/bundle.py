@@ -20,10 +20,12 @@ from functools import partial
 from pathlib import Path as FilePath
 from pathlib import PurePosixPath
 
-from app.errors import BundleError
-from app.files.commanded_file import decode_commanded, encode_commanded
-from app.files.machine_file import decode_machine, encode_machine
-from app.files.recorded_files import (
+from truepath.app.errors import BundleError
+from truepath.app.files.commanded_file import decode_commanded, encode_commanded
+from truepath.app.files.environment_key import describe_environment, read_environment
+from truepath.app.files.file_model import encode_json, parse_json
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.files.recorded_files import (
     decode_environment,
     decode_reference,
     decode_tracker,
@@ -31,10 +33,11 @@ from app.files.recorded_files import (
     encode_reference,
     encode_stream,
 )
-from app.files.run import PointRows, Run
-from app.files.whole_files import MAX_TEXT_BYTES, write_files
-from app.motion.configurations import Commanded
-from drivers.interfaces.records import Path
+from truepath.app.files.refraction import correct_refraction
+from truepath.app.files.run import PointRows, Run
+from truepath.app.files.whole_files import MAX_TEXT_BYTES, write_files
+from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import Path
 
 FILES = (
     "machine.json",
@@ -60,7 +63,9 @@ def read_bundle(path: str | FilePath) -> Run:
             raise BundleError(
                 "is missing from the bundle", file="machine.json", remedy="add the file"
             )
-        machine = decode_machine(files["machine.json"]())
+        content = parse_json(files["machine.json"](), "machine.json")
+        machine = machine_from_json(content)
+        refraction, events = read_environment(content)
         commanded_file = _choose_file(files, "path.csv", "points.csv")
         data = files[commanded_file]()
         is_path = commanded_file == "path.csv"
@@ -70,14 +75,21 @@ def read_bundle(path: str | FilePath) -> Run:
         tracker, points = decode_tracker(stream, file=tracker_file)
         _require_rows(points, commanded, tracker_file)
         environment = files.get("environment.csv")
+        temperature, air = (
+            decode_environment(environment()) if environment else (None, None)
+        )
         reference = files.get("reference.csv")
+        refraction, tracker = correct_refraction(refraction, tracker, temperature, air)
         return Run(
             name=_choose_name(FilePath(path)),
             machine=machine,
             commanded=commanded,
             tracker=tracker,
             points=points,
-            temperature=decode_environment(environment()) if environment else None,
+            temperature=temperature,
+            air=air,
+            refraction=refraction,
+            events=events,
             reference=decode_reference(reference()) if reference else (),
             provenance={
                 "source": FilePath(path).name,
@@ -131,12 +143,14 @@ def check_archive(file: FilePath, limit_bytes: int) -> None:
 def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
-        "machine.json": encode_machine(run.machine),
+        "machine.json": encode_json(
+            machine_to_json(run.machine) | describe_environment(run), indent=1
+        ),
         commanded: encode_commanded(run.commanded),
         "tracker.parquet": encode_stream(run.tracker, run.points),
     }
-    if run.temperature is not None and len(run.temperature.time_s):
-        files["environment.csv"] = encode_environment(run.temperature)
+    if environment := encode_environment(run.temperature, run.air):
+        files["environment.csv"] = environment
     if run.reference:
         files["reference.csv"] = encode_reference(run.reference)
     return files

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import BundleError
-from app.files.machine_file import read_machine
-from app.files.tables import Table, encode_csv, read_csv
-from app.files.whole_files import read_whole
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations, name_columns
-from app.motion.travel import first_breach
-from drivers.interfaces.records import Path
+from truepath.app.errors import BundleError
+from truepath.app.files.machine_file import read_machine
+from truepath.app.files.tables import Table, encode_csv, read_csv
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, Configurations, name_columns
+from truepath.app.motion.travel import first_breach
+from truepath.drivers.interfaces.records import Path
 
 _MM_PER_M = 1e3
 _LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from app.errors import BundleError, PlanningError
-from app.files.whole_files import read_whole
-from app.kinematics.machine import Machine
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.programs import list_dialects, read_program
-from app.motion.travel import check_travel
-from drivers.interfaces.records import Path
+from truepath.app.errors import BundleError, PlanningError
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from truepath.app.motion.nc_programs.programs import list_dialects, read_program
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.records import Path
 
 
 def read_commanded_program(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.file_model import FileModel, Text, quote, refuse
+from truepath.app.files.file_model import FileModel, Text, quote, refuse
 
 ENCODING = "base64, zlib, little-endian float64, lower triangle by rows"
 AS_WRITTEN = "take the file as it was written"

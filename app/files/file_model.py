@@ -22,7 +22,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from app.errors import BundleError
+from truepath.app.errors import BundleError
 
 
 class FileModel(BaseModel):

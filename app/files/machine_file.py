@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from app.files.file_model import (
+from truepath.app.files.file_model import (
     FileModel,
     Text,
     Vector,
@@ -18,8 +18,8 @@ from app.files.file_model import (
     refuse,
     validate,
 )
-from app.files.whole_files import read_whole
-from app.kinematics.machine import (
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.machine import (
     SEAT_SIGMA_MM,
     Axis,
     LinearAxis,

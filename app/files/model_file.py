@@ -16,23 +16,26 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from app.errors import BadInput
-from app.files.covariance_file import (
+from truepath.app.errors import BadInput
+from truepath.app.files.covariance_file import (
     AS_WRITTEN,
     CovarianceFile,
     covariance_json,
 )
-from app.files.file_model import FileModel, Text, quote, refuse, validate
-from app.files.units import scale_of, unit_of
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.catalogue import Family, find_family
-from app.kinematics.effects.error_motion import make_error_motion_over
-from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.machine import Machine, position_unit
-from app.kinematics.model import CatalogueEffect, MachineModel, restore_effect
-from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
+from truepath.app.files.file_model import FileModel, Text, quote, refuse, validate
+from truepath.app.files.units import scale_of, unit_of
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.effects.catalogue import Family, find_family
+from truepath.app.kinematics.effects.error_motion import make_error_motion_over
+from truepath.app.kinematics.effects.location_error import (
+    list_axis_locations,
+    list_squarenesses,
+)
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import Machine, position_unit
+from truepath.app.kinematics.model import CatalogueEffect, MachineModel, restore_effect
+from truepath.app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
 
 SCHEMA = "model/1"
 _FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000

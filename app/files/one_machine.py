@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from app.errors import BundleError
-from app.files.machine_file import machine_to_json
-from app.kinematics.machine import Machine, Target
+from truepath.app.errors import BundleError
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.kinematics.machine import Machine, Target
 
 _SAME_TARGET_MM = 1e-6
 

@@ -14,10 +14,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from app.errors import BundleError
-from app.files.run import DirectMeasurement, PointRows
-from app.files.tables import Table, encode_csv, read_csv, read_parquet
-from drivers.interfaces.records import TemperatureSamples, TrackerSamples
+from truepath.app.errors import BundleError
+from truepath.app.files.environment import (
+    DEGC,
+    HUMIDITY,
+    PRESSURE,
+    fill_columns,
+    name_columns,
+    split_columns,
+)
+from truepath.app.files.run import DirectMeasurement, PointRows
+from truepath.app.files.tables import Table, encode_csv, read_csv, read_parquet
+from truepath.drivers.interfaces.records import (
+    AirSamples,
+    TemperatureSamples,
+    TrackerSamples,
+)
 
 _POSITION = ("x_mm", "y_mm", "z_mm")
 _COVARIANCE = {  # of one shot about the mean
@@ -28,9 +40,9 @@ _COVARIANCE = {  # of one shot about the mean
     "cov_yz_um2": (1, 2),
     "cov_zz_um2": (2, 2),
 }
+_STREAM = frozenset(("t_s", *_POSITION, "status", "point", "shots", *_COVARIANCE))
 MAX_STREAM_TEXT_BYTES = 1 << 30  # a stream as text, in one piece in memory
 _UM2 = 1e6  # in a mm²
-_DEGC = "_degC"
 _SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")
 _COLUMNS = ("error", "position_mm", "direction", "value", "unit")
 
@@ -42,7 +54,8 @@ def decode_tracker(
 
     A name that ends in `.csv` is read as CSV.
     """
-    table = read_csv(data, file) if file.endswith(".csv") else read_parquet(data, file)
+    is_text = file.endswith(".csv")
+    table = read_csv(data, file) if is_text else read_parquet(data, file, _STREAM)
     table.require("t_s", *_POSITION)
     if not len(table):
         remedy = "record the stream again"
@@ -82,26 +95,35 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
 
 def decode_environment(
     data: bytes, *, file: str = "environment.csv"
-) -> TemperatureSamples:
-    """Return the temperatures; columns that are none are left out."""
+) -> tuple[TemperatureSamples | None, AirSamples | None]:
+    """Return temperatures and air; other columns are left out."""
     table = read_csv(data, file)
     table.require("t_s")
-    sensors = [key for key in table.names if key.endswith(_DEGC) and key != _DEGC]
+    sensors = [key for key in table.names if key.endswith(DEGC) and key != DEGC]
+    sensors += [key for key in (PRESSURE, HUMIDITY) if key in table.names]
     if not sensors:
         raise BundleError(
             "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
         )
     table.require_rows("leave out the file")
-    celsius = np.stack([table.numbers(key) for key in sensors], axis=1)
-    names = tuple(key.removesuffix(_DEGC) for key in sensors)
-    return TemperatureSamples(names, _read_clock(table), celsius)
+    columns = {key: table.numbers(key) for key in sensors}
+    return split_columns(_read_clock(table), columns)
 
 
-def encode_environment(temperature: TemperatureSamples) -> bytes:
-    """Return the `environment.csv` of temperatures."""
-    named = zip(temperature.names, temperature.celsius.T, strict=True)
-    columns = {name + _DEGC: column for name, column in named}
-    return encode_csv({"t_s": temperature.time_s, **columns})
+def encode_environment(
+    temperature: TemperatureSamples | None, air: AirSamples | None
+) -> bytes:
+    """Return the `environment.csv` of sensors, every cell a number.
+
+    Between its readings a sensor is joined by straight lines; who has a hole that is
+    too long for this is left out, by `find_missing`.
+    """
+    columns = name_columns(temperature, air)
+    if not columns:
+        return b""
+    time_s = np.unique(np.concatenate([times for times, _ in columns.values()]))
+    filled = fill_columns(columns, time_s)
+    return encode_csv({"t_s": time_s} | filled) if filled else b""
 
 
 def decode_reference(

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BeforeValidator, Field, model_validator
 
-from app.files.file_model import FileModel, Text, parse_json, refuse, validate
-from app.files.machine_file import MachineFile
-from app.files.model_file import model_from_json
-from app.files.verdict import State, Verdict, verdict_from_json
-from app.files.whole_files import read_whole
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.machine import Machine
+from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
+from truepath.app.files.machine_file import MachineFile
+from truepath.app.files.model_file import model_from_json
+from truepath.app.files.verdict import State, Verdict, verdict_from_json
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import Machine
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points

@@ -4,22 +4,41 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from app.files.machine_file import machine_to_json
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import (
+from truepath.app.files.environment import ChannelFacts, state_facts
+from truepath.app.files.interruptions import (
+    NO_INTERRUPTIONS,
+    Interruptions,
+    find_interruptions,
+)
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.refraction import Refraction
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import (
+    AirSamples,
     AxisSamples,
     Path,
     TemperatureSamples,
     TrackerSamples,
 )
-from drivers.interfaces.tracker_records import TrackerEventKind
+from truepath.drivers.interfaces.tracker_records import TrackerEventKind
 
+# Kinds of the events that a cell records of sensors.
+SENSOR_KINDS = frozenset(
+    {
+        "sensor-silent",
+        "sensor-no-number",
+        "sensor-implausible",
+        "sensor-stuck",
+        "sensor-back",
+    }
+)
+_UNKNOWN = Refraction()
 _TOLD = frozenset(map(str, TrackerEventKind))
 
 
@@ -64,6 +83,8 @@ class RunEvent:
 class Run:
     """One measurement, whole or as far as it got.
 
+    temperature, air : as sensors showed them; None where there were none
+    refraction : who has corrected the ranges of the tracker for the air
     points : of a tracker that measures point by point; None where it streams
     """
 
@@ -72,6 +93,8 @@ class Run:
     commanded: Path | Configurations
     tracker: TrackerSamples
     temperature: TemperatureSamples | None = None
+    air: AirSamples | None = None
+    refraction: Refraction = _UNKNOWN
     axis_samples: AxisSamples | None = None
     points: PointRows | None = None
     reference: tuple[DirectMeasurement, ...] = ()
@@ -94,8 +117,11 @@ class RunSummary:
     feed_mm_min : lowest and highest feed, None for standstill points
     measured_s : from the first to the last sample; samples : in the stream
     temperature_degc : lowest and highest of each sensor
+    sensors : every sensor, those that showed nothing as well
+    sensors_told : what went wrong with them, each once
     source : what the Run itself knows about where it comes from
     told : what the tracker itself has said meanwhile, each once
+    interruptions : of the stream; driven_again : which lines were, each time
     """
 
     name: str
@@ -108,6 +134,11 @@ class RunSummary:
     temperature_degc: dict[str, tuple[float, float]]
     source: dict[str, str]
     told: tuple[str, ...] = ()
+    sensors: tuple[ChannelFacts, ...] = ()
+    sensors_told: tuple[str, ...] = ()
+    refraction: Refraction = _UNKNOWN
+    interruptions: Interruptions = NO_INTERRUPTIONS
+    driven_again: tuple[str, ...] = ()
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -127,8 +158,21 @@ def summarize_run(run: Run) -> RunSummary:
         len(run.tracker),
         _state_temperatures(run),
         dict(run.provenance),
-        tuple(dict.fromkeys(e.text for e in run.events if e.kind in _TOLD)),
+        _collect_texts(run, _TOLD),
+        state_facts(run.temperature, run.air, *_find_span_s(time_s)),
+        _collect_texts(run, SENSOR_KINDS),
+        run.refraction,
+        find_interruptions(run.tracker),
+        tuple(e.text for e in run.events if e.kind == "again"),
     )
+
+
+def _collect_texts(run: Run, kinds: Collection[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(e.text for e in run.events if e.kind in kinds))
+
+
+def _find_span_s(time_s: np.ndarray) -> tuple[float, float]:
+    return (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
 
 
 def number_names(names: Sequence[str]) -> list[str]:
@@ -168,10 +212,12 @@ def _state_temperatures(run: Run) -> dict[str, tuple[float, float]]:
     samples = run.temperature
     if samples is None or not len(samples.time_s):
         return {}
-    return dict(
-        zip(samples.names, map(_span, samples.celsius.T), strict=True),
-    )
+    return {
+        name: _span(column)
+        for name, column in zip(samples.names, samples.celsius.T, strict=True)
+        if np.isfinite(column).any()
+    }
 
 
 def _span(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
+    return float(np.nanmin(values)), float(np.nanmax(values))

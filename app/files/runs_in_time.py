@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from app.errors import BadInput
-from app.files.one_machine import have_same_targets, one_machine
-from app.files.run import Run, digest_run
-from app.kinematics.machine import Machine
+from truepath.app.errors import BadInput
+from truepath.app.files.one_machine import have_same_targets, one_machine
+from truepath.app.files.run import Run, digest_run
+from truepath.app.kinematics.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)

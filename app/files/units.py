@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.kinematics.effects.base import Parameter
+from truepath.app.kinematics.effects.base import Parameter
 
 UM_PER_MM = 1e3
 URAD_PER_RAD = 1e6

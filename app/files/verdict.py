@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from app.errors import NotUsable
+from truepath.app.errors import NotUsable
 
 State = Literal["usable", "doubtful", "not-usable"]
 STATES: tuple[State, ...] = ("usable", "doubtful", "not-usable")  # from best to worst
@@ -44,6 +44,19 @@ SENTENCES: Mapping[str, Sentence] = {
         "From {from_s} to {to_s}, from line {line} on, the target stands at places up "
         "to {distance_um} off those of the path; nothing of that time is used.",
         "Look whether the frame, a sign or a unit of the stream changed at that time.",
+    ),
+    "air-uncorrected": Sentence(
+        "The tracker's ranges are not corrected for the air: {why}. Every length, and "
+        "with it every positioning error, is wrong by as much as the air is off what "
+        "the tracker assumed: up to 270 µm in a metre.",
+        "Measure temperature and pressure of the air, and measure again.",
+    ),
+    "range-off": Sentence(
+        "All distances of the tracker seem to be off by {distance_um} (within "
+        "{within_um}, k = 2): a wrong home distance or constant of the reflector. The "
+        "errors stated are wrong by about a fifteenth of it.",
+        "Set the home distance again, choose the reflector in use, measure again; a "
+        "discovery takes it out of this Run.",
     ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "
@@ -111,6 +124,24 @@ SENTENCES: Mapping[str, Sentence] = {
         "were off by {distance_um}.",
         "Use a lower feed or gentler ramps, or look for a loose mount where it should "
         "be stiff.",
+    ),
+    "axis-scaled": Sentence(
+        "Axis {axes} moved {by} too far, more than machines do: the program may have "
+        "been scaled, or be another one.",
+        "Compare the program that ran with the one that is stated; run it without "
+        "scaling. If they are one, correct the scale of the axis.",
+    ),
+    "axes-leaning": Sentence(
+        "Axes {axes} are off square by {by}, more than machines are: the program may "
+        "have been changed, or be another one.",
+        "Compare the program that ran with the one that is stated. If they are one, "
+        "align the machine.",
+    ),
+    "axis-shifted": Sentence(
+        "Axis {axes} is {by} off its place against the rotary axes, more than machines "
+        "are: a work offset was in use, or the machine file places its axes elsewhere.",
+        "Run the program without offsets; compare origin_mm, offset_mm and zero points "
+        "with the machine.",
     ),
     "little-gained": Sentence(
         "The mean error found is {found_um}; a compensation with it is expected to "

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from app.errors import BundleError
+from truepath.app.errors import BundleError
 
 MAX_TEXT_BYTES = 64 << 20  # of a file that people write
 

@@ -24,7 +24,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict, model_validator
 
-from app.files.file_model import (
+from truepath.app.files.file_model import (
     FileModel,
     Text,
     Vector,
@@ -32,10 +32,10 @@ from app.files.file_model import (
     refuse,
     validate,
 )
-from app.files.whole_files import read_whole
-from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.motion.line_of_sight import Box, Reflector
-from app.motion.workspace import StationAreas, Workspace
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.motion.line_of_sight import Box, Reflector
+from truepath.app.motion.workspace import StationAreas, Workspace
 
 _NEAREST_MM = 200.0  # of a place that is chosen, where nothing is stated
 Size = Annotated[float, Field(ge=0.0)]

@@ -10,13 +10,13 @@ from typing import Any
 
 import structlog
 
-from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
-from app.jobs.event_bus import EventBus
-from app.jobs.executor import Computation
-from app.jobs.job import Failure, Health, Job, JobEvent, Json, Progress, Stage
-from app.jobs.live_notice import OnNotice
-from app.jobs.store import Store
-from app.jobs.transitions import State, Verb, apply_verb, may_follow
+from truepath.app.jobs.errors import Aborted, Interrupted, StorageUnavailable
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.executor import Computation
+from truepath.app.jobs.job import Failure, Health, Job, JobEvent, Json, Progress, Stage
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State, Verb, apply_verb, may_follow
 
 log = structlog.get_logger(__name__)
 
@@ -33,12 +33,12 @@ PUBLISH_EVERY_S = 0.1
 class ActiveJob:
     """One job under way. Request threads ask, the job's thread obeys at checkpoints.
 
-    state : stored last
+    job, state : stored last
     wants_pause : whether a user has asked for a pause and for nothing since
     """
 
     def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
-        self.job_id, self.kind = job.id, job.kind
+        self.job, self.job_id, self.kind = job, job.id, job.kind
         self._store, self._event_bus = store, event_bus
         self._changed = threading.Condition()
         self.state, self._since = job.state, time.monotonic()
@@ -229,6 +229,7 @@ class ActiveJob:
     def _change(self, change: Callable[[Job], Job], version: int | None = None) -> Job:
         job = self._store.change(self.job_id, change, version=version)
         with self._changed:
+            self.job = job
             if job.state is not self.state:
                 self.state, self._since = job.state, time.monotonic()
             self.wants_pause = job.wants_pause

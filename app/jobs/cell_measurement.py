@@ -13,15 +13,15 @@ from dataclasses import asdict
 
 import structlog
 
-from app.errors import MeasurementFailed
-from app.jobs.active_job import ActiveJob
-from app.jobs.cell_supervisor import MOVING, CellSupervisor
-from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
-from app.jobs.job import Failure, Health, Progress, Stage
-from app.jobs.live_estimation import LiveSteering
-from app.jobs.transitions import State
-from app.measurement.measurement_state import ENDS
-from app.measurement.messages import (
+from truepath.app.errors import MeasurementFailed
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.cell_supervisor import MOVING, CellSupervisor
+from truepath.app.jobs.errors import Aborted, MachineFault, MeasurementEnded
+from truepath.app.jobs.job import Failure, Health, Progress, Stage
+from truepath.app.jobs.live_estimation import LiveSteering
+from truepath.app.jobs.transitions import State
+from truepath.app.measurement.measurement_state import ENDS
+from truepath.app.measurement.messages import (
     CellEvent,
     CellState,
     CellVerb,

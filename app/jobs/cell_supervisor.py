@@ -19,10 +19,10 @@ from typing import Any
 
 import structlog
 
-from app.errors import MeasurementFailed, TruepathError
-from app.jobs.errors import CellDown, DeviceSettings
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.jobs.errors import CellDown, DeviceSettings
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellEvent,
     CellState,
     CellVerb,
@@ -30,7 +30,7 @@ from app.measurement.messages import (
     MeasurementOrder,
     StateChanged,
 )
-from app.motion.configurations import Commanded
+from truepath.app.motion.configurations import Commanded
 
 log = structlog.get_logger(__name__)
 
@@ -39,6 +39,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 10.0
+BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
 MOVING = frozenset(
     {CellState.RUNNING, CellState.PAUSING, CellState.PAUSED, CellState.RESUMING}
@@ -190,8 +191,13 @@ class CellSupervisor:
         self._go_down("the cell process has ended; it is started again")
 
     def _serve(self, cell: Cell) -> None:
+        beat_s = 0.0
         while not self._closing.is_set() and not self._must_kill.is_set():
             self._run_commands(cell)
+            if time.monotonic() - beat_s > BEAT_S and cell.alive:
+                beat_s = time.monotonic()
+                with suppress(MeasurementFailed):  # it has just died: seen below
+                    cell.send(CellVerb.BEAT)
             alive = cell.alive
             events = cell.poll(POLL_S)
             for event in events:

@@ -6,19 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from app.jobs.cell_measurement import CONFIRM_S
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.errors import NoMachine
-from app.jobs.executor import ProcessExecutor, Task
-from app.jobs.live_estimation import LiveEstimation, Show
-from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.plan_orders import plan_measurement
-from app.jobs.runs import RunCatalogue
-from app.jobs.science import check_station, discover_recorded, follow_recorded
-from app.jobs.store import Store
-from app.jobs.transitions import State
-from app.jobs.workers import Workers
-from app.kinematics.machine import Machine
+from truepath.app.jobs.cell_measurement import CONFIRM_S
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.errors import NoMachine
+from truepath.app.jobs.executor import ProcessExecutor, Task
+from truepath.app.jobs.live_estimation import LiveEstimation, Show
+from truepath.app.jobs.live_process import LiveEstimateOrder
+from truepath.app.jobs.plan_orders import plan_measurement
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.science import check_station, discover_recorded, follow_recorded
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State
+from truepath.app.jobs.workers import Workers
+from truepath.app.kinematics.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 from distributed import Client
 
-from app.jobs.errors import WorkersAway
+from truepath.app.jobs.errors import WorkersAway
 
 _RETRIES = 2
 

@@ -24,8 +24,8 @@ from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from app.errors import BadInput
-from app.jobs.errors import SchemaTooNew, StorageUnavailable
+from truepath.app.errors import BadInput
+from truepath.app.jobs.errors import SchemaTooNew, StorageUnavailable
 
 log = structlog.get_logger(__name__)
 T = TypeVar("T")

@@ -10,22 +10,28 @@ from dataclasses import replace
 
 import structlog
 
-from app.errors import IllegalTransition
-from app.jobs.active_job import ActiveJob
-from app.jobs.context import JobContext
-from app.jobs.errors import CellDown, Interrupted, QueueFull
-from app.jobs.event_bus import EventBus
-from app.jobs.job import Failure, Job, Stage
-from app.jobs.live_notice import OnNotice
-from app.jobs.requested_job import RequestedJob, check_requested_job
-from app.jobs.station_steps import list_run_ids
-from app.jobs.store import IdempotencyKey
-from app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
-from app.jobs.workflow import run_job
-from app.measurement.messages import CellVerb
+from truepath.app.errors import IllegalTransition, NotFound
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.errors import (
+    CellDown,
+    Interrupted,
+    QueueFull,
+    StorageUnavailable,
+)
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.job import Failure, Job, Stage
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
+from truepath.app.jobs.station_steps import list_run_ids
+from truepath.app.jobs.store import IdempotencyKey
+from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
+from truepath.app.jobs.workflow import run_job
+from truepath.app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
+BOOKS_S = 1.0  # that whoever stops the machine waits for the catalogue
 MAX_WAITING = 100
 
 
@@ -43,6 +49,8 @@ class Dispatcher:
         """Mark jobs that an earlier service left unfinished. Moves nothing."""
         for job in self._context.store.list_unfinished():
             self._interrupt(job)
+        for run_id in self._context.runs.add_left_behind():
+            self._join_run(run_id)
         self._context.runs.remove_uploads()
         self._context.store.prune()
 
@@ -107,17 +115,44 @@ class Dispatcher:
         active = self._active.get(job_id)
         if active is None:
             return self._context.store.get(job_id)
-        # First the machine, then the catalogue, which may make this thread wait.
         active.abort()
         if active.kind.measures:
             self._command_cell(CellVerb.ABORT)
-        return active.apply_verb(Verb.ABORT)
+        return self._write_aborts([active])[0]
 
     def stop(self) -> list[Job]:
         """Stop all motion, whichever job it belongs to, and those jobs with it."""
         self._command_cell(CellVerb.ABORT)
-        under_way = list(self._active.values())
-        return [self.abort(c.job_id) for c in under_way if c.kind.measures]
+        under_way = [a for a in list(self._active.values()) if a.kind.measures]
+        for active in under_way:
+            active.abort()
+        return self._write_aborts(under_way)
+
+    def _write_aborts(self, aborted: list[ActiveJob]) -> list[Job]:
+        """Write down what the machine was told, and return the jobs.
+
+        Whoever asked is answered in time even where the catalogue is not: jobs are then
+        as they were stored last, and their own threads write down how they end.
+        """
+        written: dict[str, Job] = {}
+        writers = [
+            threading.Thread(
+                target=self._write_abort, args=(active, written), daemon=True
+            )
+            for active in aborted
+        ]
+        for writer in writers:
+            writer.start()
+        end = time.monotonic() + BOOKS_S
+        for writer in writers:
+            writer.join(max(0.0, end - time.monotonic()))
+        return [written.get(active.job_id, active.job) for active in aborted]
+
+    def _write_abort(self, active: ActiveJob, written: dict[str, Job]) -> None:
+        try:
+            written[active.job_id] = active.apply_verb(Verb.ABORT)
+        except StorageUnavailable as error:
+            log.warning("an abort is not written down", job=active.job_id, why=error)
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Stop motion, end every job as interrupted, wait for their threads."""
@@ -159,6 +194,15 @@ class Dispatcher:
         job = self._context.store.get(job_id)
         apply_verb(verb, job.state)
         raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
+
+    def _join_run(self, run_id: str) -> None:
+        """Name a Run in the job that measured it, where the job names none."""
+
+        def change(job: Job) -> Job:
+            return job if job.run_id is not None else replace(job, run_id=run_id)
+
+        with suppress(NotFound):  # a Run of a further station, or of another catalogue
+            self._context.store.change(run_id, change)
 
     def _interrupt(self, job: Job) -> None:
         runs = self._context.runs

@@ -9,21 +9,21 @@ from typing import Any
 
 import structlog
 
-from app.errors import MeasurementFailed
-from app.files.commanded_file import encode_commanded_json
-from app.jobs.active_job import ActiveJob
-from app.jobs.cell_measurement import CellMeasurement
-from app.jobs.context import JobContext
-from app.jobs.errors import StorageUnavailable
-from app.jobs.job import EarlyEnd, Job, JobKind, Json
-from app.jobs.live_estimation import LiveEstimation, LiveSteering
-from app.jobs.live_notice import OnNotice
-from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.notices import NoticeBoard
-from app.jobs.planned_rows import PlannedRows
-from app.measurement.messages import MeasurementOrder
-from app.motion.configurations import Commanded
-from drivers.interfaces.records import Path
+from truepath.app.errors import MeasurementFailed
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.cell_measurement import CellMeasurement
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.job import EarlyEnd, Job, JobKind, Json
+from truepath.app.jobs.live_estimation import LiveEstimation, LiveSteering
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.live_process import LiveEstimateOrder
+from truepath.app.jobs.notices import NoticeBoard
+from truepath.app.jobs.planned_rows import PlannedRows
+from truepath.app.measurement.messages import MeasurementOrder
+from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import Path
 
 log = structlog.get_logger(__name__)
 

@@ -1,8 +1,8 @@
-"""What can go wrong with a job beyond the families of `app.errors`."""
+"""What can go wrong with a job beyond the families of `truepath.app.errors`."""
 
 from __future__ import annotations
 
-from app.errors import JobError, MeasurementFailed, TruepathError
+from truepath.app.errors import JobError, MeasurementFailed, TruepathError
 
 
 class StaleVersion(JobError):

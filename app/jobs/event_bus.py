@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from app.jobs.job import JobEvent
+from truepath.app.jobs.job import JobEvent
 
 JOBS = 16
 """Number of jobs whose estimates are kept: those with the newest ones."""

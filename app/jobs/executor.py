@@ -21,9 +21,9 @@ from typing import Any
 
 import structlog
 
-from app.child_process import BACKGROUND_NICENESS, ChildProcess
-from app.jobs.errors import Aborted, TaskFailed, WorkerDied
-from app.progress import Progress
+from truepath.app.child_process import BACKGROUND_NICENESS, ChildProcess
+from truepath.app.jobs.errors import Aborted, TaskFailed, WorkerDied
+from truepath.app.progress import Progress
 
 log = structlog.get_logger(__name__)
 

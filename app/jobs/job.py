@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from app.files.verdict import State as VerdictState
-from app.jobs.live_notice import LiveNotice, OnNotice
-from app.jobs.transitions import FINAL, State
-from app.numerics.adaptive_trials import TrialPlan
+from truepath.app.files.verdict import State as VerdictState
+from truepath.app.jobs.live_notice import LiveNotice, OnNotice
+from truepath.app.jobs.transitions import FINAL, State
+from truepath.app.numerics.adaptive_trials import TrialPlan
 
 Json = Mapping[str, Any]
 

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from app.child_process import BACKGROUND_NICENESS, ChildProcess
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.live_process import (
+from truepath.app.child_process import BACKGROUND_NICENESS, ChildProcess
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.live_process import (
     Estimated,
     EstimateFailed,
     LiveCommand,
@@ -31,20 +31,20 @@ from app.jobs.live_process import (
     PartChosen,
     estimate_live,
 )
-from app.jobs.planned_rows import PlannedRows
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.jobs.planned_rows import PlannedRows
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     BlockRecorded,
     CellEvent,
     CellVerb,
     LinesDamaged,
     PartRequested,
 )
-from app.motion.configurations import Commanded, append_part
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.motion.configurations import Commanded, append_part
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
-    from app.planning.adaptive_plan import Part
+    from truepath.app.planning.adaptive_plan import Part
 
 log = structlog.get_logger(__name__)
 

@@ -14,15 +14,15 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from app.files.verdict import verdict_json
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations, append_part
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.files.verdict import verdict_json
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, Configurations, append_part
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
-    from app.estimation.live import LiveEstimator
-    from app.planning.adaptive_plan import AdaptivePlanner, Part
-    from app.planning.plan_order import PlanOrder
+    from truepath.app.estimation.live import LiveEstimator
+    from truepath.app.planning.adaptive_plan import AdaptivePlanner, Part
+    from truepath.app.planning.plan_order import PlanOrder
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
@@ -89,8 +89,8 @@ def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
 
 def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
-    from app.estimation.live import LiveEstimator
-    from app.jobs.plan_orders import read_plan_order
+    from truepath.app.estimation.live import LiveEstimator
+    from truepath.app.jobs.plan_orders import read_plan_order
 
     request = read_plan_order(order.request or {})
     live = LiveEstimator(
@@ -143,7 +143,7 @@ class _PartChooser:
         self.total = max(self.total, _count(self._commanded))
 
     def next(self) -> Part:
-        from app.planning.adaptive_plan import AdaptivePlanner, Part
+        from truepath.app.planning.adaptive_plan import AdaptivePlanner, Part
 
         if self._choice is None:
             order = self._order
@@ -209,8 +209,8 @@ class _Stream:
 
 def estimate_json(now: Any) -> dict[str, Any]:
     """Return a LiveEstimate in the words of `result.json`."""
-    from app.results.error_tables import build_error_tables
-    from app.results.verdict import judge_live
+    from truepath.app.results.error_tables import build_error_tables
+    from truepath.app.results.verdict import judge_live
 
     tables = build_error_tables(now)
     places = {

@@ -10,16 +10,16 @@ from typing import Any
 
 import structlog
 
-from app.errors import IllegalTransition
-from app.files.file_model import encode_json
-from app.files.whole_files import replace_file
-from app.jobs.active_job import ActiveJob
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.errors import StorageUnavailable
-from app.jobs.live_notice import LiveNotice, OnNotice, decode_notice
-from app.jobs.planned_rows import PlannedRows
-from app.jobs.transitions import Verb
-from app.measurement.messages import CellVerb
+from truepath.app.errors import IllegalTransition
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.whole_files import replace_file
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.live_notice import LiveNotice, OnNotice, decode_notice
+from truepath.app.jobs.planned_rows import PlannedRows
+from truepath.app.jobs.transitions import Verb
+from truepath.app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 

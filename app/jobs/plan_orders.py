@@ -21,25 +21,28 @@ from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
-from app.errors import BundleError, PlanningError
-from app.files.commanded_file import decode_commanded_json, encode_commanded_json
-from app.files.machine_file import machine_from_json, machine_to_json
-from app.files.one_machine import one_machine
-from app.files.workspace_file import workspace_from_json
-from app.jobs.job import JobKind, Json
-from app.kinematics.machine import Machine
-from app.motion.commanded_rows import MAX_ROWS, Row, command_rows
-from app.motion.configurations import Commanded
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
-from app.motion.travel import check_travel
-from app.motion.workspace import moves_where_seen
-from app.progress import Progress
-from app.results.model_history import DISCOVERY, find_model_file
-from drivers.interfaces.records import Path
+from truepath.app.errors import BundleError, PlanningError
+from truepath.app.files.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.files.one_machine import one_machine
+from truepath.app.files.workspace_file import workspace_from_json
+from truepath.app.jobs.job import JobKind, Json
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.commanded_rows import MAX_ROWS, Row, command_rows
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
+from truepath.app.motion.travel import check_travel
+from truepath.app.motion.workspace import moves_where_seen
+from truepath.app.progress import Progress
+from truepath.app.results.model_history import DISCOVERY, find_model_file
+from truepath.drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.planning.plan import Plan
-    from app.planning.plan_order import PlanOrder
+    from truepath.app.planning.plan import Plan
+    from truepath.app.planning.plan_order import PlanOrder
 
 _PLAIN = ("mode", "minutes", "target_um", "max_feed_mm_min", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed", "turns", "stations")
@@ -58,9 +61,9 @@ def plan_measurement(
     PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
-    from app.planning.plan_making import make_plan
-    from app.results.grade_json import grade_set_up
-    from app.results.plan_document import plan_document
+    from truepath.app.planning.plan_making import make_plan
+    from truepath.app.results.grade_json import grade_set_up
+    from truepath.app.results.plan_document import plan_document
 
     if "mode" not in order:
         feed_mm_min, *_ = order.get("feeds_mm_min") or [None]
@@ -90,7 +93,7 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
     workspace = planned.order.workspace
     if not planned.further or workspace.stations is None:
         return {}
-    from app.planning.known_points import choose_known_points
+    from truepath.app.planning.known_points import choose_known_points
 
     plans = planned.at_stations
     places_mm = [plan.station_mm for plan in plans]
@@ -113,15 +116,15 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
 @lru_cache(maxsize=4)
 def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
     """Return the default path, computed once in the life of a worker process."""
-    from app.planning.default_path import default_path
+    from truepath.app.planning.default_path import default_path
 
     return default_path(machine, feed_mm_min)
 
 
 def read_plan_order(order: Json) -> PlanOrder:
     """Return what an order in JSON asks of a plan."""
-    from app.estimation.prior_model import read_prior_model
-    from app.planning.plan_order import PlanOrder
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.planning.plan_order import PlanOrder
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.motion.configurations import Commanded, append_part, select_rows
-from app.motion.driven_again import drive_again
-from drivers.interfaces.records import Path
+from truepath.app.motion.configurations import Commanded, append_part, select_rows
+from truepath.app.motion.driven_again import drive_again
+from truepath.drivers.interfaces.records import Path
 
 _PART = 2  # lines or points
 _FARTHEST = 6  # lines or points that are driven again

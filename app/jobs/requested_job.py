@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
-from app.files.commanded_file import encode_commanded_json
-from app.files.runs_in_time import TimedRun, order_in_time
-from app.jobs.context import JobContext
-from app.jobs.job import Job, JobKind, Json
-from app.jobs.live_notice import OnNotice
-from app.jobs.plan_orders import (
+from truepath.app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.runs_in_time import TimedRun, order_in_time
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.job import Job, JobKind, Json
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.plan_orders import (
     check_plan_to_drive,
     list_station_rows,
     plan_extra_lines,
     refuse_several_targets,
 )
-from app.jobs.station_steps import count_measured
-from app.motion.commanded_rows import Row, command_rows
-from app.motion.default_points import default_points
-from app.motion.travel import check_travel
-from app.numerics.adaptive_trials import TrialPlan
-from app.results.model_history import find_model_file
+from truepath.app.jobs.station_steps import count_measured
+from truepath.app.motion.commanded_rows import Row, command_rows
+from truepath.app.motion.default_points import default_points
+from truepath.app.motion.travel import check_travel
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.app.results.model_history import find_model_file
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,16 +20,16 @@ import numpy as np
 import structlog
 from sqlalchemy import insert, select
 
-from app.errors import NotFound
-from app.files.bundle import read_bundle, zip_bundle
-from app.files.commanded_file import encode_commanded_json
-from app.files.run import Run
-from app.files.whole_files import replace_file, sync_to_disk
-from app.jobs.database import Database
-from app.jobs.job import format_utc_now, make_id
-from app.jobs.schema import runs
-from app.measurement.run_file import hash_file
-from app.measurement.run_reading import open_run, repair_run
+from truepath.app.errors import NotFound
+from truepath.app.files.bundle import read_bundle, zip_bundle
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.run import Run
+from truepath.app.files.whole_files import replace_file, sync_to_disk
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.job import format_utc_now, make_id
+from truepath.app.jobs.schema import runs
+from truepath.app.measurement.run_file import hash_file
+from truepath.app.measurement.run_reading import open_run, repair_run
 
 log = structlog.get_logger(__name__)
 
@@ -91,6 +91,12 @@ class RunCatalogue:
         except Exception:
             log.exception("the Run cannot be read; its file is kept")
             return None
+
+    def add_left_behind(self) -> list[str]:
+        """Catalogue recorded files that no row names; return their Runs."""
+        recorded = sorted(file.stem for file in self._folder.glob("*.sqlite"))
+        known = set(self.find(recorded))
+        return [i for i in recorded if i not in known and self.add_measured(i)]
 
     def add_uploaded(self, bundle: Path, name: str) -> RunRecord:
         """Check a zipped bundle, keep it and catalogue it. Raises BundleError.

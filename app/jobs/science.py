@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.errors import AlignmentError
-from app.files.units import UM_PER_MM
-from app.files.verdict import State
-from app.files.whole_files import sync_to_disk
-from app.jobs.job import Json
-from app.jobs.runs import open_recorded
-from app.jobs.workers import Workers, open_workers
-from app.numerics.adaptive_trials import TrialPlan
-from app.progress import Progress
+from truepath.app.errors import AlignmentError
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.verdict import State
+from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.jobs.job import Json
+from truepath.app.jobs.runs import open_recorded
+from truepath.app.jobs.workers import Workers, open_workers
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.app.progress import Progress
 
 
 def analyse_recorded(
@@ -40,9 +40,13 @@ def analyse_recorded(
     model_file, model_id : the model whose effects are estimated beside, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.estimation.prior_model import read_prior_model
-    from app.reporting.analysis_files import read_runs, render_analysis, write_analysis
-    from app.results.analysis import analyse
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.reporting.analysis_files import (
+        read_runs,
+        render_analysis,
+        write_analysis,
+    )
+    from truepath.app.results.analysis import analyse
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_runs(run_files, open_recorded)
@@ -77,10 +81,10 @@ def discover_recorded(
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.estimation.prior_model import read_prior_model
-    from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_report import write_discovery
-    from app.results.discovery import discover_runs
+    from truepath.app.estimation.prior_model import read_prior_model
+    from truepath.app.reporting.analysis_files import read_runs
+    from truepath.app.reporting.discovery_report import write_discovery
+    from truepath.app.results.discovery import discover_runs
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_runs(run_files, open_recorded)
@@ -105,9 +109,9 @@ def follow_recorded(
     asked : as `Question.of` reads it
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.reporting.analysis_files import read_runs
-    from app.reporting.trend_report import write_trend
-    from app.results.trend import Question, follow_machine
+    from truepath.app.reporting.analysis_files import read_runs
+    from truepath.app.reporting.trend_report import write_trend
+    from truepath.app.results.trend import Question, follow_machine
 
     runs = [
         replace(run, name=name)
@@ -132,8 +136,8 @@ def check_station(
     asked_mm : how far the tracker was to go; specification : what it may be off by
     """
     # Imported where it computes: the service itself carries no science.
-    from app.alignment.known_points import compare_stations, measure_points
-    from app.kinematics.effects.tracker_error import TrackerSpecification
+    from truepath.app.alignment.known_points import compare_stations, measure_points
+    from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 
     within = TrackerSpecification(**specification)
     try:
@@ -159,8 +163,8 @@ def check_station(
 
 def prepare() -> None:
     """Import what science needs, so that the first job does not wait for it."""
-    import app.reporting.analysis_files
-    import app.reporting.discovery_report  # noqa: F401
+    import truepath.app.reporting.analysis_files
+    import truepath.app.reporting.discovery_report  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], object]) -> None:

@@ -17,12 +17,12 @@ from typing import Any
 
 import structlog
 
-from app.files.commanded_file import decode_commanded_json
-from app.jobs.active_job import ActiveJob
-from app.jobs.cell_measurement import CellMeasurement
-from app.jobs.context import JobContext
-from app.jobs.errors import MachineFault, MeasurementEnded
-from app.jobs.job import (
+from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.cell_measurement import CellMeasurement
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.errors import MachineFault, MeasurementEnded
+from truepath.app.jobs.job import (
     Job,
     Json,
     Stage,
@@ -30,10 +30,10 @@ from app.jobs.job import (
     StationProgress,
     make_id,
 )
-from app.jobs.store import Store
-from app.jobs.transitions import State
-from app.measurement.messages import MeasurementOrder
-from app.motion.configurations import Commanded
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State
+from truepath.app.measurement.messages import MeasurementOrder
+from truepath.app.motion.configurations import Commanded
 
 _UNSEEN = frozenset({"beam-lost", "not-resumed"})
 

@@ -15,10 +15,10 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
-from app.errors import NotFound
-from app.jobs.database import Database
-from app.jobs.errors import CellBusy, KeyReused, StaleVersion
-from app.jobs.job import (
+from truepath.app.errors import NotFound
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from truepath.app.jobs.job import (
     Health,
     Job,
     JobEvent,
@@ -31,8 +31,8 @@ from app.jobs.job import (
     format_utc_now,
     make_id,
 )
-from app.jobs.schema import events, idempotency_keys, jobs
-from app.jobs.transitions import FINAL, State, check_transition
+from truepath.app.jobs.schema import events, idempotency_keys, jobs
+from truepath.app.jobs.transitions import FINAL, State, check_transition
 
 KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000

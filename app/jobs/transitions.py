@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from app.errors import IllegalTransition
+from truepath.app.errors import IllegalTransition
 
 
 class State(StrEnum):

@@ -17,9 +17,9 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal, TypeVar
 
-from app.errors import BadInput
-from app.jobs.executor import WorkerProcess
-from app.settings import Settings
+from truepath.app.errors import BadInput
+from truepath.app.jobs.executor import WorkerProcess
+from truepath.app.settings import Settings
 
 T = TypeVar("T")
 Ordered = Callable[[Callable[[int], T], Iterable[int]], Iterator[T]]
@@ -66,7 +66,7 @@ def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
     """
     workers.check()
     if workers.kind == "dask":
-        from app.jobs.dask_workers import dask_executor
+        from truepath.app.jobs.dask_workers import dask_executor
 
         with dask_executor(workers.scheduler, workers.patience_s) as (
             executor,

@@ -13,12 +13,12 @@ from typing import Any
 
 import structlog
 
-from app.errors import TruepathError
-from app.files.commanded_file import decode_commanded_json
-from app.jobs.active_job import ActiveJob
-from app.jobs.context import JobContext
-from app.jobs.driving_steps import DrivingSteps
-from app.jobs.errors import (
+from truepath.app.errors import TruepathError
+from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.driving_steps import DrivingSteps
+from truepath.app.jobs.errors import (
     Aborted,
     Interrupted,
     MachineFault,
@@ -26,16 +26,16 @@ from app.jobs.errors import (
     StorageUnavailable,
     TaskFailed,
 )
-from app.jobs.executor import Task
-from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
-from app.jobs.notices import add_to_result
-from app.jobs.plan_orders import order_first_part
-from app.jobs.station_steps import StationSteps, begin_at_station
-from app.jobs.transitions import State, Verb
-from app.motion.configurations import Commanded
-from app.motion.travel import check_travel
-from app.results.model_history import RESULT, find_model_file
-from drivers.interfaces.errors import DeviceError
+from truepath.app.jobs.executor import Task
+from truepath.app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
+from truepath.app.jobs.notices import add_to_result
+from truepath.app.jobs.plan_orders import order_first_part
+from truepath.app.jobs.station_steps import StationSteps, begin_at_station
+from truepath.app.jobs.transitions import State, Verb
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.travel import check_travel
+from truepath.app.results.model_history import RESULT, find_model_file
+from truepath.drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
 

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.machine import Machine, compute_turns
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.machine import Machine, compute_turns
+from truepath.app.kinematics.symbols import LINEAR
 
 
 @dataclass(frozen=True)

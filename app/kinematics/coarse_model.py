@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.backlash import make_half_shape, make_half_width
-from app.kinematics.effects.base import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.backlash import make_half_shape, make_half_width
+from truepath.app.kinematics.effects.base import (
     Effect,
     EffectOfRun,
     Parameter,
@@ -26,17 +26,17 @@ from app.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
-from app.kinematics.effects.inertial_bend import InertialBend
-from app.kinematics.identifiable import (
+from truepath.app.kinematics.effects.inertial_bend import InertialBend
+from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,
     list_untold_effects,
 )
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.splines import CubicSpline, natural_spline
-from app.kinematics.symbols import LINEAR
-from app.kinematics.volumetric_map import ShapeModel, build_shape_model
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.splines import CubicSpline, natural_spline
+from truepath.app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.volumetric_map import ShapeModel, build_shape_model
 
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.kinematics.chain import NominalChain
-from app.kinematics.machine import Axis, Machine, Target
-from app.kinematics.splines import CubicSpline
+from truepath.app.kinematics.chain import NominalChain
+from truepath.app.kinematics.machine import Axis, Machine, Target
+from truepath.app.kinematics.splines import CubicSpline
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def make_standstill(
     """Return conditions of a machine that stands at the given positions."""
     n, a = len(position_mm), len(machine.axes)
     if offset_mm is None:
-        offset_mm = np.tile(np.array(machine.target().offset_mm), (n, 1))
+        offset_mm = np.tile(np.array(machine.target().offset_mm, float), (n, 1))
     return Conditions(
         machine,
         position_mm,

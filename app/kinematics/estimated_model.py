@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import cho_factor, cho_solve
 
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.model import MachineModel
 
 
 @dataclass(frozen=True)

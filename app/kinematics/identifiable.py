@@ -23,13 +23,19 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, observe_targets
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.error_motion import find_arm, make_error_motion
-from app.kinematics.machine import SAME_TARGET_MM, Axis, Machine, RotaryAxis, Target
-from app.kinematics.model import MachineModel
-from app.kinematics.single_numbers import list_numbers, select_numbers
-from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
+from truepath.app.kinematics.conditions import Conditions, observe_targets
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.error_motion import find_arm, make_error_motion
+from truepath.app.kinematics.machine import (
+    SAME_TARGET_MM,
+    Axis,
+    Machine,
+    RotaryAxis,
+    Target,
+)
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.single_numbers import list_numbers, select_numbers
+from truepath.app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 
 # Of an error motion. How much it bends is for the prior to say: closer knots only cost
 # time.

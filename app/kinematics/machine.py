@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.symbols import TURNS
+from truepath.app.kinematics.symbols import TURNS
 
 SAME_TARGET_MM = 1e-6  # rounding
 SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known

@@ -9,17 +9,17 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, ErrorCurve, Parameter
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, ErrorCurve, Parameter
+from truepath.app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
     Family,
     Quantity,
     find_family,
 )
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.machine import LinearAxis, Machine
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
 
 _SMALL_MM = 1e-4
 _FEW = 200

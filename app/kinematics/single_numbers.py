@@ -12,11 +12,18 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
-from app.kinematics.effects.nuisance import TargetSeat, TrackerPose, list_target_seats
-from app.kinematics.machine import Machine, Target
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.effects.location_error import (
+    list_axis_locations,
+    list_squarenesses,
+)
+from truepath.app.kinematics.effects.nuisance import (
+    TargetSeat,
+    TrackerPose,
+    list_target_seats,
+)
+from truepath.app.kinematics.machine import Machine, Target
 
 _NEW_SHAPE = 0.02  # splines make a sine to a hundredth
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, make_standstill
-from app.kinematics.effects.base import Role
-from app.kinematics.identifiable import Confounded, build_identifiable_model
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.second_order import adds_up, compute_second_order_mm
-from app.numerics.rigid import cross_matrix
+from truepath.app.kinematics.conditions import Conditions, make_standstill
+from truepath.app.kinematics.effects.base import Role
+from truepath.app.kinematics.identifiable import Confounded, build_identifiable_model
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.app.numerics.rigid import cross_matrix
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.faults import Fault
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path
+from truepath.app.measurement.faults import Fault
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path
 
 
 def arrange_axes(

@@ -9,11 +9,11 @@ from __future__ import annotations
 import logging
 import time
 
-from app.child_process import ChildProcess
-from app.errors import MeasurementFailed, TruepathError
-from app.kinematics.machine import Machine
-from app.measurement.cell_process import run_cell
-from app.measurement.messages import (
+from truepath.app.child_process import ChildProcess
+from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.kinematics.machine import Machine
+from truepath.app.measurement.cell_process import run_cell
+from truepath.app.measurement.messages import (
     CellCommand,
     CellConfig,
     CellEvent,
@@ -25,10 +25,10 @@ from app.measurement.messages import (
     MeasurementOrder,
     StateChanged,
 )
-from app.motion.configurations import Commanded
-from app.motion.travel import check_travel
-from drivers.interfaces.errors import DeviceError
-from drivers.interfaces.records import Identity
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.records import Identity
 
 log = logging.getLogger(__name__)
 

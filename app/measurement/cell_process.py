@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from multiprocessing import connection, parent_process
@@ -17,10 +18,12 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
 
-from app.errors import TruepathError
-from app.measurement.faults import classify_fault
-from app.measurement.measurement import Measurement
-from app.measurement.messages import (
+from truepath.app.device_options import make_device
+from truepath.app.errors import TruepathError
+from truepath.app.files.refraction import choose_refraction
+from truepath.app.measurement.faults import classify_fault
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
     BlockRecorded,
     CellCommand,
     CellConfig,
@@ -37,17 +40,17 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.timing import EngineSettings
-from app.plugins import load
-from drivers.interfaces.errors import DeviceError
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import Identity
-from drivers.interfaces.tracker import AnyTracker
+from truepath.app.measurement.timing import EngineSettings
+from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.thermometers import Thermometers
+from truepath.drivers.interfaces.tracker import AnyTracker
 
 log = logging.getLogger(__name__)
 
-TRACKERS, CONTROLLERS = "truepath.trackers", "truepath.motion_controllers"
-LOOK_S = 0.5
+LOOK_S = 0.25
+SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
 
 
@@ -68,7 +71,9 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
             if any(line in ready for line in lifelines) or os.getppid() != parent_id:
                 log.error("the parent process is gone; the feed is held")
                 return
-            if link in ready and not cell.obey(link.recv()):
+            if link not in ready:
+                cell.look_for_service()
+            elif not cell.obey(link.recv()):
                 return
     except (EOFError, OSError):
         log.error("the link to the parent is gone; the feed is held")
@@ -87,9 +92,27 @@ class _CellServer:
         self._config, self._outbox = config, outbox
         self._tracker: AnyTracker | None = None
         self._motion: MotionController | None = None
+        self._thermometers: Thermometers | None = None
         self._identities: dict[str, Identity] = {}
         self._measurement: Measurement | None = None
         self._thread: threading.Thread | None = None
+        self._beat_s: float | None = None  # of the service, the last one
+        self._look_s = 0.0
+
+    def look_for_service(self) -> None:
+        """Hold the feed if the service has fallen silent. Nothing waits to be obeyed.
+
+        Time in which this process itself stood still is not the service's: it counts
+        from the first look after it.
+        """
+        if self._beat_s is None:
+            return
+        now_s = time.monotonic()
+        if now_s - self._look_s > 2.0 * LOOK_S:
+            self._beat_s = now_s
+        self._look_s = now_s
+        if now_s - self._beat_s > SERVICE_S and self._measurement and self._measuring:
+            self._carry_out(self._measurement.miss_service, "hold")
 
     def obey(self, command: CellCommand) -> bool:
         """Do what is asked; False if it was to end."""
@@ -100,6 +123,8 @@ class _CellServer:
                 self._begin(command)
             case CellVerb.CLOSE:
                 return False
+            case CellVerb.BEAT:
+                self._beat_s = self._look_s = time.monotonic()
             case _ if self._measurement is not None and self._measuring:
                 self._pass_on(command, self._measurement)
             case _:
@@ -112,7 +137,7 @@ class _CellServer:
             self._quietly(self._measurement and self._measurement.halt)
             if self._thread is not None:
                 self._thread.join(END_S)
-        for device in (self._motion, self._tracker):
+        for device in (self._motion, self._tracker, self._thermometers):
             self._quietly(device and device.close)
         self._outbox.close(1.0)
 
@@ -136,13 +161,27 @@ class _CellServer:
         self._identities = {}
         config, tracker, motion = self._config, self._tracker, self._motion
         if tracker is None or motion is None:
-            make_tracker = load(TRACKERS, config.tracker_driver)
-            make_motion = load(CONTROLLERS, config.motion_driver)
-            tracker = make_tracker(**config.tracker_options)
-            motion = make_motion(**config.motion_options)
+            tracker = make_device(
+                "tracker", config.tracker_driver, config.tracker_options
+            )
+            motion = make_device("motion", config.motion_driver, config.motion_options)
+            if config.thermometer_driver:
+                self._thermometers = make_device(
+                    "thermometer", config.thermometer_driver, config.thermometer_options
+                )
         self._tracker, self._motion = tracker, motion
         self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
+        choose_refraction(tracker.capabilities, config.light)  # refuses what is twice
+        self._connect_thermometers()
         self._state(CellState.READY)
+
+    def _connect_thermometers(self) -> None:
+        """Connect them if they answer; a measurement tries again, and says so."""
+        if self._thermometers is not None:
+            try:
+                self._identities["thermometers"] = self._thermometers.connect()
+            except DeviceError as error:
+                log.warning("thermometers: %s", error)
 
     def _begin(self, order: MeasurementOrder) -> None:
         if self._measuring:
@@ -163,17 +202,22 @@ class _CellServer:
                 EngineSettings(
                     timeouts=self._config.timeouts,
                     allow_no_watchdog=self._config.allow_no_watchdog,
+                    light=self._config.light,
                 ),
+                self._thermometers,
             )
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
 
     def _pass_on(self, command: MeasurementCommand, measurement: Measurement) -> None:
+        self._carry_out(lambda: measurement.obey(command), str(command))
+
+    def _carry_out(self, step: Callable[[], None], name: str) -> None:
         try:
-            measurement.obey(command)
+            step()
         except DeviceError as error:
             # The engine insists on the command, and notices the lost link.
-            log.warning("%s did not reach the controller: %s", command, error)
+            log.warning("%s did not reach the controller: %s", name, error)
             self._outbox.report(classify_fault(error).event)
 
     def _state(self, state: CellState, text: str = "") -> None:

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from app.errors import MeasurementFailed
-from app.measurement.faults import classify_fault
-from app.measurement.recorder import Recorder
-from app.measurement.timing import EngineSettings, Stopwatch
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import AxisSamples, MotionStatus
+from truepath.app.errors import MeasurementFailed
+from truepath.app.measurement.faults import classify_fault
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.timing import EngineSettings, Stopwatch
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import AxisSamples, MotionStatus
 
 
 class ControllerMonitor:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.errors import MeasurementFailed, TruepathError
-from app.measurement.messages import FaultReported
-from drivers.interfaces.errors import (
+from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.measurement.messages import FaultReported
+from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
@@ -14,7 +14,7 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import UNABLE, MotionStatus
+from truepath.drivers.interfaces.records import UNABLE, MotionStatus
 
 
 class Aborted(MeasurementFailed):
@@ -81,6 +81,13 @@ POINTS_ONLY = Fault(
     "plan for standstill points, or use a tracker that streams",
     latched=False,
 )
+NO_TIMES = Fault(
+    "no-times",
+    "the tracker's samples bear the time of their arrival, and the plan is a path: a "
+    "late sample would be an error along the line",
+    "let the stream carry a time or a counter, or plan for standstill points",
+    latched=False,
+)
 DAMAGED = Fault(
     "stream-damaged",
     "more than 1 % of the tracker's samples are bad or lost; the feed is held",
@@ -99,11 +106,24 @@ SLOW_DISK = Fault(
     "nothing: it goes on by itself; use a local disk",
     latched=False,
 )
+SERVICE_SILENT = Fault(
+    "service-silent",
+    "the service has stood still, so that nobody could stop the machine by it; the "
+    "feed is held",
+    "look at the computer's load, then press Resume",
+    latched=False,
+)
 UNSTOPPED = Fault(
     "stop-unconfirmed",
     "the machine moves on although the rest of its path was called off",
     "press feed hold at the machine",
     latched=True,
+)
+UNMOVED = Fault(
+    "not-moving",
+    "the machine says that it runs, and has not moved for a while",
+    "look at the feed override and at the panel of the machine; it goes on from there",
+    latched=False,
 )
 BEAM_LOST = Fault(
     "beam-lost",
@@ -115,6 +135,13 @@ NO_BEAM = Fault(
     "not-resumed",
     "the tracker sends no valid samples or damaged ones, the machine stays held",
     "lock the beam on the reflector, look at the cable, then press Resume",
+    latched=False,
+)
+AIR_UNKNOWN = Fault(
+    "air-unknown",
+    "the tracker does not correct for the air, and temperature and pressure of the air "
+    "are not measured: its ranges stay as they are",
+    "set thermometers with air_degC and pressure_hPa; a hall is 270 ppm from vacuum",
     latched=False,
 )
 NO_WATCHDOG = Fault(
@@ -134,6 +161,28 @@ STILL_HELD = Fault(
 def make_beam_fault(text: str) -> Fault:
     """Return the fault of a polled tracker that finds no target, in its own words."""
     return Fault(BEAM_LOST.code, text, BEAM_LOST.action, latched=False)
+
+
+def make_override_fault(override: float) -> Fault:
+    """Return the fault of feeds that are not those of the plan."""
+    return Fault(
+        "feed-override",
+        f"the feed override is {100 * override:.0f} %: feeds are not those of the plan",
+        "set it to 100 % at the machine; the measurement goes on meanwhile",
+        latched=False,
+    )
+
+
+def make_target_fault(name: str, misfit_mm: float) -> Fault:
+    """Return the fault of a point that is not of the stated target."""
+    return Fault(
+        "wrong-target",
+        f"the point is not that of target {name}: it lies {misfit_mm:.1f} mm from "
+        "where the points before have it; another target is measured, or was before",
+        f"lock the beam on {name}, look at the targets in the machine file, then "
+        "press Resume",
+        latched=False,
+    )
 
 
 def make_held_fault(reason: str) -> Fault:

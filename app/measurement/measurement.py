@@ -8,19 +8,27 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath
 
-from app.errors import MeasurementFailed
-from app.measurement.axis_order import arrange_axes
-from app.measurement.faults import (
+from truepath.app.errors import MeasurementFailed
+from truepath.app.files.refraction import choose_refraction, guess_scale, lacks_air
+from truepath.app.measurement.axis_order import arrange_axes
+from truepath.app.measurement.environment_reader import (
+    EnvironmentReader,
+    list_groups,
+    name_channels,
+)
+from truepath.app.measurement.faults import (
+    AIR_UNKNOWN,
     NO_WATCHDOG,
     Aborted,
     Fault,
     classify_fault,
+    make_override_fault,
     make_unable_fault,
 )
-from app.measurement.measurement_monitor import MeasurementMonitor
-from app.measurement.measurement_state import MeasurementState
-from app.measurement.measurement_steps import MeasurementSteps
-from app.measurement.messages import (
+from truepath.app.measurement.measurement_monitor import MeasurementMonitor
+from truepath.app.measurement.measurement_state import MeasurementState
+from truepath.app.measurement.measurement_steps import MeasurementSteps
+from truepath.app.measurement.messages import (
     CellState,
     CellVerb,
     MeasurementCommand,
@@ -29,19 +37,22 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.progress import LiveView, schedule_rows
-from app.measurement.recorder import Recorder
-from app.measurement.run_file import RunHeader
-from app.measurement.timing import EngineSettings
-from app.motion.travel import check_travel
-from drivers.interfaces.errors import DeviceError
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import UNABLE, Identity, MotionState
-from drivers.interfaces.tracker import AnyTracker, PolledTracker
+from truepath.app.measurement.progress import LiveView, schedule_rows
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.run_file import RunHeader
+from truepath.app.measurement.target_check import TargetCheck
+from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.errors import DeviceError, Refused
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import UNABLE, Identity, MotionState
+from truepath.drivers.interfaces.thermometers import Thermometers
+from truepath.drivers.interfaces.tracker import AnyTracker, PolledTracker
 
 log = logging.getLogger(__name__)
 
 STOP_S = 3.0
+_SAME_OVERRIDE = 5e-4
 
 
 class Measurement:
@@ -55,7 +66,10 @@ class Measurement:
         devices: Mapping[str, Identity],
         report: ReportEvent,
         settings: EngineSettings,
+        thermometers: Thermometers | None = None,
     ) -> None:
+        self._groups = list_groups(tracker, thermometers)
+        self._environment: EnvironmentReader | None = None
         self._order, self._tracker, self._motion = order, tracker, motion
         self._devices, self._report, self._settings = dict(devices), report, settings
         self._state = MeasurementState(self._report_state)
@@ -74,6 +88,14 @@ class Measurement:
             self._motion.abort()
         elif self._steps is not None:
             self._steps.obey(command)
+
+    def miss_service(self) -> None:
+        """Hold the feed until a person resumes: the service does not beat any more.
+
+        Raises DeviceError as `obey`.
+        """
+        if self._steps is not None:
+            self._steps.miss_service()
 
     def halt(self) -> None:
         """Hold the feed and end the measurement: the service goes away."""
@@ -130,7 +152,6 @@ class Measurement:
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
         # The live estimate recognises standstills in a stream; single points are none.
         is_live = order.live and not isinstance(self._tracker, PolledTracker)
-        view = LiveView(self._report, reports_blocks=is_live)
         header = RunHeader(
             order.run_name,
             order.machine,
@@ -138,6 +159,13 @@ class Measurement:
             order.rate_hz,
             self._devices,
             self._motion.axes,
+            name_channels(self._groups),
+            choose_refraction(self._tracker.capabilities, self._settings.light),
+        )
+        view = LiveView(
+            self._report,
+            reports_blocks=is_live,
+            range_scale=guess_scale(header.refraction, header.channels),
         )
         self._recorder = Recorder(
             FilePath(order.run_file),
@@ -147,6 +175,13 @@ class Measurement:
         )
         if not is_watched:
             self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
+        self._settle_override(status.override)
+        self._environment = EnvironmentReader(
+            self._groups, self._recorder, self._note_sensor
+        )
+        self._environment.start()
+        if lacks_air(header.refraction, header.channels):
+            self._report_fault(AIR_UNKNOWN)
         self._monitor = MeasurementMonitor(
             self._tracker,
             self._motion,
@@ -156,9 +191,22 @@ class Measurement:
             self._report,
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
+            TargetCheck(order.machine) if len(order.machine.targets) > 1 else None,
         )
         self._steps = MeasurementSteps(self._monitor, order, status.position)
         self._steps.run(commanded)
+
+    def _settle_override(self, override: float | None) -> None:
+        """Lower a feed override above 100 %; tell of one that stays another."""
+        if override is None or abs(override - 1.0) < _SAME_OVERRIDE:
+            return
+        if override > 1.0:
+            with contextlib.suppress(Refused):
+                self._motion.limit_override(1.0)
+                text = f"lowered from {100 * override:.0f} % to 100 %"
+                self._record_event("override", text)
+                return
+        self._report_fault(make_override_fault(override))
 
     def _stop(self, verb: Callable[[], None]) -> None:
         """Stop the machine if it moves by our order; wait a little."""
@@ -172,7 +220,15 @@ class Measurement:
                     return
             time.sleep(0.05)
 
+    def _note_sensor(self, notice: Fault) -> None:
+        """Say what is new of a sensor; the measurement goes on in any case."""
+        self._record_event(notice.code, notice.text)
+        if notice.action:
+            self._report(notice.event)
+
     def _close(self, state: CellState, text: str) -> RunClosed:
+        if self._environment is not None:
+            self._environment.stop()
         if self._monitor is not None:
             self._monitor.end_stream()
         if self._recorder is None:

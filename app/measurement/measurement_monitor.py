@@ -12,10 +12,11 @@ from collections import deque
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from app.errors import MeasurementFailed
-from app.measurement.controller_monitor import ControllerMonitor
-from app.measurement.faults import (
+from truepath.app.errors import MeasurementFailed
+from truepath.app.measurement.controller_monitor import ControllerMonitor
+from truepath.app.measurement.faults import (
     BEAM_LOST,
     DAMAGED,
     POINTS_ONLY,
@@ -23,35 +24,51 @@ from app.measurement.faults import (
     SLOW_DISK,
     STAYS_DAMAGED,
     STILL_HELD,
+    UNMOVED,
     Aborted,
     Fault,
     classify_fault,
     make_beam_fault,
     make_held_fault,
     make_silence_fault,
+    make_target_fault,
     make_unable_fault,
 )
-from app.measurement.measurement_state import HoldReason, MeasurementState
-from app.measurement.messages import CellState, ReportEvent
-from app.measurement.point_reader import PointReader
-from app.measurement.progress import LiveView, ProgressEstimator, RowSchedule
-from app.measurement.recorder import Recorder
-from app.measurement.stream_reader import StreamReader, StreamState
-from app.measurement.timing import EngineSettings, Stopwatch
-from drivers.interfaces.errors import (
+from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
+from truepath.app.measurement.messages import CellState, ReportEvent
+from truepath.app.measurement.point_reader import PointReader
+from truepath.app.measurement.progress import LiveView, ProgressEstimator, RowSchedule
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.stream_reader import StreamReader, StreamState
+from truepath.app.measurement.target_check import (
+    BOUND_MM,
+    TargetCheck,
+    TargetTask,
+)
+from truepath.app.measurement.timing import EngineSettings, Stopwatch
+from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
+    NotOffered,
 )
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import (
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
     UNABLE,
     MotionState,
     MotionStatus,
 )
-from drivers.interfaces.tracker import AnyTracker, EventSource, PolledTracker, Tracker
+from truepath.drivers.interfaces.tracker import (
+    AnyTracker,
+    EventSource,
+    PolledTracker,
+    TargetChoice,
+    Tracker,
+)
+from truepath.drivers.interfaces.tracker_records import Clock
 
+_CHOICE_S = 30.0  # a driver gives up before
 _TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed late
 
 
@@ -72,6 +89,7 @@ class MeasurementMonitor:
         report: ReportEvent,
         schedule: RowSchedule,
         settings: EngineSettings,
+        targets: TargetCheck | None = None,
     ) -> None:
         self.settings, self.clock = settings, settings.clock
         self.progress = ProgressEstimator(schedule, settings.progress_s, settings.clock)
@@ -79,12 +97,17 @@ class MeasurementMonitor:
         self.state, self._view, self.report = state, view, report
         self._machine = ControllerMonitor(motion, recorder, settings)
         self._stream: StreamReader | None = None
+        self._targets = targets  # where there are several
+        self._is_choosing, self._chooses = False, True
         self._failures = 0  # of a polled tracker, one after another
         self._point_s = 0.0
-        self._is_machine_hold_reported = False
+        self._is_machine_hold_reported = self._is_unmoved_told = False
         self._damaged = Stopwatch(settings.clock)
         self._rows: deque[int] = deque(maxlen=_TICKS_HIT)
         self._hit_row: int | None = None
+        self._unmoved = Stopwatch(settings.clock)
+        self._unmoved_s = settings.stuck_s + float(schedule.row_s.max(initial=0.0))
+        self._here: tuple[float, ...] = ()
         self._unconfirmed_hold = Stopwatch(settings.clock)
         self._unconfirmed_resume = Stopwatch(settings.clock)
 
@@ -125,7 +148,55 @@ class MeasurementMonitor:
         """Whether the tracker measures point by point, and there is no stream."""
         return isinstance(self._tracker, PolledTracker)
 
-    def measure_point(self, row: int, dwell_s: float) -> bool:
+    @property
+    def stamps_arrival(self) -> bool:
+        """Whether samples bear the time of their arrival, which blurs all motion."""
+        tracker = self._tracker
+        return isinstance(tracker, Tracker) and tracker.capabilities.clock is Clock.HOST
+
+    def select_target(self, name: str) -> bool:
+        """Have the tracker choose its target; tell whether it is chosen.
+
+        One that cannot choose measures what it is aimed at: the check of its points
+        asks for another where that is needed.
+        """
+        if not (self._chooses and isinstance(self._tracker, TargetChoice)):
+            return True
+        task, late_s = TargetTask(self._tracker, name), self.clock() + _CHOICE_S
+        self._is_choosing = True
+        try:
+            while not task.is_over:
+                self.tick()
+                if self.clock() > late_s:
+                    raise make_silence_fault(_CHOICE_S)
+        finally:
+            self._is_choosing = False
+        if isinstance(task.failure, NotOffered):
+            self._chooses = False
+            self._record_event("target", str(task.failure))
+        elif task.failure is not None:
+            self._bear(task.failure)
+            return False
+        else:
+            self._record_event("target", f"{name} was selected")
+        return True
+
+    def holds_target(self, name: str, place_mm: NDArray[np.float64] | None) -> bool:
+        """Tell whether a point is of this target; hold and say so if it is not.
+
+        place_mm : the newest of the stream where left out
+        """
+        if place_mm is None and self._stream is not None:
+            place_mm = self._stream.place_mm
+        if self._targets is None or not name or place_mm is None:
+            return True
+        here = dict(zip(self.motion.axes, self._machine.position, strict=True))
+        misfit_mm = self._targets.measure_misfit(here, name, place_mm)
+        if misfit_mm > BOUND_MM:
+            self._hold_feed(HoldReason.TARGET, make_target_fault(name, misfit_mm))
+        return misfit_mm <= BOUND_MM
+
+    def measure_point(self, row: int, dwell_s: float, target: str = "") -> bool:
         """Measure a point that the machine stands at and record it.
 
         Tells whether it was; else the machine moved, the feed is held, or the tracker
@@ -150,9 +221,16 @@ class MeasurementMonitor:
         if reader.failure is not None:
             self._bear(reader.failure)
             return False
+        if not self.holds_target(target, reader.point.position_mm):
+            return False
         self.recorder.put_point(row, reader.point, reader.take_link_bytes())
         self._failures, self._point_s = 0, reader.point.time_s
         return True
+
+    def is_at(self, position: NDArray[np.float64]) -> bool:
+        """Whether every axis was at its commanded position at the last reading."""
+        away = np.abs(np.subtract(self._machine.position, position))
+        return bool((away <= self.settings.arrival).all())
 
     def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
         """Whether the machine is where it was, and may be measured there."""
@@ -228,7 +306,7 @@ class MeasurementMonitor:
             raise make_silence_fault(self.settings.timeouts.dead_s)
         if state is StreamState.SILENT:
             self._hold_feed(HoldReason.SILENCE, SILENT)
-        elif state is StreamState.BEAM_LOST:
+        elif state is StreamState.BEAM_LOST and not self._is_choosing:
             self._hold_feed(HoldReason.BEAM, BEAM_LOST)
         elif state is StreamState.GOOD:
             # Too short for anybody to have walked up to the machine: go on by itself.
@@ -277,11 +355,23 @@ class MeasurementMonitor:
         self.progress.pass_time(active=self.state.state is CellState.RUNNING)
         self.state.observe(status.state, status.hold_reason)
         self._report_machine_hold(status.hold_reason)
+        self._look_for_motion(status)
         if self.state.wants_hold and status.state is MotionState.RUNNING:
             self._insist_on_hold()
         else:
             self._unconfirmed_hold.reset()
         self._insist_on_resume(status)
+
+    def _look_for_motion(self, status: MotionStatus) -> None:
+        """Tell once of a machine that says it runs, and moves no further."""
+        is_stuck = status.state is MotionState.RUNNING and status.position == self._here
+        self._here = status.position
+        if not is_stuck:
+            self._unmoved.reset()
+            self._is_unmoved_told = False
+        elif not self._is_unmoved_told and self._unmoved.measure_s() > self._unmoved_s:
+            self._is_unmoved_told = True
+            self.report_fault(UNMOVED)
 
     def _report_machine_hold(self, hold_reason: str) -> None:
         """Report once that somebody has to release the machine itself."""

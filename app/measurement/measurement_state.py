@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable
 from enum import StrEnum
 
-from app.measurement.messages import CellState
-from drivers.interfaces.records import MotionState
+from truepath.app.measurement.messages import CellState
+from truepath.drivers.interfaces.records import MotionState
 
 _S = CellState
 ENDS = frozenset({_S.FINISHED, _S.ABORTED, _S.FAILED, _S.FAULTED})
@@ -31,7 +31,9 @@ class HoldReason(StrEnum):
     SILENCE = "silence"
     DAMAGE = "damage"
     BEAM = "beam"
+    TARGET = "target"
     DISK = "disk"
+    SERVICE = "service"  # nobody could stop the machine by it
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
 
 

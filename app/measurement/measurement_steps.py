@@ -13,29 +13,31 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.axis_order import arrange_axes
-from app.measurement.faults import (
+from truepath.app.measurement.axis_order import arrange_axes
+from truepath.app.measurement.faults import (
     NO_BEAM,
+    NO_TIMES,
     POINTS_ONLY,
+    SERVICE_SILENT,
     STAYS_DAMAGED,
     UNSTOPPED,
     Fault,
 )
-from app.measurement.measurement_monitor import MeasurementMonitor
-from app.measurement.measurement_state import HoldReason
-from app.measurement.messages import (
+from truepath.app.measurement.measurement_monitor import MeasurementMonitor
+from truepath.app.measurement.measurement_state import HoldReason
+from truepath.app.measurement.messages import (
     CellVerb,
     LinesDamaged,
     MeasurementCommand,
     MeasurementOrder,
     PartRequested,
 )
-from app.measurement.progress import schedule_rows
-from app.motion.configurations import Commanded, Configurations, append_part
-from app.motion.driven_again import drive_again
-from app.motion.travel import check_travel
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
+from truepath.app.measurement.progress import schedule_rows
+from truepath.app.motion.configurations import Commanded, Configurations, append_part
+from truepath.app.motion.driven_again import drive_again
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
 
 _STANDING = frozenset(MotionState) - {
     MotionState.RUNNING,
@@ -66,6 +68,7 @@ class MeasurementSteps:
         self.is_concluding = False  # the rest is to be left out
         self._concluded_row: int | None = None
         self._again_left = _AGAIN
+        self._target = ""  # that the tracker was told to measure
 
     @property
     def has_repeated(self) -> bool:
@@ -77,6 +80,8 @@ class MeasurementSteps:
         if isinstance(commanded, Path):
             if self._monitor.is_polled:
                 raise POINTS_ONLY
+            if self._monitor.stamps_arrival:
+                raise NO_TIMES
             self._stream_path(commanded)
         else:
             self._step_through(commanded)
@@ -87,7 +92,8 @@ class MeasurementSteps:
         The controller keeps time. The stream begins and ends at a standstill, as
         segmentation needs it. It goes on while further parts are loaded and driven.
         """
-        self.approach(path.position[0])
+        one = path.target[:1] if len(set(path.target)) == 1 else ()
+        self.approach(path.position[0], *one)
         self.motion.load(path)
         self.open_stream()
         self.run_path(path)
@@ -119,7 +125,7 @@ class MeasurementSteps:
         A tracker that is polled measures once the machine stands; there is no stream.
         Dwells are counted on the tracker's clock. A pause prolongs the standstill.
         """
-        self.approach(points.position[0])
+        self.approach(points.position[0], *points.target[:1])
         self.open_stream()
         part: Commanded | None = points
         while isinstance(part, Configurations):
@@ -135,12 +141,13 @@ class MeasurementSteps:
         """
         for row, position in enumerate(points.position):
             self._progress.begin(self._progress.first_row + row)
+            name = points.target[row] if points.target else ""
             if row > 0 or not is_there:
-                self.approach(position)
+                self.approach(position, name)
             if self._monitor.is_polled:
-                self._poll_point(position, float(points.dwell_s[row]))
+                self._poll_point(position, float(points.dwell_s[row]), name)
             else:
-                self.record_for(self.settings.settle_s + float(points.dwell_s[row]))
+                self._record_point(position, float(points.dwell_s[row]), name)
             until_s = f"until {self._monitor.device_s:.6f} s"
             self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
             if self.is_concluding and row + 1 < len(points):
@@ -148,7 +155,28 @@ class MeasurementSteps:
                 return False
         return True
 
-    def _poll_point(self, position: NDArray[np.float64], dwell_s: float) -> None:
+    def _choose_target(self, name: str) -> None:
+        """Have the tracker measure this target, if it is another one."""
+        if name in ("", self._target):
+            return
+        while not self._monitor.select_target(name):
+            self.checkpoint()
+        self._target = name
+
+    def _record_point(
+        self, position: NDArray[np.float64], dwell_s: float, name: str
+    ) -> None:
+        """Stand while the stream runs, until it has been there, of the right target."""
+        span_s = self.settings.settle_s + dwell_s
+        while not (
+            self.record_for(span_s, position) and self._monitor.holds_target(name, None)
+        ):
+            self.checkpoint()
+            self.wait_motion(position)
+
+    def _poll_point(
+        self, position: NDArray[np.float64], dwell_s: float, name: str
+    ) -> None:
         """Let the tracker measure where the machine stands, until it has and stood."""
         is_measured = False
         while not is_measured:
@@ -157,12 +185,16 @@ class MeasurementSteps:
             begin_s = self._clock()
             while self._clock() - begin_s < self.settings.settle_s:
                 self._monitor.tick()
-            is_measured = self._monitor.measure_point(self._progress.row, dwell_s)
+            is_measured = self._monitor.measure_point(self._progress.row, dwell_s, name)
 
-    def approach(self, position: NDArray[np.float64]) -> None:
-        """Move straight to a position and wait there."""
+    def approach(self, position: NDArray[np.float64], target: str = "") -> None:
+        """Move straight to a position and wait there.
+
+        target : that the tracker is to measure there; it changes to it on the way
+        """
         self.checkpoint()
         self.motion.move_to(tuple(map(float, position)), self._order.feed_mm_min)
+        self._choose_target(target)
         self.wait_motion(position)
 
     def open_stream(self) -> None:
@@ -210,10 +242,13 @@ class MeasurementSteps:
             if status.state is MotionState.ABORTED or self._clock() > grace_by_s:
                 raise self._make_ended_early_fault(status, goal)
 
-    def record_for(self, device_s: float) -> None:
+    def record_for(
+        self, device_s: float, at: NDArray[np.float64] | None = None
+    ) -> bool:
         """Stand and let the stream run for so long on the tracker's clock.
 
-        After a pause it starts over: what came before may lack the beam.
+        After a pause it starts over: what came before may lack the beam. Tells whether
+        the machine stood there all the time, where a position is given.
         """
         begin_s = self._monitor.device_s
         while self._monitor.device_s - begin_s < device_s:
@@ -221,6 +256,11 @@ class MeasurementSteps:
             if self._state.must_stand:
                 self.checkpoint()
                 begin_s = self._monitor.device_s
+            if at is not None and not self._monitor.is_at(at):
+                row = self._progress.row + 1
+                self._recorder.event("point", f"row {row}: moved while it was measured")
+                return False
+        return True
 
     def checkpoint(self) -> None:
         """Stand here for as long as a hold lasts."""
@@ -268,6 +308,12 @@ class MeasurementSteps:
         ):
             self._monitor.tick()
 
+    def miss_service(self) -> None:
+        """Hold until a person resumes: no pause or abort would have come through."""
+        if self._state.hold(HoldReason.SERVICE, str(SERVICE_SILENT)):
+            self._monitor.report_fault(SERVICE_SILENT)
+            self.motion.hold()
+
     def obey(self, command: MeasurementCommand) -> None:
         """Do what the operator asks, as `CellVerb` states it."""
         match command:
@@ -298,7 +344,8 @@ class MeasurementSteps:
             return False
         if self._concluded_row is None:
             self._concluded_row = status.line
-        distance = np.abs(np.array(status.position) - path.position[status.line])
+        row = min(status.line, len(path) - 1)
+        distance = np.abs(np.array(status.position) - path.position[row])
         arrived = bool((distance <= self.settings.arrival).all())
         return arrived or status.line > self._concluded_row
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations
-from drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath.drivers.interfaces.tracker_records import Light
 
 
 class CellState(StrEnum):
@@ -57,6 +58,9 @@ class CellConfig:
 
     timeouts : for how long the tracker's stream may be less than good
     allow_no_watchdog : move a machine that does not hold the feed by itself
+    thermometer_driver : empty where there are none
+    light : of a tracker that does not correct for the air; None where it does, or its
+        driver knows
     """
 
     tracker_driver: str
@@ -65,6 +69,9 @@ class CellConfig:
     motion_options: Mapping[str, Any]
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
     allow_no_watchdog: bool = False
+    thermometer_driver: str = ""
+    thermometer_options: Mapping[str, Any] = field(default_factory=dict)
+    light: Light | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +106,7 @@ class CellVerb(StrEnum):
     RESUME = "resume"  # go on after a hold; acknowledged by `running`
     CONCLUDE = "conclude"  # finish the line or point under way, leave out the rest
     ABORT = "abort"  # stop and forget the path; acknowledged by `aborted`
+    BEAT = "beat"  # the service can be reached; who says it once has to go on
     CLOSE = "close"  # end the process
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 
-from drivers.interfaces.tracker import ByteLink, PolledTracker
-from drivers.interfaces.tracker_records import PointMeasurement
+from truepath.drivers.interfaces.tracker import ByteLink, PolledTracker
+from truepath.drivers.interfaces.tracker_records import PointMeasurement
 
 JOIN_S = 5.0
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.messages import (
+from truepath.app.measurement.messages import (
     BlockRecorded,
     LivePoints,
     MeasurementProgress,
     ReportEvent,
 )
-from app.motion.configurations import Configurations
-from app.motion.motion_times import row_times_s
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.motion_times import row_times_s
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _TRUST_S = 3.0  # before it the pace so far says little
 
@@ -146,11 +146,15 @@ class LiveView:
     """Reports recorded blocks, thinned for the eye to points some 0.1 s apart.
 
     reports_blocks : the whole blocks are reported as well, for a live estimate
+    range_scale : of these, where ranges are corrected for the air afterwards
     axes : position of the controller
     """
 
-    def __init__(self, report: ReportEvent, *, reports_blocks: bool) -> None:
+    def __init__(
+        self, report: ReportEvent, *, reports_blocks: bool, range_scale: float = 1.0
+    ) -> None:
         self._report, self._reports_blocks = report, reports_blocks
+        self._range_scale = range_scale
         self._last_slot = -np.inf
         self.axes: tuple[float, ...] = ()
 
@@ -167,4 +171,5 @@ class LiveView:
             points = np.round(samples.position_mm[chosen], 4).tolist()
             self._report(LivePoints(points, list(self.axes), float(time_s[-1])))
         if self._reports_blocks:
-            self._report(BlockRecorded(samples))
+            scaled_mm = self._range_scale * samples.position_mm
+            self._report(BlockRecorded(replace(samples, position_mm=scaled_mm)))

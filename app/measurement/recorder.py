@@ -11,24 +11,26 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import math
 import queue
 import shutil
 import sqlite3
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from app.errors import MeasurementFailed
-from app.files.whole_files import sync_to_disk
-from app.measurement.messages import RunClosed
-from app.measurement.run_file import (
+from truepath.app.errors import MeasurementFailed
+from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.measurement.messages import RunClosed
+from truepath.app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
+    ENVIRONMENT_STREAM,
     LINK_STREAM,
     POINT_STREAM,
     TRACKER_STREAM,
@@ -39,6 +41,7 @@ from app.measurement.run_file import (
     insert_batches,
     insert_events,
     pack_axes,
+    pack_environment,
     pack_point,
     pack_samples,
     put_manifest,
@@ -46,9 +49,9 @@ from app.measurement.run_file import (
     seal,
     transaction,
 )
-from app.motion.configurations import Commanded
-from drivers.interfaces.records import AxisSamples, TrackerSamples
-from drivers.interfaces.tracker_records import PointMeasurement
+from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import AxisSamples, TrackerSamples
+from truepath.drivers.interfaces.tracker_records import PointMeasurement
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +100,8 @@ class Recorder:
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE_ITEMS)
         self._has_callback_failed = False
         self._checked_space_s = time.monotonic()
-        self._link_bytes = self._axis_rows = 0
+        self._link_bytes = self._axis_rows = self._environment_rows = 0
+        self._channels = header.channels
         self._last_sequence: int | None = None
         self._lock = threading.Lock()
         self._database = self._begin(header)
@@ -157,6 +161,17 @@ class Recorder:
             batch = _stamp_batch(AXES_STREAM, self._axis_rows, rows, pack_axes(samples))
             self._axis_rows += rows
             self._put(_Item(batches=(batch,)))
+
+    def put_environment(
+        self, host_time_s: float, readings: Mapping[str, float]
+    ) -> None:
+        """Hand over readings of some channels, by the host's monotonic clock."""
+        row = [readings.get(name, math.nan) for name in self._channels]
+        record = pack_environment(host_time_s, row)
+        with self._lock:
+            number = self._environment_rows
+            self._put(_Item((_stamp_batch(ENVIRONMENT_STREAM, number, 1, record),)))
+            self._environment_rows += 1
 
     def event(self, kind: str, text: str) -> None:
         """Write down what happened."""

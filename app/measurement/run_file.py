@@ -8,6 +8,8 @@ tracker.link : bytes as the tracker's port received them; seq0 counts bytes
 tracker.point : records of `POINT`, one a sample of a tracker that is polled; seq0 is
     the number of that sample
 axes : host_time_s and one position per axis, all <f8; seq0 counts rows
+environment : host_time_s and one reading per channel, all <f8, NaN where there is none;
+    seq0 counts rows
 
 SQLite does not checksum its pages, hence the CRC, over stream, seq0, n, both times and
 payload. It is checked on every read; so is the CRC of the manifest.
@@ -21,21 +23,29 @@ import json
 import sqlite3
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, astuple, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.files.commanded_file import decode_commanded_json, encode_commanded_json
-from app.files.machine_file import machine_from_json, machine_to_json
-from app.files.whole_files import sync_to_disk
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded
-from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
-from drivers.interfaces.tracker_records import Air, PointMeasurement
+from truepath.app.files.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.files.refraction import (
+    Refraction,
+    refraction_from_json,
+    refraction_to_json,
+)
+from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
+from truepath.drivers.interfaces.tracker_records import Air, PointMeasurement
 
 SCHEMA = "run/1"
 CLOSED = "closed"  # key of the manifest that is written at the end
@@ -51,7 +61,7 @@ CREATE TABLE event (
   kind TEXT NOT NULL, body TEXT NOT NULL) STRICT;
 """
 TRACKER_STREAM, LINK_STREAM, AXES_STREAM = "tracker", "tracker.link", "axes"
-POINT_STREAM = "tracker.point"
+POINT_STREAM, ENVIRONMENT_STREAM = "tracker.point", "environment"
 _TRACKER_COLUMNS = [
     ["sequence", "<i8", "1"],
     ["device_time_s", "<f8", "s"],
@@ -93,7 +103,11 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """What is known before the first sample."""
+    """What is known before the first sample.
+
+    channels : names of thermometers and sensors of the air
+    refraction : who corrects the ranges for the air, as it is before anything is done
+    """
 
     name: str
     machine: Machine
@@ -101,6 +115,8 @@ class RunHeader:
     rate_hz: float
     devices: dict[str, Identity]
     axes: tuple[str, ...]
+    channels: tuple[str, ...] = ()
+    refraction: Refraction = field(default_factory=Refraction)
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -114,6 +130,8 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "rate_hz": header.rate_hz,
         "devices": {name: asdict(who) for name, who in header.devices.items()},
         "axes": list(header.axes),
+        "channels": list(header.channels),
+        "refraction": refraction_to_json(header.refraction),
         "streams": {
             TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
@@ -122,6 +140,12 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
                 "record": [
                     ["host_time_s", "<f8", "s"],
                     ["position", f"{len(header.axes)}<f8", "mm or deg"],
+                ]
+            },
+            ENVIRONMENT_STREAM: {
+                "record": [
+                    ["host_time_s", "<f8", "s"],
+                    ["reading", f"{len(header.channels)}<f8", "degC, hPa or %"],
                 ]
             },
         },
@@ -150,6 +174,8 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         rate_hz=float(content["rate_hz"]),
         devices={key: Identity(**who) for key, who in content["devices"].items()},
         axes=tuple(content["axes"]),
+        channels=tuple(content.get("channels", ())),
+        refraction=refraction_from_json(content.get("refraction")),
     )
 
 
@@ -200,6 +226,16 @@ def unpack_axes(payload: bytes, axes: tuple[str, ...]) -> AxisSamples:
     """Return the controller positions of records of the stream `axes`."""
     rows = np.frombuffer(payload, "<f8").reshape(-1, 1 + len(axes)).astype(np.float64)
     return AxisSamples(axes, rows[:, 0].copy(), rows[:, 1:].copy())
+
+
+def pack_environment(host_time_s: float, readings: Sequence[float]) -> bytes:
+    """Return one row of readings, in the order of the channels, as a record."""
+    return np.array([host_time_s, *readings], "<f8").tobytes()
+
+
+def unpack_environment(payload: bytes, channels: int) -> NDArray[np.float64]:
+    """Return the rows of the stream `environment`, the host's time first."""
+    return np.frombuffer(payload, "<f8").reshape(-1, 1 + channels).astype(np.float64)
 
 
 def connect(file: Path) -> sqlite3.Connection:

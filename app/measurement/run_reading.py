@@ -19,15 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import BundleError
-from app.files.run import PointRows, Run, RunEvent
-from app.files.whole_files import sync_to_disk
-from app.measurement.faults import DAMAGED, NO_WATCHDOG
-from app.measurement.messages import RunClosed
-from app.measurement.run_file import (
+from truepath.app.errors import BundleError
+from truepath.app.files.environment import Series, tabulate_channels
+from truepath.app.files.refraction import correct_refraction
+from truepath.app.files.run import PointRows, Run, RunEvent
+from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.measurement.faults import DAMAGED, NO_WATCHDOG
+from truepath.app.measurement.messages import RunClosed
+from truepath.app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
+    ENVIRONMENT_STREAM,
     POINT_STREAM,
+    TRACKER,
     TRACKER_STREAM,
     Batch,
     connect,
@@ -39,12 +43,12 @@ from app.measurement.run_file import (
     seal,
     transaction,
     unpack_axes,
+    unpack_environment,
     unpack_points,
     unpack_samples,
 )
-from drivers.interfaces.records import (
+from truepath.drivers.interfaces.records import (
     AxisSamples,
-    TemperatureSamples,
     TrackerSamples,
 )
 
@@ -52,6 +56,11 @@ _LEAST_ROW_BYTES = 64  # no row of the file is smaller
 _NAMED_PROBLEMS = 100  # beyond them nobody reads on
 _ROWS = "row", "count", "covariance_mm2"
 _TORN = "torn"  # outcome of a Run whose writer was killed
+_AIR_OF_POINTS = {
+    "air_degC": "temperature_degc",
+    "pressure_hPa": "pressure_hpa",
+    "humidity_percent": "humidity_percent",
+}
 _NOTES = {NO_WATCHDOG.code: "watchdog", DAMAGED.code: "stream"}  # kinds of events
 _NO_RUN = ("no such table", "not a database")
 
@@ -86,13 +95,21 @@ def open_run(file: str | Path) -> Run:
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
     tracker, points = _join_points(_tracker(content.batches), content.batches)
+    temperature, air = tabulate_channels(
+        _read_air(tracker, points) | _read_channels(content.batches, header.channels)
+    )
+    refraction, tracker = correct_refraction(
+        header.refraction, tracker, temperature, air
+    )
     missing = [*content.problems, *_find_gaps(tracker)]
     return Run(
         name=header.name,
         machine=header.machine,
         commanded=header.commanded,
         tracker=tracker,
-        temperature=_read_air(tracker, points),
+        temperature=temperature,
+        air=air,
+        refraction=refraction,
         axis_samples=_axes(content.batches, header.axes),
         points=None if points is None else PointRows(*map(points.__getitem__, _ROWS)),
         events=(*content.events, *_make_events(missing)),
@@ -249,17 +266,61 @@ def _join_points(
 
 def _read_air(
     tracker: TrackerSamples, points: NDArray[np.void] | None
-) -> TemperatureSamples | None:
-    """Return the temperature of the air that the tracker told with its points."""
+) -> dict[str, Series]:
+    """Return the air that the tracker told with its points."""
     if points is None or not len(points):
-        return None
-    celsius = points["temperature_degc"]
-    told = np.isfinite(celsius)
-    if not told.any():
-        return None
-    return TemperatureSamples(
-        ("air",), tracker.device_time_s[told], celsius[told, None].copy()
-    )
+        return {}
+    told = {name: points[field].copy() for name, field in _AIR_OF_POINTS.items()}
+    return {
+        name: (tracker.device_time_s, values)
+        for name, values in told.items()
+        if np.isfinite(values).any()
+    }
+
+
+def _read_channels(
+    batches: list[Batch], channels: tuple[str, ...]
+) -> dict[str, Series]:
+    """Return what sensors showed, on the tracker's clock.
+
+    Both clocks meet where a batch of samples was handed over, at most some tenths of a
+    second after its last sample.
+    """
+    rows = [
+        unpack_environment(b.payload, len(channels))
+        for b in batches
+        if b.stream == ENVIRONMENT_STREAM
+    ]
+    last = [
+        (1e-9 * b.mono_ns, np.frombuffer(b.payload[-TRACKER.itemsize :], TRACKER)[0])
+        for b in batches
+        if b.stream == TRACKER_STREAM
+    ]
+    if not rows or not last:
+        return {}
+    host_s = np.array([at_s for at_s, _ in last])
+    device_s = np.array([float(sample["device_time_s"]) for _, sample in last])
+    table = np.concatenate(rows)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    time_s = _to_device(table[:, 0], host_s, device_s)
+    return {
+        name: (time_s, table[:, column])
+        for column, name in enumerate(channels, start=1)
+    }
+
+
+def _to_device(
+    at_s: NDArray[np.float64],
+    host_s: NDArray[np.float64],
+    device_s: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the host's times on the device's clock, beyond the ends at its rate."""
+    span_s = host_s[-1] - host_s[0]
+    rate = (device_s[-1] - device_s[0]) / span_s if span_s > 0.0 else 1.0
+    inside = np.interp(at_s, host_s, device_s)
+    before = np.minimum(at_s - host_s[0], 0.0)
+    after = np.maximum(at_s - host_s[-1], 0.0)
+    return inside + rate * (before + after)
 
 
 def _axes(batches: list[Batch], axes: tuple[str, ...]) -> AxisSamples | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.interfaces.records import TrackerSamples
+from truepath.drivers.interfaces.records import TrackerSamples
 
 _WINDOW_S = 1.0
 

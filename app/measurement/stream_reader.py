@@ -9,15 +9,16 @@ from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from app.errors import MeasurementFailed
-from app.measurement.messages import StreamTimeouts
-from app.measurement.recorder import Recorder
-from app.measurement.stream_damage import StreamDamage
-from app.measurement.timing import RunningClock
-from drivers.interfaces.errors import DeviceError, DeviceTimeout
-from drivers.interfaces.records import TrackerSamples
-from drivers.interfaces.tracker import ByteLink, Tracker
+from truepath.app.errors import MeasurementFailed
+from truepath.app.measurement.messages import StreamTimeouts
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.stream_damage import StreamDamage
+from truepath.app.measurement.timing import RunningClock
+from truepath.drivers.interfaces.errors import DeviceError, DeviceTimeout
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.drivers.interfaces.tracker import ByteLink, Tracker
 
 BATCH_S = 0.1  # that is committed at once
 READ_S = 0.02  # between reads of the tracker
@@ -46,6 +47,7 @@ class StreamReader:
     failure : what ended the thread before it was stopped
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
+    place_mm : of the newest valid sample
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class StreamReader:
         self.failure: Exception | None = None
         self.device_time_s: float | None = None
         self.has_valid = False
+        self.place_mm: NDArray[np.float64] | None = None
 
     def start(self, rate_hz: float) -> None:
         """Start the stream. Raises as `Tracker.start`."""
@@ -132,8 +135,10 @@ class StreamReader:
             if self._damage is not None:
                 self._damage.note(block, crc_errors)
             self.device_time_s = float(block.device_time_s[-1])
-            if np.any(block.status == 0):
+            valid = np.flatnonzero(block.status == 0)
+            if len(valid):
                 self._valid_s, self.has_valid = now_s, True
+                self.place_mm = block.position_mm[valid[-1]]
 
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
         self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())

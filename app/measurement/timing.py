@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from app.measurement.messages import StreamTimeouts
+from truepath.app.measurement.messages import StreamTimeouts
+from truepath.drivers.interfaces.tracker_records import Light
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,18 +17,20 @@ class EngineSettings:
 
     confirm_s : a hold, a cycle start or a resume is confirmed by then
     link_s : the controller may be out of reach for so long
+    stuck_s : a machine that runs moves, beyond the longest planned row
     lead_s : stream before the first and after the last motion, tracker's clock
     settle_s : between the end of a move and the dwell at a point, tracker's clock
     arrival : how far from a commanded position an axis may stand, mm or deg
     point_tries : how often in a row a polled tracker may be out of reach
     axes_rows : controller positions that are written together
     clock : by which the engine waits, monotonic
-    allow_no_watchdog : as in `CellConfig`
+    allow_no_watchdog, light : as in `CellConfig`
     """
 
     poll_s: float = 0.1
     confirm_s: float = 5.0
     link_s: float = 2.0
+    stuck_s: float = 10.0
     first_sample_s: float = 5.0
     lead_s: float = 1.0
     settle_s: float = 0.3
@@ -38,6 +41,7 @@ class EngineSettings:
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
     clock: Callable[[], float] = time.monotonic
     allow_no_watchdog: bool = False
+    light: Light | None = None
 
 
 class RunningClock:

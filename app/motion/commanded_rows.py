@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations, name_columns
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN
-from app.motion.travel import check_travel
-from drivers.interfaces.records import Path
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, Configurations, name_columns
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.records import Path
 
 MAX_ROWS = 4096
 DEFAULT_DWELL_S = 1.0

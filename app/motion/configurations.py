@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from drivers.interfaces.records import Path
+from truepath.app.errors import PlanningError
+from truepath.drivers.interfaces.records import Path
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.machine import Machine
-from app.motion.travel import DECIMALS, inner_travel
-from drivers.interfaces.records import Path
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.travel import DECIMALS, inner_travel
+from truepath.drivers.interfaces.records import Path
 
 # Through the middle of the volume along each axis, reached parallel to the axes.
 _MIDDLE = np.array(

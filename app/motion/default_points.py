@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.motion.motion_times import find_short_order
-from app.motion.travel import DECIMALS, inner_travel
-from app.motion.workspace import moving_targets
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.motion_times import find_short_order
+from truepath.app.motion.travel import DECIMALS, inner_travel
+from truepath.app.motion.workspace import moving_targets
 
 DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior

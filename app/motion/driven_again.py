@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from app.motion.configurations import Commanded, join_rows, select_rows
-from drivers.interfaces.records import Path
+from truepath.app.motion.configurations import Commanded, join_rows, select_rows
+from truepath.drivers.interfaces.records import Path
 
 
 def drive_again(driven: Commanded, first: int) -> Commanded:

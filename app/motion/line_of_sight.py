@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.machine import Machine
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.machine import Machine
 
 _PARTS = 8  # of a line, where beam and box both move
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.kinematics.machine import Machine, MotionLimits
-from app.motion.configurations import Commanded
-from drivers.interfaces.records import Path
+from truepath.app.kinematics.machine import Machine, MotionLimits
+from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0
 USUAL_MOTION = MotionLimits()

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import OutOfTravel
-from app.kinematics.machine import Axis, Machine, RotaryAxis, position_unit
-from app.motion.configurations import Commanded
+from truepath.app.errors import OutOfTravel
+from truepath.app.kinematics.machine import Axis, Machine, RotaryAxis, position_unit
+from truepath.app.motion.configurations import Commanded
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.
 ROUNDING = 1e-3

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.errors import PlanningError
-from app.kinematics.conditions import Conditions, observe_targets
-from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.kinematics.machine import Machine, Target
-from app.motion.configurations import Commanded
-from app.motion.line_of_sight import (
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.conditions import Conditions, observe_targets
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.kinematics.machine import Machine, Target
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.line_of_sight import (
     Box,
     Reflector,
     angles_deg,

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from app.progress import ShareProgress, ignore_progress
+from truepath.app.progress import ShareProgress, ignore_progress
 
 BLOCK = 10_000  # trials: max(J, 10⁴), J ≥ 100/(1 − p), 7.9.4 b
 COVERAGE = 0.95

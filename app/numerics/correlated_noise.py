@@ -25,9 +25,9 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import cholesky_banded
 
-from app.numerics.banded_factor import BandedFactor
-from app.numerics.ornstein_uhlenbeck import build_ou_precision, interleave
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.numerics.banded_factor import BandedFactor
+from truepath.app.numerics.ornstein_uhlenbeck import build_ou_precision, interleave
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 _ROUNDING = 1e-12  # of the largest precision: no information
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.errors import PlanningError
-from app.estimation.live import LiveFindings
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, append_part, select_rows
-from app.motion.motion_times import Legs, row_times_s
-from app.planning.design_state import DesignState
-from app.planning.initial_design import start_design
-from app.planning.plan_order import PlanOrder
-from app.planning.planner import Planner
-from app.planning.predicted_cells import EXPECTED_NOISE
+from truepath.app.errors import PlanningError
+from truepath.app.estimation.live import LiveFindings
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, append_part, select_rows
+from truepath.app.motion.motion_times import Legs, row_times_s
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.initial_design import start_design
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.planning.planner import Planner
+from truepath.app.planning.predicted_cells import EXPECTED_NOISE
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many
 _LEAST_JITTER = 0.1

@@ -14,19 +14,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine, Target
-from app.motion.configurations import join_rows
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from app.motion.travel import inner_travel
-from app.motion.workspace import Workspace, moving_targets
-from app.planning.initial_design import choose_station, start_design
-from app.planning.leg_choice import SearchEffort
-from app.planning.line_design import LineDesignState
-from app.planning.planner import Planner
-from app.planning.target_blocks import PlanShare, plan_in_turn, wait_for_tracker
-from app.planning.target_shares import ExpectedLegs
-from drivers.interfaces.records import Path
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine, Target
+from truepath.app.motion.configurations import join_rows
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
+from truepath.app.motion.travel import inner_travel
+from truepath.app.motion.workspace import Workspace, moving_targets
+from truepath.app.planning.initial_design import choose_station, start_design
+from truepath.app.planning.leg_choice import SearchEffort
+from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.planner import Planner
+from truepath.app.planning.target_blocks import (
+    PlanShare,
+    plan_in_turn,
+    wait_for_tracker,
+)
+from truepath.app.planning.target_shares import ExpectedLegs
+from truepath.drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
 LINES_WITH_ROTARY_AXES = 72

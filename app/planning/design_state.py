@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.conditions import Conditions, observe_targets
-from app.kinematics.machine import Machine, Target
-from app.kinematics.model import MachineModel
-from app.motion.configurations import Commanded
-from app.motion.motion_times import Drive, Legs, Stops
-from app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.kinematics.conditions import Conditions, observe_targets
+from truepath.app.kinematics.machine import Machine, Target
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import Drive, Legs, Stops
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,17 +20,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
-from app.alignment.surroundings import add_surroundings
-from app.estimation.design_matrix import Linearisation
-from app.estimation.line_blocks import PlacedLine, RunData, build_line
-from app.estimation.prior import diagonal_precision
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.motion_times import Drive, Legs, Stops, travel_time_s
-from app.motion.travel import DECIMALS, add_resting_axes, check_travel, inner_travel
-from app.planning.predicted_cells import predict_cells
-from drivers.interfaces.records import Path
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.estimation.design_matrix import Linearisation
+from truepath.app.estimation.line_blocks import PlacedLine, RunData, build_line
+from truepath.app.estimation.prior import diagonal_precision
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.motion.motion_times import Drive, Legs, Stops, travel_time_s
+from truepath.app.motion.travel import (
+    DECIMALS,
+    add_resting_axes,
+    check_travel,
+    inner_travel,
+)
+from truepath.app.planning.predicted_cells import predict_cells
+from truepath.drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
 MOST_LINES = 9

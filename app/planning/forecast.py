@@ -16,25 +16,31 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
-from app.estimation.design_matrix import linearise
-from app.estimation.information import compute_posterior
-from app.estimation.known_effects import KnownEffects
-from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import RecursiveEstimator
-from app.estimation.observability import assess_observability, usual_precision_matrix
-from app.estimation.prior import diagonal_precision, guess_prior
-from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.kinematics.coarse_model import add_bends
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.identifiable import (
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.normal_equations import RecursiveEstimator
+from truepath.app.estimation.observability import (
+    assess_observability,
+    usual_precision_matrix,
+)
+from truepath.app.estimation.prior import diagonal_precision, guess_prior
+from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
+from truepath.app.kinematics.coarse_model import add_bends
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
 )
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import build_shape_model, compute_volumetric_gram
-from app.motion.configurations import Commanded
-from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import (
+    build_shape_model,
+    compute_volumetric_gram,
+)
+from truepath.app.motion.configurations import Commanded
+from truepath.app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
 _CURVE = 24  # places along the plan at which the uncertainty is stated
 # Of the tracker, before enough lines locate it: a millimetre, a milliradian.

@@ -23,34 +23,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import linearise
-from app.estimation.information import Information, compute_posterior
-from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
-from app.estimation.observability import (
+from truepath.app.alignment.observations import Observations
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.information import Information, compute_posterior
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.estimation.observability import (
     PoorlyObservableShape,
     find_poorly_observable,
     usual_precision_matrix,
 )
-from app.estimation.prior import diagonal_precision
-from app.estimation.separation import describe_confounded
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.identifiable import list_confounded_effects
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import (
+from truepath.app.estimation.prior import diagonal_precision
+from truepath.app.estimation.separation import describe_confounded
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.identifiable import list_confounded_effects
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import (
     ShapeModel,
     build_shape_model,
     compute_volumetric_gram,
 )
-from app.motion.configurations import Commanded
-from app.planning.forecast import Assumptions
-from app.planning.predicted_cells import (
+from truepath.app.motion.configurations import Commanded
+from truepath.app.planning.forecast import Assumptions
+from truepath.app.planning.predicted_cells import (
     assume_stations_mm,
     predict_cells,
 )
-from app.planning.remedies import Remedy, append_line, find_best_line
+from truepath.app.planning.remedies import Remedy, append_line, find_best_line
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture

@@ -14,27 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from app.estimation.information import Information, OwnParameters
-from app.estimation.known_effects import KnownEffects
-from app.estimation.noise import NoiseModel
-from app.estimation.prior import diagonal_precision
-from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.effects.servo_mismatch import ServoMismatch
-from app.kinematics.identifiable import (
+from truepath.app.estimation.information import Information, OwnParameters
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.prior import diagonal_precision
+from truepath.app.kinematics.coarse_model import add_half_widths
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.effects.servo_mismatch import ServoMismatch
+from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
 )
-from app.kinematics.machine import Machine, remove_rotary_axes
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.motion.corner_path import corner_path
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState, ExpectedNoise, inverse
-from app.planning.forecast import Assumptions
-from app.planning.predicted_cells import (
+from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.motion.corner_path import corner_path
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.design_state import DesignState, ExpectedNoise, inverse
+from truepath.app.planning.forecast import Assumptions
+from truepath.app.planning.predicted_cells import (
     assume_stations_mm,
     predict_cells,
 )

@@ -9,11 +9,11 @@ from itertools import permutations, product
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations
-from app.motion.travel import DECIMALS, inner_travel
-from app.motion.workspace import Workspace, moving_targets
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.app.motion.travel import DECIMALS, inner_travel
+from truepath.app.motion.workspace import Workspace, moving_targets
 
 DWELL_S = 1.5
 _POINTS, _FEWEST = 5, 4

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.errors import PlanningError
-from app.motion.motion_times import Legs, Stops, find_short_order
-from app.motion.travel import DECIMALS
-from app.numerics.design_criteria import IntegratedVariance
-from app.planning.design_state import DesignState, inverse
+from truepath.app.errors import PlanningError
+from truepath.app.motion.motion_times import Legs, Stops, find_short_order
+from truepath.app.motion.travel import DECIMALS
+from truepath.app.numerics.design_criteria import IntegratedVariance
+from truepath.app.planning.design_state import DesignState, inverse
 
 _MOVES = 24  # places that are judged for each stop, half of them near it
 _NEAR = 0.15  # of the travel

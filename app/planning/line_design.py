@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.alignment.cell_blocks import STANDSTILL_SETTLE_S
-from app.alignment.segmentation import RAMP_SETTLE_S
-from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.machine import Machine
-from app.motion.motion_times import Legs, Stops
-from app.motion.travel import add_resting_axes
-from app.planning.design_state import DesignState
-from app.planning.predicted_cells import find_slopes_mm
-from drivers.interfaces.records import Path
+from truepath.app.alignment.cell_blocks import STANDSTILL_SETTLE_S
+from truepath.app.alignment.segmentation import RAMP_SETTLE_S
+from truepath.app.kinematics.conditions import Conditions, RecordedState
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.motion_times import Legs, Stops
+from truepath.app.motion.travel import add_resting_axes
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.predicted_cells import find_slopes_mm
+from truepath.drivers.interfaces.records import Path
 
 _STEADY = 10  # places along a line: error motions of few knots bend less often
 _MIDDLES = (np.arange(_STEADY) + 0.5) / _STEADY - 0.5  # of the steady part

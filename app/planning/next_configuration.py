@@ -16,9 +16,9 @@ from math import ceil
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.machine import LinearAxis
-from app.kinematics.model import MachineModel
-from app.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 

@@ -9,40 +9,40 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.configurations import Commanded, join_rows, split_by_target
-from app.motion.corner_path import corner_path
-from app.motion.motion_times import row_times_s
-from app.motion.workspace import (
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.motion.configurations import Commanded, join_rows, split_by_target
+from truepath.app.motion.corner_path import corner_path
+from truepath.app.motion.motion_times import row_times_s
+from truepath.app.motion.workspace import (
     StationAreas,
     moves_where_seen,
     moving_targets,
 )
-from app.planning.design_state import DesignState
-from app.planning.forecast import Assumptions, Forecast, forecast
-from app.planning.initial_design import (
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.forecast import Assumptions, Forecast, forecast
+from truepath.app.planning.initial_design import (
     add_station,
     predict_lag_sigmas_s,
     start_design,
 )
-from app.planning.leg_choice import SearchEffort
-from app.planning.plan_order import PlanOrder
-from app.planning.planner import Planner, inform, judge_feeds
-from app.planning.station_choice import (
+from truepath.app.planning.leg_choice import SearchEffort
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.planning.planner import Planner, inform, judge_feeds
+from truepath.app.planning.station_choice import (
     StationAdvice,
     StationChoice,
     choose_place,
 )
-from app.planning.station_information import StationJudge, Survey
-from app.planning.target_blocks import (
+from truepath.app.planning.station_information import StationJudge, Survey
+from truepath.app.planning.target_blocks import (
     CHANGE_S,
     PlanShare,
     plan_in_turn,
     wait_for_tracker,
 )
-from app.planning.target_shares import share_among_targets
-from drivers.interfaces.records import Path
+from truepath.app.planning.target_shares import share_among_targets
+from truepath.drivers.interfaces.records import Path
 
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.kinematics.machine import Machine
-from app.planning.initial_design import choose_station
-from app.planning.plan import Plan, PlanAttempt
-from app.planning.plan_order import PlanOrder
-from app.planning.station_choice import StationChoice
-from app.progress import Progress, ignore_progress
+from truepath.app.kinematics.machine import Machine
+from truepath.app.planning.initial_design import choose_station
+from truepath.app.planning.plan import Plan, PlanAttempt
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.planning.station_choice import StationChoice
+from truepath.app.progress import Progress, ignore_progress
 
 _LONGEST_S = 3600.0
 _FIRST_TRY_S = 60.0

@@ -10,19 +10,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from app.errors import PlanningError
-from app.estimation.known_effects import KnownEffects
-from app.estimation.prior_model import PriorModel
-from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.motion_times import Drive
-from app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
-from app.motion.travel import inner_travel
-from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState
-from app.planning.forecast import Assumptions
-from app.planning.line_design import LineDesignState
-from app.planning.point_design import PointDesignState
-from app.planning.station_choice import MOST_STATIONS
+from truepath.app.errors import PlanningError
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.motion.motion_times import Drive
+from truepath.app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
+from truepath.app.motion.travel import inner_travel
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.forecast import Assumptions
+from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.point_design import PointDesignState
+from truepath.app.planning.station_choice import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}

@@ -14,15 +14,15 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.errors import PlanningError
-from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded
-from app.motion.motion_times import Legs, Stops
-from app.motion.travel import DECIMALS, check_travel, inner_travel
-from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState
-from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
-from drivers.interfaces.records import Path
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import Legs, Stops
+from truepath.app.motion.travel import DECIMALS, check_travel, inner_travel
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
+from truepath.drivers.interfaces.records import Path
 
 _STARTS = 400  # places that are tried where no corner is allowed
 

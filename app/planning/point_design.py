@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.motion.motion_times import Legs, Stops
-from app.motion.travel import add_resting_axes
-from app.numerics.design_criteria import IntegratedVariance
-from app.planning.design_state import DesignState
-from app.planning.next_configuration import Climb, search_space
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.motion_times import Legs, Stops
+from truepath.app.motion.travel import add_resting_axes
+from truepath.app.numerics.design_criteria import IntegratedVariance
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.next_configuration import Climb, search_space
 
 _LEAST_MOVE_MM = 1.0  # else standstills look like one
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel

@@ -13,19 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import STANDSTILL_SETTLE_S
-from app.alignment.cell_observations import approach_signs
-from app.alignment.observations import Observations
-from app.alignment.segmentation import RAMP_SETTLE_S
-from app.alignment.surroundings import add_surroundings
-from app.errors import PlanningError
-from app.estimation.noise import NoiseModel
-from app.kinematics.conditions import Conditions, make_standstill, observe_targets
-from app.kinematics.machine import LinearAxis, Machine
-from app.motion.configurations import Commanded, Configurations
-from app.motion.motion_times import Drive, Stops, row_times_s
-from app.numerics.rigid import RigidTransform
-from drivers.interfaces.records import Path
+from truepath.app.alignment.cell_blocks import STANDSTILL_SETTLE_S
+from truepath.app.alignment.cell_observations import approach_signs
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.segmentation import RAMP_SETTLE_S
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.errors import PlanningError
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.kinematics.conditions import (
+    Conditions,
+    make_standstill,
+    observe_targets,
+)
+from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.app.motion.motion_times import Drive, Stops, row_times_s
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.records import Path
 
 # Usual of trackers in a shop; what a Run shows is estimated once there is one.
 EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 2e-4)

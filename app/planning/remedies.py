@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Machine, position_unit
-from app.kinematics.model import MachineModel
-from app.motion.configurations import Commanded, join_rows, select_rows
-from app.motion.travel import inner_travel
-from app.numerics.design_criteria import IntegratedVariance
-from app.planning.predicted_cells import EXPECTED_NOISE
-from drivers.interfaces.records import Path
+from truepath.app.alignment.observations import Observations
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import Machine, position_unit
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.motion.configurations import Commanded, join_rows, select_rows
+from truepath.app.motion.travel import inner_travel
+from truepath.app.numerics.design_criteria import IntegratedVariance
+from truepath.app.planning.predicted_cells import EXPECTED_NOISE
+from truepath.drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell

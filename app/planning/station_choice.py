@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from app.motion.line_of_sight import Box
-from app.motion.workspace import StationAreas
-from app.planning.station_information import (
+from truepath.app.errors import PlanningError
+from truepath.app.motion.line_of_sight import Box
+from truepath.app.motion.workspace import StationAreas
+from truepath.app.planning.station_information import (
     StationInformation,
     StationJudge,
     StationVariance,

@@ -17,20 +17,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.errors import Unidentifiable
-from app.estimation.runs import RunInput, collect_information
-from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.motion.configurations import Commanded
-from app.motion.motion_times import row_times_s
-from app.motion.workspace import Workspace
-from app.numerics.scaled_cholesky import ScaledCholesky
-from app.planning.forecast import Assumptions
-from app.planning.predicted_cells import predict_cells
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.runs import RunInput, collect_information
+from truepath.app.kinematics.coarse_model import add_half_widths
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import row_times_s
+from truepath.app.motion.workspace import Workspace
+from truepath.app.numerics.scaled_cholesky import ScaledCholesky
+from truepath.app.planning.forecast import Assumptions
+from truepath.app.planning.predicted_cells import predict_cells
 
 INTERVALS = 6  # of the knots, as lines are chosen by
 _CELLS_ACROSS = 16  # of the longest diagonal: as many as knots tell apart

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import PlanningError
-from app.motion.configurations import Commanded, join_rows, select_rows
-from app.motion.motion_times import Legs
-from app.planning.leg_choice import SearchEffort
-from app.planning.planner import Planner
+from truepath.app.errors import PlanningError
+from truepath.app.motion.configurations import Commanded, join_rows, select_rows
+from truepath.app.motion.motion_times import Legs
+from truepath.app.planning.leg_choice import SearchEffort
+from truepath.app.planning.planner import Planner
 
 CHANGE_S = 5.0  # for the tracker to turn to another target
 _REPEATED = 3  # legs, which tell the pose of a rigid body

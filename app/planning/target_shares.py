@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.motion.motion_times import Legs
-from app.planning.design_state import inverse
-from app.planning.planner import Planner
-from app.planning.target_blocks import PlanShare
+from truepath.app.motion.motion_times import Legs
+from truepath.app.planning.design_state import inverse
+from truepath.app.planning.planner import Planner
+from truepath.app.planning.target_blocks import PlanShare
 
 _LEGS = 40  # of each target, before those are left out that cannot be measured
 _LEAST_S = 10.0  # of a block of legs of one target: a few

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.errors import BundleError
-from app.files.file_model import encode_json
-from app.files.run import Run
-from app.files.whole_files import write_files
-from app.reporting.calibration_report import render_calibration_report
-from app.results.error_table_files import error_tables_csv
-from app.results.findings import Findings
-from app.results.result_json import result_json
+from truepath.app.errors import BundleError
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.run import Run
+from truepath.app.files.whole_files import write_files
+from truepath.app.reporting.calibration_report import render_calibration_report
+from truepath.app.results.error_table_files import error_tables_csv
+from truepath.app.results.findings import Findings
+from truepath.app.results.result_json import result_json
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from markupsafe import Markup
 
-from app.reporting.error_sections import (
+from truepath.app.reporting.error_sections import (
     describe_direction,
     describe_effects,
     describe_error_motions,
@@ -19,7 +19,7 @@ from app.reporting.error_sections import (
     describe_volume,
     state_figure,
 )
-from app.reporting.measurement_sections import (
+from truepath.app.reporting.measurement_sections import (
     GOOD_FIT,
     describe_documentation,
     describe_limits,
@@ -29,8 +29,8 @@ from app.reporting.measurement_sections import (
     name_runs,
     residual_over_noise,
 )
-from app.reporting.templating import View, render_page, render_part
-from app.results.findings import Findings
+from truepath.app.reporting.templating import View, render_page, render_part
+from truepath.app.results.findings import Findings
 
 _SECTIONS: dict[str, Callable[[Findings], View]] = {
     "machine": describe_machine,

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import describe_symbol, list_error_motions
-from app.reporting.svg import (
+from truepath.app.kinematics.machine import Axis, position_unit
+from truepath.app.kinematics.symbols import describe_symbol, list_error_motions
+from truepath.app.reporting.svg import (
     NUMBER,
     TITLE,
     WIDTH,
@@ -35,13 +35,17 @@ _FEWEST_DECADES = 4  # below it ticks at 2 and 5 as well
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A linear or logarithmic map of `low` … `high` to `begin` … `end` of a figure."""
+    """A linear or logarithmic map of `low` … `high` to `begin` … `end` of a figure.
+
+    names : of the only numbers it has, where they stand for classes
+    """
 
     low: float
     high: float
     begin: float
     end: float
     logarithmic: bool = False
+    names: Mapping[float, str] | None = None
 
     def place(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the places of numbers."""
@@ -51,7 +55,9 @@ class Scale:
         return self.begin + (value - low) / (high - low) * (self.end - self.begin)
 
     def find_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
-        """Return round numbers that stand at least `spacing` apart."""
+        """Return round numbers that stand at least `spacing` apart, or the classes."""
+        if self.names:
+            return np.array(sorted(self.names))
         if self.logarithmic:
             return self._list_decades()
         room = max(1.0, abs(self.end - self.begin) / spacing)
@@ -61,6 +67,8 @@ class Scale:
 
     def name_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
         """Return ticks as text with a true minus sign, in equal decimals if linear."""
+        if self.names:
+            return [self.names[tick] for tick in ticks.tolist()]
         digits = 0
         while digits < 6 and not np.allclose(ticks, np.round(ticks, digits), rtol=1e-6):
             digits += 1

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from app.kinematics.machine import Axis
-from app.motion.default_points import unit_corners
-from app.reporting.chart import LEFT, TOP, Frame, Scale, draw_panels
-from app.reporting.svg import (
+from truepath.app.kinematics.machine import Axis
+from truepath.app.motion.default_points import unit_corners
+from truepath.app.reporting.chart import LEFT, TOP, Frame, Scale, draw_panels
+from truepath.app.reporting.svg import (
     Colour,
     draw_curve,
     draw_image,
@@ -19,8 +19,8 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.comparison import ComparedError, ComparedVolume, Comparison, K
-from app.results.number_format import SIGN
+from truepath.app.results.comparison import ComparedError, ComparedVolume, Comparison, K
+from truepath.app.results.number_format import SIGN
 
 _BINS = 31
 _VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above

@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from app.files.file_model import encode_json
-from app.files.recorded_files import decode_reference
-from app.files.result_file import read_result
-from app.files.verdict import Verdict
-from app.files.whole_files import write_files
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import describe_symbol
-from app.reporting.comparison_figures import draw_error_motions, draw_volume
-from app.reporting.templating import View, render_page
-from app.results.comparison import (
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.recorded_files import decode_reference
+from truepath.app.files.result_file import read_result
+from truepath.app.files.verdict import Verdict
+from truepath.app.files.whole_files import write_files
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.reporting.comparison_figures import draw_error_motions, draw_volume
+from truepath.app.reporting.templating import View, render_page
+from truepath.app.results.comparison import (
     ComparedError,
     ComparedNumber,
     ComparedVolume,
@@ -25,14 +25,14 @@ from app.results.comparison import (
     compare_volumes,
     mean_length,
 )
-from app.results.comparison_files import (
+from truepath.app.results.comparison_files import (
     KINDS,
     classify,
     comparison_csv,
     comparison_json,
     compute_agreement,
 )
-from app.results.number_format import SIGN, format_expanded, format_number
+from truepath.app.results.number_format import SIGN, format_expanded, format_number
 
 
 def render_comparison_report(

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from app.discovery.findings import Gap
-from app.discovery.residual_location import (
+from truepath.app.discovery.findings import Gap
+from truepath.app.discovery.residual_location import (
     Covariate,
     RunResidual,
     Segment,
     list_covariates,
 )
-from app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
-from app.reporting.svg import (
+from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
+from truepath.app.reporting.svg import (
     NUMBER,
     WIDTH,
     Colour,
@@ -30,6 +31,7 @@ from app.reporting.svg import (
 
 _HEIGHT, _ROW = 104.0, 150.0
 _BARS, _NAMES = 16.0, 130.0
+_HALF = 12.0  # of the level of a class
 _POINTS, _BINS, _PROFILES = 240, 24, 6
 _COLOURS = (Colour.ACCENT, Colour.SECOND, Colour.THIRD)
 
@@ -161,6 +163,12 @@ def _draw_profile(frame: Frame, residual: RunResidual, covariate: Covariate) -> 
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
     x = frame.make_x(low, high, margin=0.03)
+    if covariate.names:
+        own = np.unique(covariate.values).tolist()
+        x = replace(
+            frame.make_x(low, high, margin=0.5),
+            names={value: covariate.names[value] for value in own},
+        )
     return _draw_components(frame, x, at, mean, reach, covariate.name, covariate.label)
 
 
@@ -179,11 +187,21 @@ def _draw_components(
             frame.write_title(title),
             frame.draw_axes(x, y, label, "µm"),
             *(
-                draw_curve(x.place(at), y.place(component), colour, width=1.1)
+                _draw_levels(x.place(at), y.place(component), colour)
+                if x.names
+                else draw_curve(x.place(at), y.place(component), colour, width=1.1)
                 for component, colour in zip(mean.T, _COLOURS, strict=True)
             ),
         ]
     )
+
+
+def _draw_levels(
+    x: Float64[np.ndarray, " b"], y: Float64[np.ndarray, " b"], colour: str
+) -> Markup:
+    """Draw the level of each class, with nothing between classes."""
+    begin, end = np.column_stack([x - _HALF, y]), np.column_stack([x + _HALF, y])
+    return draw_segments(begin, end, colour, width=2.0)
 
 
 def _draw_key(frame: Frame) -> Markup:

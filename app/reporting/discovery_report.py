@@ -11,27 +11,31 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from app.discovery.discover import Discovery
-from app.discovery.findings import Finding
-from app.discovery.residual_location import RunResidual, Segment
-from app.files.commanded_file import encode_commanded
-from app.files.file_model import encode_json
-from app.files.whole_files import write_files
-from app.planning.discrimination import DECIDED, DiscriminationDesign, Question
-from app.reporting.analysis_files import REPORT
-from app.reporting.discovery_figures import (
+from truepath.app.discovery.discover import Discovery
+from truepath.app.discovery.findings import Finding
+from truepath.app.discovery.residual_location import RunResidual, Segment
+from truepath.app.files.commanded_file import encode_commanded
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.whole_files import write_files
+from truepath.app.planning.discrimination import DECIDED, DiscriminationDesign, Question
+from truepath.app.reporting.analysis_files import REPORT
+from truepath.app.reporting.discovery_figures import (
     draw_along_run,
     draw_by_line,
     draw_gap,
     draw_profiles,
     draw_shares,
 )
-from app.reporting.templating import View, render_page
-from app.results.discovery import ASK, Discovered
-from app.results.discovery_json import describe_alternatives, explain, write_title
-from app.results.model_difference import in_words
-from app.results.model_file import NextModel
-from app.results.number_format import format_number
+from truepath.app.reporting.templating import View, render_page
+from truepath.app.results.discovery import ASK, Discovered
+from truepath.app.results.discovery_json import (
+    describe_alternatives,
+    explain,
+    write_title,
+)
+from truepath.app.results.model_difference import in_words
+from truepath.app.results.model_file import NextModel
+from truepath.app.results.number_format import format_number
 
 CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _WORST = 8

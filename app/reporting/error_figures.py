@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from app.files.units import UM_PER_MM
-from app.kinematics.machine import Axis
-from app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, draw_panels
-from app.reporting.svg import (
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.machine import Axis
+from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, draw_panels
+from truepath.app.reporting.svg import (
     WIDTH,
     Colour,
     draw_curve,
@@ -18,9 +18,9 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.error_tables import ErrorTable, build_error_table
-from app.results.findings import Findings, RunFindings
-from app.results.number_format import SIGN
+from truepath.app.results.error_tables import ErrorTable, build_error_table
+from truepath.app.results.findings import Findings, RunFindings
+from truepath.app.results.number_format import SIGN
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from app.kinematics.effects.catalogue import Quantity
-from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import describe_symbol
-from app.kinematics.symbols import list_error_motions as symbols_of
-from app.reporting.error_figures import draw_error_motions
-from app.reporting.templating import View
-from app.reporting.volume_figure import draw_volume
-from app.results.error_tables import ErrorTable, compute_half_differences
-from app.results.findings import Findings
-from app.results.model_difference import in_words
-from app.results.number_format import SIGN, format_expanded, format_number
-from app.results.updated_effects import describe_use, list_updated_effects
-from app.results.volumetric_error import Figure
+from truepath.app.kinematics.effects.catalogue import Quantity
+from truepath.app.kinematics.machine import Axis, position_unit
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.kinematics.symbols import list_error_motions as symbols_of
+from truepath.app.reporting.error_figures import draw_error_motions
+from truepath.app.reporting.templating import View
+from truepath.app.reporting.volume_figure import draw_volume
+from truepath.app.results.error_tables import ErrorTable, compute_half_differences
+from truepath.app.results.findings import Findings
+from truepath.app.results.model_difference import in_words
+from truepath.app.results.number_format import SIGN, format_expanded, format_number
+from truepath.app.results.updated_effects import describe_use, list_updated_effects
+from truepath.app.results.volumetric_error import Figure
 
 _K = 2.0
 

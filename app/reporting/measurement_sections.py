@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.estimation.run_estimate import SeatEstimate
-from app.files.units import UM_PER_MM, URAD_PER_RAD
-from app.kinematics.machine import Axis, Machine, position_unit
-from app.kinematics.symbols import describe_symbol
-from app.numerics.adaptive_trials import NORMAL_FACTOR
-from app.reporting.error_figures import draw_residuals
-from app.reporting.templating import View
-from app.results.findings import Findings, RunFindings
-from app.results.grade_json import in_words
-from app.results.number_format import SIGN, format_number
-from app.results.trial_results import MAP, TrialQuantity, TrialResults
+from truepath.app.estimation.run_estimate import SeatEstimate
+from truepath.app.files.environment import ChannelFacts
+from truepath.app.files.run import RunSummary
+from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.app.kinematics.machine import Axis, Machine, position_unit
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.numerics.adaptive_trials import NORMAL_FACTOR
+from truepath.app.reporting.error_figures import draw_residuals
+from truepath.app.reporting.templating import View
+from truepath.app.results.environment_json import (
+    describe_refraction,
+    describe_scale,
+)
+from truepath.app.results.findings import Findings, RunFindings
+from truepath.app.results.grade_json import in_words
+from truepath.app.results.number_format import SIGN, format_number
+from truepath.app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 _K = 2.0
+_UNITS = {"degC": "°C", "hPa": "hPa", "percent": "%"}
 _HOW = {"otf": "on the fly", "standstill": "at standstill"}
 
 
@@ -152,10 +159,10 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
         "cells": f"{estimate.cells:,}",
         "distance_m": f"{run.noise.distance_mm / 1000.0:.2f}",
         "rate_hz": f"{estimate.tracker.rate_hz:g}",
-        "temperatures": ", ".join(
-            f"{sensor} {low:.2f} to {high:.2f} °C"
-            for sensor, (low, high) in summary.temperature_degc.items()
-        ),
+        "sensors": [_state_sensor(one) for one in summary.sensors],
+        "refraction": describe_refraction(summary.refraction),
+        "scale": describe_scale(summary.refraction),
+        "interruptions": state_interruptions(summary),
         "seats": [_describe_seat(seat) for seat in estimate.seats],
         "brought": None
         if brought is None or without_um is None
@@ -164,6 +171,35 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
             "without_um": f"{_K * without_um:.2f}",
         },
     }
+
+
+def _state_sensor(one: ChannelFacts) -> tuple[str, ...]:
+    """Return a row of the table of sensors."""
+    name, _, unit = one.name.rpartition("_")
+    if not one.readings:
+        numbers = ("–",) * 4
+    else:
+        numbers = tuple(
+            format_number(value, 2)
+            for value in (one.mean, one.low, one.high, one.change)
+        )
+    used = "yes" if one.is_used else f"no: nothing for {one.hole_s:.0f} s"
+    shown = f"{one.readings:,} in {one.rows:,} rows"
+    return name, _UNITS[unit], *numbers, shown, used
+
+
+def state_interruptions(summary: RunSummary) -> str:
+    """Return what the stream and the lines have suffered; empty for nothing."""
+    found, said = summary.interruptions, list[str]()
+    if found.breaks:
+        times = "once" if found.breaks == 1 else f"{found.breaks} times"
+        said.append(f"the beam was broken {times}, {found.broken_s:.1f} s in all")
+    if found.gaps:
+        places = "one place" if found.gaps == 1 else f"{found.gaps} places"
+        said.append(f"{found.lost_samples:,} samples lost in {places}")
+    if summary.driven_again:
+        said.append(f"driven twice: {', '.join(summary.driven_again)}")
+    return "; ".join(said)
 
 
 def _describe_seat(seat: SeatEstimate) -> View:

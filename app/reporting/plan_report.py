@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from app.files.commanded_file import encode_commanded
-from app.files.file_model import encode_json
-from app.files.verdict import verdict_from_json
-from app.files.whole_files import write_files
-from app.kinematics.effects.catalogue import find_family
-from app.motion.nc_programs.programs import (
+from truepath.app.files.commanded_file import encode_commanded
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.verdict import verdict_from_json
+from truepath.app.files.whole_files import write_files
+from truepath.app.kinematics.effects.catalogue import find_family
+from truepath.app.motion.nc_programs.programs import (
     list_dialects,
     name_file,
     write_program,
 )
-from app.planning.plan import Plan
-from app.reporting.chart import Scale
-from app.reporting.svg import (
+from truepath.app.planning.plan import Plan
+from truepath.app.reporting.chart import Scale
+from truepath.app.reporting.svg import (
     NUMBER,
     WIDTH,
     Colour,
@@ -31,11 +31,11 @@ from app.reporting.svg import (
     draw_segments,
     write_label,
 )
-from app.reporting.templating import render_page
-from app.results.model_difference import in_words
-from app.results.number_format import SIGN
-from app.results.plan_document import plan_document
-from drivers.interfaces.records import Path
+from truepath.app.reporting.templating import render_page
+from truepath.app.results.model_difference import in_words
+from truepath.app.results.number_format import SIGN
+from truepath.app.results.plan_document import plan_document
+from truepath.drivers.interfaces.records import Path
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 from numpy.typing import ArrayLike
 
-from app.reporting.templating import ENVIRONMENT
+from truepath.app.reporting.templating import ENVIRONMENT
 
 WIDTH = 662.0  # of a figure as wide as the page, in its own units
 _SHAPES = ENVIRONMENT.get_template("shapes.svg").module

@@ -15,7 +15,7 @@ from jinja2 import (
 from jinja2.bccache import Bucket
 from markupsafe import Markup
 
-from app.results.number_format import format_number
+from truepath.app.results.number_format import format_number
 
 View = dict[str, Any]
 """What a template shows, by name: texts, numbers, and figures as Markup."""

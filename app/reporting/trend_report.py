@@ -8,18 +8,24 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from app.files.file_model import encode_json
-from app.files.whole_files import write_files
-from app.kinematics.symbols import describe_symbol
-from app.reporting.chart import EDGE, LEFT, TOP, Frame
-from app.reporting.error_figures import draw_legend
-from app.reporting.svg import WIDTH, Colour, draw_curve, draw_image, draw_segments
-from app.reporting.templating import render_page
-from app.results.error_tables import ErrorTable, SingleError
-from app.results.number_format import SIGN, format_expanded, format_number
-from app.results.outlook import Outlook, Quantiles, TablesAt
-from app.results.trend import HOUR_S, Trend
-from app.results.trend_json import NOT_TOLD, describe_outlook, trend_json
+from truepath.app.files.file_model import encode_json
+from truepath.app.files.whole_files import write_files
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame
+from truepath.app.reporting.error_figures import draw_legend
+from truepath.app.reporting.svg import (
+    WIDTH,
+    Colour,
+    draw_curve,
+    draw_image,
+    draw_segments,
+)
+from truepath.app.reporting.templating import render_page
+from truepath.app.results.error_tables import ErrorTable, SingleError
+from truepath.app.results.number_format import SIGN, format_expanded, format_number
+from truepath.app.results.outlook import Outlook, Quantiles, TablesAt
+from truepath.app.results.trend import HOUR_S, Trend
+from truepath.app.results.trend_json import NOT_TOLD, describe_outlook, trend_json
 
 TREND, REPORT = "trend.json", "report.html"
 _HEIGHT = 150.0

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from markupsafe import Markup
 
-from app.files.units import UM_PER_MM
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import LinearAxis
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.motion.travel import add_resting_axes
-from app.reporting.chart import Frame, Scale, round_down
-from app.reporting.error_figures import draw_legend
-from app.reporting.svg import (
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.motion.travel import add_resting_axes
+from truepath.app.reporting.chart import Frame, Scale, round_down
+from truepath.app.reporting.error_figures import draw_legend
+from truepath.app.reporting.svg import (
     NUMBER,
     TITLE,
     WIDTH,
@@ -31,7 +31,7 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.findings import Findings
+from truepath.app.results.findings import Findings
 
 # Readable on light and on dark paper: blue, violet, orange.
 _STOPS, _RED, _GREEN, _BLUE = (

@@ -11,24 +11,26 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 
-from app.alignment.align import align_all
-from app.errors import BundleError
-from app.estimation.contributions import find_contributions
-from app.estimation.disturbances import CheckedEstimate, estimate_checked
-from app.estimation.known_effects import KnownEffects
-from app.estimation.prior_model import PriorModel
-from app.estimation.ripple import add_ripple
-from app.files.one_machine import one_machine
-from app.files.run import Run, RunSummary, number_names, summarize_run
-from app.files.verdict import Verdict
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.machine import Machine
-from app.numerics.adaptive_trials import Mapper, TrialPlan
-from app.planning.grade import Grade, SetUp, grade_together
-from app.progress import Progress, ignore_progress, scale_progress
-from app.results.findings import Findings, Provenance, state_checked_findings
-from app.results.trial_results import run_trials
-from app.results.verdict import judge_driving
+from truepath.app.alignment.align import align_all
+from truepath.app.errors import BundleError
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.contributions import find_contributions
+from truepath.app.estimation.disturbances import CheckedEstimate, estimate_checked
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.estimation.ripple import add_ripple
+from truepath.app.estimation.tracker_score import RangeOffsetScore, score_range_offset
+from truepath.app.files.one_machine import one_machine
+from truepath.app.files.run import Run, RunSummary, number_names, summarize_run
+from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.machine import Machine
+from truepath.app.numerics.adaptive_trials import Mapper, TrialPlan
+from truepath.app.planning.grade import Grade, SetUp, grade_together
+from truepath.app.progress import Progress, ignore_progress, scale_progress
+from truepath.app.results.findings import Findings, Provenance, state_checked_findings
+from truepath.app.results.trial_results import run_trials
+from truepath.app.results.verdict import judge_air, judge_driving, judge_range
 
 # Share of the work that is done after alignment, estimation and trials.
 _SHARES, _SHARES_WITH_TRIALS = (0.1, 0.9, 0.9), (0.01, 0.09, 0.98)
@@ -84,11 +86,19 @@ def analyse(
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     brought = find_contributions(estimated, checked.given)
+    ranges = judge_range(_score_ranges(checked.estimate), checked.given, names)
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     driven = judge_driving([each.driving for each in observed], names)
-    verdict = Verdict.merge([found.verdict, driven])
+    air = judge_air([run.refraction for run in runs], names)
+    verdict = Verdict.merge([found.verdict, ranges, driven, air])
     return replace(found, contributions=brought, verdict=verdict)
+
+
+def _score_ranges(estimated: Estimate) -> list[RangeOffsetScore | None]:
+    fit = estimated.fit
+    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    return [score_range_offset(fit, number) for number in range(len(fit.runs))]
 
 
 def _grade_set_ups(

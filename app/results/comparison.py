@@ -19,27 +19,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import BadInput
-from app.files.result_file import CalibrationResult
-from app.files.run import DirectMeasurement
-from app.files.units import UM_PER_MM, scale_of
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import find_arm, reference_position_mm
-from app.kinematics.machine import Axis, LinearAxis, Machine, position_unit
-from app.kinematics.symbols import (
+from truepath.app.errors import BadInput
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.run import DirectMeasurement
+from truepath.app.files.units import UM_PER_MM, scale_of
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.app.kinematics.machine import Axis, LinearAxis, Machine, position_unit
+from truepath.app.kinematics.symbols import (
     SQUARENESS,
     find_unit,
     is_location,
     list_error_motions,
 )
-from app.results.direct_error import (
+from truepath.app.results.direct_error import (
     DirectError,
     build_convention,
     combine_direct_error,
     find_merged_shares,
     index_motions,
 )
-from app.results.error_tables import build_error_tables, evaluate
+from truepath.app.results.error_tables import build_error_tables, evaluate
 
 K = 2.0
 GRID = 9  # positions an axis

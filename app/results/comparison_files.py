@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.verdict import Verdict, verdict_json
-from app.kinematics.symbols import is_straightness, is_turn
-from app.results.comparison import (
+from truepath.app.files.verdict import Verdict, verdict_json
+from truepath.app.kinematics.symbols import is_straightness, is_turn
+from truepath.app.results.comparison import (
     ComparedError,
     ComparedNumber,
     ComparedVolume,

@@ -14,13 +14,17 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.result_file import CalibrationResult
-from app.files.run import DirectMeasurement
-from app.files.units import scale_of
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion, find_arm
-from app.kinematics.machine import Axis, LinearAxis
-from app.kinematics.symbols import find_unit, is_straightness, list_error_motions
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.run import DirectMeasurement
+from truepath.app.files.units import scale_of
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion, find_arm
+from truepath.app.kinematics.machine import Axis, LinearAxis
+from truepath.app.kinematics.symbols import (
+    find_unit,
+    is_straightness,
+    list_error_motions,
+)
 
 _DECIMALS = 4  # of a position, mm or deg: runs stop there again and again
 

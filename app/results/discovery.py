@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app.discovery.discover import Discovery, discover
-from app.discovery.open_questions import design_discrimination
-from app.estimation.prior_model import PriorModel
-from app.files.run import Run
-from app.planning.discrimination import DiscriminationDesign
-from app.progress import Progress, ignore_progress, scale_progress
-from app.results.discovery_json import ask_json, discovery_json
-from app.results.model_file import NextModel, build_next_model, build_reference
+from truepath.app.discovery.discover import Discovery, discover
+from truepath.app.discovery.open_questions import design_discrimination
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.run import Run
+from truepath.app.planning.discrimination import DiscriminationDesign
+from truepath.app.progress import Progress, ignore_progress, scale_progress
+from truepath.app.results.discovery_json import ask_json, discovery_json
+from truepath.app.results.model_file import NextModel, build_next_model, build_reference
 
 ASK = "ask/path.csv"
 _FOUND = 0.95  # share of the work that is done with the search

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from app.discovery.discover import Discovery
-from app.discovery.findings import Finding
-from app.discovery.residual_location import RunResidual, Segment
-from app.files.commanded_file import list_columns
-from app.kinematics.effects.catalogue import Candidate, Family, find_family
-from app.kinematics.symbols import is_turn
-from app.planning.discrimination import DECIDED, DiscriminationDesign, Question
-from app.results.updated_effects import parameters_json
+from truepath.app.discovery.discover import Discovery
+from truepath.app.discovery.findings import Finding
+from truepath.app.discovery.residual_location import RunResidual, Segment
+from truepath.app.files.commanded_file import list_columns
+from truepath.app.kinematics.effects.catalogue import Candidate, Family, find_family
+from truepath.app.kinematics.symbols import is_turn
+from truepath.app.planning.discrimination import DECIDED, DiscriminationDesign, Question
+from truepath.app.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from app.estimation.extrapolation import Ranges
-from app.estimation.observability import Observability
-from app.files.verdict import Verdict
-from app.kinematics.machine import Machine, position_unit
-from app.results.error_tables import ErrorTable, ErrorTables
+from truepath.app.estimation.extrapolation import Ranges
+from truepath.app.estimation.observability import Observability
+from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.machine import Machine, position_unit
+from truepath.app.results.error_tables import ErrorTable, ErrorTables
 
 HEADER = ["error", "position_mm", "value", "uncertainty", "unit", "extrapolated"]
 

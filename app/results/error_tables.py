@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.estimation.extrapolation import Ranges
-from app.files.units import scale_of
-from app.kinematics.effects.base import ErrorCurve
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
-from app.kinematics.symbols import SQUARENESS, find_unit
+from truepath.app.estimation.extrapolation import Ranges
+from truepath.app.files.units import scale_of
+from truepath.app.kinematics.effects.base import ErrorCurve
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
+from truepath.app.kinematics.symbols import SQUARENESS, find_unit
 
 STEP_MM = 25.0
 STEP_DEG = 10.0

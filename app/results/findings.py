@@ -9,21 +9,25 @@ from datetime import datetime
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.left_out import LeftOut
-from app.estimation.batch import Estimate
-from app.estimation.contributions import Contributions
-from app.estimation.disturbances import CheckedEstimate
-from app.estimation.prior_model import PriorModel
-from app.estimation.run_estimate import RunEstimate
-from app.estimation.run_parts import Knock
-from app.files.run import RunSummary
-from app.files.units import UM_PER_MM
-from app.files.verdict import Verdict
-from app.planning.grade import Grade
-from app.results.error_tables import ErrorTables, build_error_tables
-from app.results.trial_results import TrialResults
-from app.results.verdict import judge, judge_gain
-from app.results.volumetric_error import VolumetricError, compute_volumetric_error
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.contributions import Contributions
+from truepath.app.estimation.disturbances import CheckedEstimate
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.estimation.run_estimate import RunEstimate
+from truepath.app.estimation.run_parts import Knock
+from truepath.app.files.run import RunSummary
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.verdict import Verdict
+from truepath.app.planning.grade import Grade
+from truepath.app.results.as_if_driven import judge_program
+from truepath.app.results.error_tables import ErrorTables, build_error_tables
+from truepath.app.results.trial_results import TrialResults
+from truepath.app.results.verdict import judge, judge_gain
+from truepath.app.results.volumetric_error import (
+    VolumetricError,
+    compute_volumetric_error,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +153,12 @@ def state_checked_findings(
     return replace(
         found,
         verdict=Verdict.merge(
-            [own, provenance.judge_model(), judge_gain(found.volumetric)]
+            [
+                own,
+                provenance.judge_model(),
+                judge_gain(found.volumetric),
+                judge_program(found.estimate.model.machine, found.volumetric),
+            ]
         ),
         left_out=checked.left_out,
         knocks=checked.knocks,

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from app.files.units import UM_PER_MM
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import describe_symbol
-from app.motion.configurations import Commanded
-from app.planning.grade import GOOD, USABLE, Grade, WeakMotion, grade
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.motion.configurations import Commanded
+from truepath.app.planning.grade import GOOD, USABLE, Grade, WeakMotion, grade
 
 _MEANS = {
     "good": "the map will be known to a quarter of what one tracker sample scatters "

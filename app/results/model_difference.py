@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.files.units import unit_of
-from app.kinematics.effects.base import Effect, ErrorCurve
-from app.kinematics.estimated_model import EstimatedModel
-from app.results.error_tables import build_error_table, choose_table_positions
-from app.results.number_format import SIGN, format_expanded, format_number
+from truepath.app.files.units import unit_of
+from truepath.app.kinematics.effects.base import Effect, ErrorCurve
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.results.error_tables import build_error_table, choose_table_positions
+from truepath.app.results.number_format import SIGN, format_expanded, format_number
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
 _SUFFIXES = (

@@ -14,30 +14,33 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from app.discovery.discover import Discovery
-from app.discovery.extended_model import (
+from truepath.app.discovery.discover import Discovery
+from truepath.app.discovery.extended_model import (
     ExtendedModel,
     baseline_model,
     extend_model,
 )
-from app.discovery.findings import Finding
-from app.estimation.extrapolation import find_measured_ranges
-from app.estimation.observability import assess_observability
-from app.estimation.prior_model import PriorModel
-from app.files.machine_file import machine_to_json
-from app.files.model_file import model_to_json
-from app.files.result_file import MODEL_SCHEMA
-from app.files.run import Run, digest_run
-from app.files.units import unit_of
-from app.files.verdict import Verdict, verdict_json
-from app.kinematics.effects.nuisance import list_target_seats
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.volumetric_map import build_shape_model
-from app.results.discovery_json import effect_json
-from app.results.error_table_files import observability_json, tables_json
-from app.results.error_tables import build_error_tables, compute_half_differences
-from app.results.model_difference import list_differences
-from app.results.verdict import judge_discovery
+from truepath.app.discovery.findings import Finding
+from truepath.app.estimation.extrapolation import find_measured_ranges
+from truepath.app.estimation.observability import assess_observability
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.model_file import model_to_json
+from truepath.app.files.result_file import MODEL_SCHEMA
+from truepath.app.files.run import Run, digest_run
+from truepath.app.files.units import unit_of
+from truepath.app.files.verdict import Verdict, verdict_json
+from truepath.app.kinematics.effects.nuisance import list_target_seats
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.volumetric_map import build_shape_model
+from truepath.app.results.discovery_json import effect_json
+from truepath.app.results.error_table_files import observability_json, tables_json
+from truepath.app.results.error_tables import (
+    build_error_tables,
+    compute_half_differences,
+)
+from truepath.app.results.model_difference import list_differences
+from truepath.app.results.verdict import judge_discovery
 
 
 def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from app.errors import NotFound
+from truepath.app.errors import NotFound
 
 MODEL, RESULT, DISCOVERY = "model.json", "result.json", "discovery.json"
 
@@ -52,8 +52,8 @@ def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, An
 def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
-    from app.files.result_file import read_result
-    from app.results.model_difference import list_differences
+    from truepath.app.files.result_file import read_result
+    from truepath.app.results.model_difference import list_differences
 
     old, new = (read_result(file) for file in (before, after))
     changes = list_differences(old, new)

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.drift import Drift
-from app.estimation.drift_course import Course
-from app.estimation.extrapolation import Ranges
-from app.files.units import UM_PER_MM
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.results.error_tables import ErrorTables, build_error_tables
+from truepath.app.estimation.drift import Drift
+from truepath.app.estimation.drift_course import Course
+from truepath.app.estimation.extrapolation import Ranges
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.results.error_tables import ErrorTables, build_error_tables
 
 CHANCE = 0.05  # that the limit is exceeded, at which to calibrate again
 _GRADES = ("certain", 0.95), ("likely", 0.75), ("possible", 0.0)

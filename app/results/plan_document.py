@@ -6,15 +6,18 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from app.files.machine_file import machine_to_json
-from app.files.units import scale_of
-from app.files.verdict import Verdict, verdict_json
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import SQUARENESS, find_unit, is_location
-from app.planning.plan import Plan
-from app.results.station_json import stations_json
-from app.results.updated_effects import prior_model_json, state_predicted_effects
-from drivers.interfaces.records import Path
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.units import scale_of
+from truepath.app.files.verdict import Verdict, verdict_json
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from truepath.app.planning.plan import Plan
+from truepath.app.results.station_json import stations_json
+from truepath.app.results.updated_effects import (
+    prior_model_json,
+    state_predicted_effects,
+)
+from truepath.drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
 

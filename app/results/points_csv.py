@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.result_file import LARGEST_BYTES, read_result
-from app.files.tables import Table, read_csv
-from app.files.whole_files import read_whole, replace_file
-from app.kinematics.machine import Machine
-from app.motion.configurations import name_columns
-from app.results.prediction import Prediction, predict
+from truepath.app.files.result_file import LARGEST_BYTES, read_result
+from truepath.app.files.tables import Table, read_csv
+from truepath.app.files.whole_files import read_whole, replace_file
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import name_columns
+from truepath.app.results.prediction import Prediction, predict
 
 PREDICTED = ("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um")
 VERDICT = "verdict"

@@ -8,18 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.estimation.extrapolation import (
+from truepath.app.estimation.extrapolation import (
     Variation,
     beyond_travel_variance_mm2,
     estimate_variations,
     full_travel,
 )
-from app.files.result_file import CalibrationResult
-from app.files.units import UM_PER_MM
-from app.files.verdict import Verdict
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Machine
-from app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
 _USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache

@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.left_out import LeftOut
-from app.estimation.run_parts import Knock
-from app.files.machine_file import machine_to_json
-from app.files.model_file import model_to_json
-from app.files.result_file import RESULT_SCHEMA
-from app.files.run import combine_digests
-from app.files.units import UM_PER_MM, URAD_PER_RAD
-from app.files.verdict import verdict_json
-from app.results.error_table_files import observability_json, tables_json
-from app.results.error_tables import ErrorTables, compute_half_differences
-from app.results.findings import Findings, Provenance, RunFindings
-from app.results.grade_json import grade_json
-from app.results.trial_results import trials_json
-from app.results.updated_effects import (
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.estimation.run_parts import Knock
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.model_file import model_to_json
+from truepath.app.files.result_file import RESULT_SCHEMA
+from truepath.app.files.run import combine_digests
+from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.app.files.verdict import verdict_json
+from truepath.app.results.environment_json import environment_json
+from truepath.app.results.error_table_files import observability_json, tables_json
+from truepath.app.results.error_tables import ErrorTables, compute_half_differences
+from truepath.app.results.findings import Findings, Provenance, RunFindings
+from truepath.app.results.grade_json import grade_json
+from truepath.app.results.trial_results import trials_json
+from truepath.app.results.updated_effects import (
     describe_use,
     list_updated_effects,
     prior_model_json,
@@ -184,6 +185,11 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         "input_sha256": summary.digest,
         "source": summary.source,
         "tracker_told": list(summary.told),
+        "environment": environment_json(summary),
+        "interruptions": {
+            **asdict(summary.interruptions),
+            "driven_again": list(summary.driven_again),
+        },
         "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
         "without_it_um": found.find_without_um(run),
         "alignment": _alignment_json(found, run),

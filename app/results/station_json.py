@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.units import UM_PER_MM
-from app.kinematics.symbols import describe_symbol
-from app.planning.station_choice import StationAdvice, StationOption
-from app.planning.station_information import StationVariance
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.symbols import describe_symbol
+from truepath.app.planning.station_choice import StationAdvice, StationOption
+from truepath.app.planning.station_information import StationVariance
 
 _ORDINAL = {2: "second", 3: "third"}
 

@@ -13,21 +13,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.align import align_all
-from app.errors import BadInput
-from app.estimation.common_basis import find_common_basis
-from app.estimation.disturbances import CheckedEstimate, estimate_checked
-from app.estimation.drift import Drift, estimate_drift
-from app.estimation.drift_course import Course
-from app.estimation.extrapolation import Ranges
-from app.files.run import Run, RunSummary, number_names, summarize_run
-from app.files.runs_in_time import TimedRun, order_in_time
-from app.files.verdict import Verdict
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.machine import Machine
-from app.progress import Progress, ignore_progress
-from app.results.outlook import LookAhead, Outlook, Quantiles, TablesAt
-from app.results.verdict import judge
+from truepath.app.alignment.align import align_all
+from truepath.app.errors import BadInput
+from truepath.app.estimation.common_basis import find_common_basis
+from truepath.app.estimation.disturbances import CheckedEstimate, estimate_checked
+from truepath.app.estimation.drift import Drift, estimate_drift
+from truepath.app.estimation.drift_course import Course
+from truepath.app.estimation.extrapolation import Ranges
+from truepath.app.files.run import Run, RunSummary, number_names, summarize_run
+from truepath.app.files.runs_in_time import TimedRun, order_in_time
+from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.machine import Machine
+from truepath.app.progress import Progress, ignore_progress
+from truepath.app.results.outlook import LookAhead, Outlook, Quantiles, TablesAt
+from truepath.app.results.verdict import judge
+from truepath.drivers.interfaces.records import TemperatureSamples
 
 HOUR_S = 3600.0
 HORIZON_S = 24.0 * HOUR_S
@@ -160,15 +161,22 @@ def _make_course(
         return (), Course(since_s, np.zeros((len(runs), 0)))
     rows: list[list[float]] = []
     for run in runs:
-        told = run.temperature
-        known = {}
-        if told is not None:
-            known = dict(zip(told.names, told.celsius.mean(axis=0), strict=True))
+        known = {} if run.temperature is None else _find_means(run.temperature)
         missing = [name for name in question.celsius if name not in known]
         if missing:
             raise BadInput(f"{run.name} has no temperature {missing[0]}: leave it out")
         rows.append([known[name] - own for name, own in question.celsius.items()])
     return tuple(question.celsius), Course(since_s, np.array(rows))
+
+
+def _find_means(told: TemperatureSamples) -> dict[str, float]:
+    """Return the mean of each sensor that has shown anything, °C."""
+    columns = (told.celsius[:, k] for k in range(len(told.names)))
+    return {
+        name: float(np.nanmean(shown))
+        for name, shown in zip(told.names, columns, strict=True)
+        if np.isfinite(shown).any()
+    }
 
 
 def _join_ranges(ranges: Sequence[Ranges]) -> Ranges:

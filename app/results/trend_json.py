@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from app.files.machine_file import machine_to_json
-from app.files.verdict import verdict_json
-from app.results.error_table_files import tables_json
-from app.results.number_format import format_number
-from app.results.outlook import CHANCE, Outlook, TablesAt
-from app.results.trend import HOUR_S, Trend
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.verdict import verdict_json
+from truepath.app.results.error_table_files import tables_json
+from truepath.app.results.number_format import format_number
+from truepath.app.results.outlook import CHANCE, Outlook, TablesAt
+from truepath.app.results.trend import HOUR_S, Trend
 
 SCHEMA = "trend/1"
 NOT_TOLD = (

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.estimation.batch import Estimate
-from app.estimation.monte_carlo import prepare_trials, run_block
-from app.files.units import UM_PER_MM, scale_of
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import position_unit as unit_of_axis
-from app.kinematics.symbols import SQUARENESS, find_unit, is_location
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.numerics.adaptive_trials import (
+from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.monte_carlo import prepare_trials, run_block
+from truepath.app.files.units import UM_PER_MM, scale_of
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import position_unit as unit_of_axis
+from truepath.app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.numerics.adaptive_trials import (
     BLOCK,
     COVERAGE,
     Mapper,
@@ -31,9 +31,9 @@ from app.numerics.adaptive_trials import (
     numerical_tolerance,
     propagate,
 )
-from app.progress import ShareProgress, ignore_progress
-from app.results.error_tables import choose_table_positions
-from app.results.volumetric_error import make_grid
+from truepath.app.progress import ShareProgress, ignore_progress
+from truepath.app.results.error_tables import choose_table_positions
+from truepath.app.results.volumetric_error import make_grid
 
 MAP = "volumetric error"
 METHOD = "JCGM 101:2008, adaptive (7.9.4), held against the linear law (8)"

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from app.estimation.known_effects import KnownEffects
-from app.estimation.prior_model import PriorModel
-from app.kinematics.effects.catalogue import Quantity
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.model import CatalogueEffect
-from app.planning.forecast import Forecast
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.kinematics.effects.catalogue import Quantity
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.model import CatalogueEffect
+from truepath.app.planning.forecast import Forecast
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 

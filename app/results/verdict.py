@@ -9,25 +9,28 @@ set-up during the Run, to which places that are measured early and late add.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.alignment.left_out import LeftOut
-from app.alignment.observations import Driving
-from app.estimation.disturbances import CheckedEstimate
-from app.estimation.misfit import Misfit
-from app.estimation.prior_model import PriorModel
-from app.estimation.run_estimate import RunEstimate
-from app.estimation.run_parts import Knock
-from app.files.run import number_names
-from app.files.units import UM_PER_MM
-from app.files.verdict import Reason, State, Value, Verdict
-from app.results.volumetric_error import VolumetricError
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.observations import Driving
+from truepath.app.estimation.disturbances import CheckedEstimate
+from truepath.app.estimation.misfit import Misfit
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.estimation.run_estimate import RunEstimate
+from truepath.app.estimation.run_parts import Knock
+from truepath.app.estimation.tracker_score import RangeOffsetScore
+from truepath.app.files.refraction import NOBODY, Refraction
+from truepath.app.files.run import number_names
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.verdict import Reason, State, Value, Verdict
+from truepath.app.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
-    from app.discovery.discover import Discovery
-    from app.estimation.live_gate import LiveCheck
+    from truepath.app.discovery.discover import Discovery
+    from truepath.app.estimation.live_gate import LiveCheck
 
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
@@ -37,6 +40,8 @@ _RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
+_RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
+_RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _LINES = 0.1, 0.5  # of the lines without data
 _GAIN = 0.35, 1.0  # expected to be left, of the mean error found
@@ -86,6 +91,51 @@ def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> V
         for kind, values in _describe_driving(driving)
     ]
     return Verdict(tuple(reasons))
+
+
+def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
+    """Return which Runs should have been corrected for the air, and are not."""
+    reasons = [
+        Reason("air-uncorrected", "doubtful", {"why": one.why}, name)
+        for one, name in zip(refractions, names, strict=True)
+        if one.by == NOBODY
+    ]
+    if len(names) == 1:
+        reasons = [replace(one, run="") for one in reasons]
+    return Verdict(tuple(reasons))
+
+
+def judge_range(
+    scores: Sequence[RangeOffsetScore | None],
+    given: Sequence[int],
+    names: Sequence[str],
+) -> Verdict:
+    """Return whether the distances of a Run are all off by the same amount.
+
+    scores : of each Run of the estimate; given : the Run that it is of
+    """
+    worst: dict[int, RangeOffsetScore] = {}
+    for score, number in zip(scores, given, strict=True):
+        if score is None or score.gain < _RANGE_GAIN:
+            continue
+        if abs(score.offset_mm) < _RANGE_MM[0]:
+            continue
+        if number not in worst or score.gain > worst[number].gain:
+            worst[number] = score
+    return Verdict(
+        tuple(
+            Reason(
+                "range-off",
+                _grade(abs(score.offset_mm), _RANGE_MM),
+                {
+                    "distance_um": UM_PER_MM * score.offset_mm,
+                    "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
+                },
+                names[number] if len(names) > 1 else "",
+            )
+            for number, score in worst.items()
+        )
+    )
 
 
 def judge_gain(volumetric: VolumetricError) -> Verdict:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.units import UM_PER_MM
-from app.kinematics.conditions import make_standstill
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -68,7 +68,7 @@ def compute_volumetric_error(estimated: EstimatedModel) -> VolumetricError:
         make_standstill(model.machine, position_mm)
     )
     error = J @ estimated.theta
-    drawn = J.reshape(-1, model.size) @ _draw_parameters(covariance)
+    drawn = J.reshape(-1, model.size) @ draw_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
     after = _measure_lengths(left)
     return VolumetricError(
@@ -96,9 +96,10 @@ def make_grid(machine: Machine, linear: int, rotary: int) -> Float64[np.ndarray,
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
 
 
-def _draw_parameters(
+def draw_parameters(
     covariance: Float64[np.ndarray, "p p"],
 ) -> Float64[np.ndarray, "p d"]:
+    """Return departures of the parameters by their covariance, always the same."""
     value, vector = np.linalg.eigh(covariance)
     unit = np.random.default_rng(0).standard_normal((len(covariance), _DRAWS))
     # By the symmetric root: eigenvectors of one eigenvalue are any of many, by chance.

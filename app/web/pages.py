@@ -17,8 +17,8 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
-from app.jobs.transitions import FINAL, State
-from app.kinematics.effects.catalogue import list_families
+from truepath.app.jobs.transitions import FINAL, State
+from truepath.app.kinematics.effects.catalogue import list_families
 
 STATIC_PATH = "/static"
 LANGUAGES = ("en", "de")
@@ -89,7 +89,7 @@ def catalogue(language: str) -> dict[str, str]:
 
 @cache
 def _read_texts(language: str) -> dict[str, str]:
-    path = files("app.web") / "static" / "locales" / f"{language}.json"
+    path = files("truepath.app.web") / "static" / "locales" / f"{language}.json"
     return json.loads(path.read_text(encoding="utf-8"))
 
 

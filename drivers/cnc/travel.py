@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.errors import OutOfTravel, Refused
-from drivers.interfaces.records import Path
+from truepath.drivers.interfaces.errors import OutOfTravel, Refused
+from truepath.drivers.interfaces.records import Path
 
 # Half of the finest step that both wires print, 0.1 µm or 0.0001 deg.
 _HALF_STEP = 0.5e-4

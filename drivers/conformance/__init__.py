@@ -4,7 +4,7 @@ A check takes a factory that makes a fresh driver, not connected, for a device t
 answers; it returns nothing, or raises NotConforming, which says what was not kept. With
 pytest:
 
-    from drivers.conformance.tracker import TRACKER_CHECKS
+    from truepath.drivers.conformance.tracker import TRACKER_CHECKS
 
     @pytest.mark.parametrize("check", TRACKER_CHECKS, ids=lambda check: check.__name__)
     def test_my_tracker_conforms(check):

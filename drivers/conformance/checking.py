@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-from drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.errors import DeviceError
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ def on_terms(**terms: float) -> Iterator[None]:
 
 
 class NotConforming(AssertionError):
-    """A driver does not keep what `drivers.interfaces` promises."""
+    """A driver does not keep what `truepath.drivers.interfaces` promises."""
 
 
 def require(kept: bool, otherwise: str) -> None:

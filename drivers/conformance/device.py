@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.conformance.checking import (
+from truepath.drivers.conformance.checking import (
     NotConforming,
     holdings,
     require,
     soon,
     wait_until,
 )
-from drivers.interfaces.device import Device
-from drivers.interfaces.errors import DeviceError
-from drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.device import Device
+from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.records import Identity
 
 MakeDevice = Callable[[], Device]
 

@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.conformance.checking import TERMS, expect, require, running, soon
-from drivers.conformance.device import DEVICE_CHECKS
-from drivers.interfaces.errors import (
+from truepath.drivers.conformance.checking import TERMS, expect, require, running, soon
+from truepath.drivers.conformance.device import DEVICE_CHECKS
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     OutOfTravel,
     Refused,
 )
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import MotionState, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
@@ -146,12 +146,19 @@ def the_line_is_the_row_moved_towards(make: MakeController) -> None:
 
 
 def resume_of_nothing_does_nothing(make: MakeController) -> None:
-    """`resume` where nothing is held moves nothing."""
+    """`resume` where nothing is held moves nothing, and starts no path either."""
     with make() as controller:
         before = controller.status()
         controller.resume()
         after = controller.status()
+        here = list(controller.axis_positions())
+        controller.load(_path(controller, [here, _near(controller)], _slow()))
+        controller.resume()
+        loaded = controller.status()
+        controller.abort()
     require(before.position == after.position, "resume moved a machine that stood")
+    ready = f"resume left a loaded path {loaded.state}, not ready"
+    require(loaded.state is MotionState.READY, ready)
 
 
 def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:

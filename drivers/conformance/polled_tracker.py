@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.conformance.checking import expect, require, soon
-from drivers.conformance.device import DEVICE_CHECKS
-from drivers.interfaces.errors import ConnectionLost, Refused
-from drivers.interfaces.tracker import PolledTracker
-from drivers.interfaces.tracker_records import PointMeasurement
+from truepath.drivers.conformance.checking import expect, require, soon
+from truepath.drivers.conformance.device import DEVICE_CHECKS
+from truepath.drivers.interfaces.errors import ConnectionLost, Refused
+from truepath.drivers.interfaces.tracker import PolledTracker
+from truepath.drivers.interfaces.tracker_records import PointMeasurement
 
 DWELL_S = 0.3
 LATE_S = 10.0  # what an instrument may take for its last shot

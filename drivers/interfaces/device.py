@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
-from drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.records import Identity
 
 
 class Device(ABC):

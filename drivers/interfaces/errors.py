@@ -37,3 +37,7 @@ class MotionFault(DeviceError):
 
 class BeamLost(DeviceError):
     """The tracker has lost its reflector."""
+
+
+class NotOffered(Refused):
+    """The device does not have this verb at all."""

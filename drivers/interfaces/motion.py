@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 
-from drivers.interfaces.device import Device
-from drivers.interfaces.errors import Refused
-from drivers.interfaces.records import MotionStatus, Path
+from truepath.drivers.interfaces.device import Device
+from truepath.drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.records import MotionStatus, Path
 
 
 class MotionController(Device):

@@ -92,12 +92,24 @@ class TemperatureSamples:
 
     names : columns of `environment.csv` without their `_degC`
     time_s : (n,)
-    celsius : (n, sensors)
+    celsius : (n, sensors), NaN where a sensor has shown nothing to be believed
     """
 
     names: tuple[str, ...]
     time_s: NDArray[np.float64]
     celsius: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class AirSamples:
+    """Pressure and humidity of the air on the tracker's clock, NaN where not known.
+
+    time_s, pressure_hpa, humidity_percent : (n,)
+    """
+
+    time_s: NDArray[np.float64]
+    pressure_hpa: NDArray[np.float64]
+    humidity_percent: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from drivers.interfaces.device import Device
-from drivers.interfaces.records import LinkHealth, TrackerSamples
-from drivers.interfaces.tracker_records import (
+from truepath.drivers.interfaces.device import Device
+from truepath.drivers.interfaces.records import LinkHealth, TrackerSamples
+from truepath.drivers.interfaces.tracker_records import (
     Air,
     PointMeasurement,
     TrackerCapabilities,
@@ -114,11 +114,15 @@ class TargetFinder(ABC):
 
 
 class TargetChoice(ABC):
-    """Knows several kinds of targets, whose constants differ."""
+    """Knows several targets by their names, and which of them it measures."""
 
     @abstractmethod
     def select_target(self, name: str) -> None:
-        """Measure this kind from now on. Raises Refused if it is not known."""
+        """Measure this one from now on.
+
+        Raises Refused if it is not known, NotOffered if this device cannot choose,
+        BeamLost if it is not seen.
+        """
 
 
 class AirExchange(ABC):

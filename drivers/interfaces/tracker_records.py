@@ -17,6 +17,26 @@ class Clock(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Light:
+    """What a tracker that does not correct for the air measures distances with.
+
+    wavelength_nm : in vacuum
+    is_group : modulated light (ADM, EDM); else fringes are counted (IFM)
+    assumed_index : of refraction that its distances were computed with; 1 in vacuum
+    """
+
+    wavelength_nm: float
+    is_group: bool = True
+    assumed_index: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 300.0 <= self.wavelength_nm <= 1690.0:
+            raise ValueError(f"wavelength_nm is {self.wavelength_nm}, not 300 to 1690")
+        if not 1.0 <= self.assumed_index <= 1.001:
+            raise ValueError(f"assumed_index is {self.assumed_index}, not 1 to 1.001")
+
+
+@dataclass(frozen=True, slots=True)
 class TrackerCapabilities:
     """What an instrument can do, known after `connect`.
 
@@ -25,6 +45,7 @@ class TrackerCapabilities:
     distance : how it measures distance, `IFM`, `ADM` or `EDM`; empty if not known
     corrects_air : it applies the refraction of the air to its distances itself; None
         if not known
+    light : of one that does not, where the driver knows it
     """
 
     streams: bool = True
@@ -32,6 +53,7 @@ class TrackerCapabilities:
     clock: Clock = Clock.DEVICE
     distance: str = ""
     corrects_air: bool | None = None
+    light: Light | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
-from drivers.interfaces.errors import ConnectionLost
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.interfaces.errors import ConnectionLost
+from truepath.drivers.transport.byte_port import BytePort
 
 _END = b"\r\n"
 _KEPT_BYTES = 1 << 20

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from drivers.transport.byte_port import BytePort
-from drivers.transport.serial_port import SerialPort
-from drivers.transport.tcp_port import TcpPort
+from truepath.drivers.transport.byte_port import BytePort
+from truepath.drivers.transport.serial_port import SerialPort
+from truepath.drivers.transport.tcp_port import TcpPort
 
 
 def make_port(port: str | int, host: str | None, baudrate: int) -> BytePort:

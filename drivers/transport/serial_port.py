@@ -8,8 +8,8 @@ import termios
 
 import serial
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.transport.byte_port import BytePort
 
 _WRITE_TIMEOUT_S = 0.2
 _BLOCK = 1 << 16

@@ -5,8 +5,8 @@ from __future__ import annotations
 import select
 import socket
 
-from drivers.interfaces.errors import ConnectionLost
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.interfaces.errors import ConnectionLost
+from truepath.drivers.transport.byte_port import BytePort
 
 BLOCK = 1 << 16
 

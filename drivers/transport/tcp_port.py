@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import socket
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.transport.socket_port import BLOCK, SocketPort
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.transport.socket_port import BLOCK, SocketPort
 
 _CONNECT_TIMEOUT_S = 1.0
 _WRITE_TIMEOUT_S = 0.2

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import socket
 
-from drivers.interfaces.errors import ConnectionLost
-from drivers.transport.socket_port import BLOCK, SocketPort
+from truepath.drivers.interfaces.errors import ConnectionLost
+from truepath.drivers.transport.socket_port import BLOCK, SocketPort
+
+_KEPT_BYTES = 4 << 20  # as much of it as the system allows
 
 
 class UdpPort(SocketPort):
-    """Listens; each datagram ends a line, whether it says so or not.
+    """Listens to one sender; each datagram ends a line, whether it says so or not.
 
     host : address to listen at; empty for all of this host
     """
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(host, port)
+        self._sender: tuple[str, int] | None = None
 
     @property
     def name(self) -> str:
@@ -22,7 +28,9 @@ class UdpPort(SocketPort):
     def open(self) -> None:
         """Take the port of this host."""
         self.close()
+        self._sender = None
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _KEPT_BYTES)
         try:
             opened.bind(self._address)
         except OSError as error:
@@ -34,15 +42,24 @@ class UdpPort(SocketPort):
         self._socket = opened
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the next datagram."""
+        """Return all datagrams that wait, at least one unless none comes in time."""
         opened = self.wait(timeout_s)
-        if opened is None:
-            return b""
-        try:
-            data = opened.recv(BLOCK)
-        except OSError as error:
-            raise ConnectionLost(f"{self.name} is gone ({error})") from error
-        return data if data.endswith(b"\n") else data + b"\n"
+        lines: list[bytes] = []
+        while opened is not None and len(lines) < BLOCK:
+            try:
+                data, sender = opened.recvfrom(BLOCK, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                raise ConnectionLost(f"{self.name} is gone ({error})") from error
+            if self._sender not in (None, sender):
+                raise ConnectionLost(
+                    f"{self.name}: {self._sender} and {sender} both send here; "
+                    "stop one, or connect again where it has begun anew"
+                )
+            self._sender = sender
+            lines.append(data if data.endswith(b"\n") else data + b"\n")
+        return b"".join(lines)
 
     def write(self, data: bytes) -> None:
         """Refuse: there is nobody to send to."""

@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from simulators.hidden.motion import Motion
-from simulators.machine_file import MachineFile
-from simulators.tracker_head import TrackerClock
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.tracker_head import TrackerClock
 
 Value = float | tuple[float, ...]
 

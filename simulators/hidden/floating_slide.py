@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
-from simulators.hidden.motion import Motion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath.simulators.hidden.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)

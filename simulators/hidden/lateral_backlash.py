@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
-from simulators.hidden.motion import Motion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath.simulators.hidden.motion import Motion
 
 _ARM_M = 0.33  # a turn is drawn so that it moves the tool as far as a shift does
 

@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.hidden.motion import Motion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.motion import Motion
 
 _SEATS = 1000
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from simulators.machine_file import MachineFile
-from simulators.timeline import Timeline
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.timeline import Timeline
 
 _KEPT_PIECES = 4000
 _STANDS_MM = 1e-9

@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
-from simulators.hidden.motion import Motion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath.simulators.hidden.motion import Motion
 
 _LEADS_MM = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 

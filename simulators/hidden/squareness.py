@@ -7,11 +7,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.hidden.motion import Motion
-from simulators.joint import rotation_matrices
-from simulators.machine_file import DIRECTIONS
-from simulators.truth_machine import SQUARENESS
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.joint import rotation_matrices
+from truepath.simulators.machine_file import DIRECTIONS
+from truepath.simulators.truth_machine import SQUARENESS
 
 
 @dataclass(frozen=True, slots=True)

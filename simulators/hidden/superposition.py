@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import Motion
-from simulators.truth_machine import TruthMachine
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.truth_machine import TruthMachine
 
 
 def locate_target_mm(

@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
-from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath.simulators.hidden.motion import Motion
+from truepath.simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)

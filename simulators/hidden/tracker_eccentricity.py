@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
 
 _CIRCLES = {"azimuth": 1, "elevation": 2}
 

@@ -11,8 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
-from simulators.hidden.motion import Motion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath.simulators.hidden.motion import Motion
 
 _REACH_MM = 120.0  # usual, from the axis to a target
 _PERIODS_DEG = (4.0, 5.0, 6.0, 9.0, 12.0)

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
 
 
 @dataclass(frozen=True, slots=True)

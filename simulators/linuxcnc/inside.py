@@ -27,8 +27,11 @@ def main(orders):
         stderr=log,
         start_new_session=True,
     )
+    beside = []
     for descriptor, port in orders["ports"]:
-        if not wait_for(port, linuxcnc):
+        if port == orders.get("gateway_port"):
+            beside.append(start_gateway(orders["gateway"]))
+        if not wait_for(port, (beside or [linuxcnc])[-1]):
             print(f"nothing listens on port {port}", flush=True)
             return
         server = socket.socket(fileno=descriptor)
@@ -39,15 +42,25 @@ def main(orders):
     sys.stdin.read()
 
 
+def start_gateway(command):
+    """Start a program that serves LinuxCNC's other masters."""
+    log = open("gateway.log", "w")  # noqa: SIM115, it lives as long as the gateway
+    return subprocess.Popen(  # noqa: S603, our own module
+        command, stdin=subprocess.DEVNULL, stderr=log
+    )
+
+
 def wait_for(port, process):
     """Tell whether a port answers before the process ends."""
     deadline_s = time.monotonic() + START_S
     while time.monotonic() < deadline_s and process.poll() is None:
         try:
             with socket.create_connection(("127.0.0.1", port), START_S) as peer:
-                # linuxcncrsh listens a second before it answers.
+                # linuxcncrsh listens a second before it answers; a Modbus server
+                # closes what is no request.
                 peer.sendall(b"hello EMC rig 1\r\n")
-                return bool(peer.recv(100))
+                peer.recv(100)
+                return True
         except OSError:
             time.sleep(0.02)
     return False

@@ -13,24 +13,34 @@ import select
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.cnc import linuxcnc
-from simulators.errors import SimulatorError
-from simulators.linuxcnc.files import LinuxCncMachine
+from truepath.drivers.cnc import linuxcnc
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.linuxcnc.files import LinuxCncMachine
 
-RSH_PORT, WATCHDOG_PORT = 5007, 5017
+RSH_PORT, WATCHDOG_PORT, GATEWAY_PORT = 5007, 5017, 5020
 _BESIDE_DRIVER = Path(linuxcnc.__file__).parent
 _START_S = 30.0
 _STOP_S = 10.0
 _NAMESPACES = "unshare --net --ipc --mount --pid --fork --kill-child --mount-proc"
-_ISOLATED = (
-    "mount --make-rprivate / && mount -t tmpfs -o mode=1777 tmpfs /tmp && "
-    'ip link set lo up && exec "$@"'
-)
+# $1 is kept of a /tmp that is empty otherwise: the project, where it lies there.
+_ISOLATED = """
+set -e
+kept=$1; shift
+mount --make-rprivate /
+if [ -n "$kept" ]; then mkdir kept; mount --bind "$kept" kept; fi
+mount -t tmpfs -o mode=1777 tmpfs /tmp
+if [ -n "$kept" ]; then mkdir -p "$kept"; mount --bind kept "$kept"; fi
+ip link set lo up
+exec "$@"
+"""
+_PROJECT = Path(__file__).resolve().parents[2]
 
 
 def explain_absence() -> str:
@@ -49,6 +59,8 @@ class LinuxCncRig:
     watchdog : whether the watchdog of Truepath's driver is loaded
     samples : whether `positions` gives sample number, motor and commanded positions of
         all joints, a line a millisecond
+    gateway : machine file whose travel the register map over Modbus TCP offers; it
+        needs the watchdog
     """
 
     def __init__(
@@ -57,9 +69,12 @@ class LinuxCncRig:
         *,
         watchdog: bool = True,
         samples: bool = False,
+        gateway: Mapping[str, Any] | None = None,
     ) -> None:
         self._machine, self._watchdog, self._samples = machine, watchdog, samples
-        self._ports = (RSH_PORT, WATCHDOG_PORT) if watchdog else (RSH_PORT,)
+        self._gateway = gateway
+        self._ports = [RSH_PORT, *[WATCHDOG_PORT] * watchdog]
+        self._ports += [GATEWAY_PORT] * (gateway is not None)
         self._process: subprocess.Popen[str] | None = None
         self._addresses: dict[int, int] = {}
         self.positions = -1
@@ -94,6 +109,11 @@ class LinuxCncRig:
         if self._watchdog:
             options["watchdog_port"] = self.address(WATCHDOG_PORT)[1]
         return options
+
+    @property
+    def modbus_options(self) -> dict[str, Any]:
+        """Options of the driver `modbus` for the gateway."""
+        return dict(zip(("host", "port"), self.address(GATEWAY_PORT), strict=True))
 
     @property
     def log(self) -> str:
@@ -154,12 +174,19 @@ class LinuxCncRig:
             "ports": list(zip(given, self._ports, strict=True)),
             "positions": None,
         }
+        if self._gateway is not None:
+            folder = str(self.folder / "programs")
+            asked = {"machine": dict(self._gateway), "folder": folder}
+            module = "truepath.simulators.linuxcnc.gateway"
+            orders["gateway_port"] = GATEWAY_PORT
+            orders["gateway"] = [sys.executable, "-m", module, json.dumps(asked)]
         written = -1
         if self._samples:
             self.positions, written = os.pipe()
             orders["positions"] = written
             given.append(written)
-        command = [*_NAMESPACES.split(), "sh", "-c", _ISOLATED, "sh"]
+        kept = str(_PROJECT) if _PROJECT.is_relative_to("/tmp") else ""  # noqa: S108
+        command = [*_NAMESPACES.split(), "sh", "-c", _ISOLATED, "sh", kept]
         fifo = self.folder / "run" / "fifo"
         self._process = subprocess.Popen(  # noqa: S603, our own script
             [*command, "/usr/bin/python3", "inside.py", json.dumps(orders)],

@@ -9,19 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.nominal_path import compute_nominal_path
-from app.alignment.streaming import StreamingAlignment
-from app.errors import AlignmentError
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.effects.nuisance import TimingLaw
-from drivers.interfaces.records import Path, TrackerSamples
-from simulators import synthetic, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.synthetic import ROUGH, Defects, Setting
-from simulators.timeline import Program
+from truepath.app.alignment.align import align
+from truepath.app.alignment.nominal_path import compute_nominal_path
+from truepath.app.alignment.streaming import StreamingAlignment
+from truepath.app.errors import AlignmentError
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.nuisance import TimingLaw
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import ROUGH, Defects, Setting
+from truepath.simulators.timeline import Program
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting, record
-from simulators.timeline import Program
+from truepath.app.alignment.align import align
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting, record
+from truepath.simulators.timeline import Program
 
 
 def drive(run_of, rows, feed_mm_min, **setting):

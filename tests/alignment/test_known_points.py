@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.known_points import compare_stations, measure_points
-from app.errors import AlignmentError
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic
-from simulators.scenario import load_machine
-from simulators.timeline import Program
-from simulators.tracker_head import TrackerPose, place_anew
+from truepath.app.alignment.known_points import compare_stations, measure_points
+from truepath.app.errors import AlignmentError
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
+from truepath.simulators.tracker_head import TrackerPose, place_anew
 
 POINTS = np.array(
     [[10, 10, 10], [490, 390, 10], [490, 10, 290], [10, 390, 290], [250, 200, 150]],

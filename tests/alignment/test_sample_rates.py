@@ -2,8 +2,8 @@
 
 import pytest
 
-from app.alignment.align import align
-from simulators.synthetic import Setting
+from truepath.app.alignment.align import align
+from truepath.simulators.synthetic import Setting
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.streaming import StreamingAlignment
-from app.errors import AlignmentError
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path, TrackerSamples
-from simulators import synthetic, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.alignment.align import align
+from truepath.app.alignment.streaming import StreamingAlignment
+from truepath.app.errors import AlignmentError
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.alignment.sequence import fit_rigid
-from app.numerics.rigid import RigidTransform
+from truepath.app.alignment.sequence import fit_rigid
+from truepath.app.numerics.rigid import RigidTransform
 
 
 @pytest.fixture

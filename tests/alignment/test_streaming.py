@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.alignment import streaming
-from app.alignment.align import align
-from app.alignment.streaming import StreamingAlignment
-from app.errors import AlignmentError
-from simulators.synthetic import ROUGH, Setting
+from truepath.app.alignment import streaming
+from truepath.app.alignment.align import align
+from truepath.app.alignment.streaming import StreamingAlignment
+from truepath.app.errors import AlignmentError
+from truepath.simulators.synthetic import ROUGH, Setting
 
 
 def rows_of(tracker, rows):

@@ -16,19 +16,19 @@ import pytest
 import uvicorn
 from starlette.testclient import TestClient
 
-from app.api.application import create_application
-from app.api.service import Service
-from app.files.commanded_file import encode_commanded_json
-from app.files.machine_file import machine_from_json, machine_to_json
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.context import JobContext
-from app.jobs.database import Database
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.event_bus import EventBus
-from app.jobs.runs import RunCatalogue
-from app.jobs.store import Store
-from app.planning.default_path import default_path
-from simulators.scenario import load_machine
+from truepath.app.api.application import create_application
+from truepath.app.api.service import Service
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.store import Store
+from truepath.app.planning.default_path import default_path
+from truepath.simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from scripted_cell import (

@@ -20,18 +20,18 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from app.api.application import create_application
-from app.main import open_service
-from app.settings import load_settings
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.hidden.drawing import as_json
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.lateral_backlash import LateralBacklash
-from simulators.hidden.squareness import Squareness
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting
+from truepath.app.api.application import create_application
+from truepath.app.main import open_service
+from truepath.app.settings import load_settings
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.hidden.drawing import as_json
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.lateral_backlash import LateralBacklash
+from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
 
 MACHINE = 5
 SPEED = 15.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
-import runpy
+import subprocess
 import sys
 from pathlib import Path
 
@@ -13,14 +13,14 @@ import pytest
 from fastapi import APIRouter
 from pydantic import TypeAdapter
 
-from app import errors as app_errors
-from app.api import problems
-from app.api.application import create_application, describe_interface
-from app.api.models.job_request import JobRequest
-from app.api.problems import find_kind_of_status
-from app.jobs import errors as job_errors
-from app.jobs.job import Failure
-from drivers.interfaces import errors as device_errors
+from truepath.app import errors as app_errors
+from truepath.app.api import problems
+from truepath.app.api.application import create_application, describe_interface
+from truepath.app.api.models.job_request import JobRequest
+from truepath.app.api.problems import find_kind_of_status
+from truepath.app.jobs import errors as job_errors
+from truepath.app.jobs.job import Failure
+from truepath.drivers.interfaces import errors as device_errors
 
 ROOT = Path(__file__).parents[2]
 HTTP_METHODS = {"get", "post", "put", "patch", "delete"}
@@ -43,7 +43,7 @@ def operations(document):
 
 def test_the_checked_in_description_is_current():
     kept = (ROOT / "docs" / "openapi.json").read_text(encoding="utf-8")
-    command = "python -m app.api.application docs/openapi.json"
+    command = "python -m truepath.app.api.application docs/openapi.json"
     assert kept == describe_interface(), command
 
 
@@ -93,11 +93,10 @@ def test_all_paths_but_probes_are_versioned(operations):
     assert probes == {"/healthz", "/readyz"}
 
 
-def test_writing_the_file_writes_the_description(tmp_path, monkeypatch):
+def test_writing_the_file_writes_the_description(tmp_path):
     file = tmp_path / "openapi.json"
-    monkeypatch.setattr(sys, "argv", ["application", str(file)])
-    monkeypatch.delitem(sys.modules, "app.api.application")
-    runpy.run_module("app.api.application", run_name="__main__")
+    module = "truepath.app.api.application"
+    subprocess.run([sys.executable, "-m", module, str(file)], check=True)
     assert file.read_text(encoding="utf-8") == describe_interface()
 
 
@@ -182,7 +181,7 @@ def test_an_error_nobody_foresaw_is_internal_and_tells_nothing():
     content = problems.describe_error(KeyError("secret"))
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
-    assert problems.find_kind(KeyError()) is problems.INTERNAL
+    assert problems.find_kind(KeyError) is problems.INTERNAL
 
 
 def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
@@ -190,6 +189,15 @@ def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
     assert content["code"] == "bundle"
     assert content["detail"] == "tracker.csv: NaN"
     assert "status" not in content
+
+
+def test_a_failure_whose_family_has_no_kind_of_its_own_is_of_the_nearest():
+    text = "127.0.0.1:5000 streams at up to 400 Hz, not at 500 Hz"
+    failure = Failure("MeasurementEnded", text, "refused", "check the rate")
+    content = problems.describe_failure(failure)
+    assert content["detail"] == text
+    assert content["title"] == "The measurement ended before its path did"
+    assert (content["code"], content["action"]) == ("refused", "check the rate")
 
 
 def test_a_failure_named_by_the_machine_keeps_its_code_and_way_out():

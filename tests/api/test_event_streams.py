@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import pytest
 from scripted_cell import wait_until
 
-from app.api import events
-from app.jobs.job import Job, JobEvent, JobKind
-from app.jobs.transitions import State
+from truepath.app.api import events
+from truepath.app.jobs.job import Job, JobEvent, JobKind
+from truepath.app.jobs.transitions import State
 
 EVENTS = "/api/v1/events"
 
@@ -171,6 +171,7 @@ def test_a_measurement_can_be_followed_to_its_result(live, make_cell, order, ser
     assert {event.type for event in heard} >= {"job", "progress", "live"}
 
 
+@pytest.mark.fault_row(32)
 def test_a_slow_client_keeps_the_newest_live_events_and_every_kept_one(
     live, service, job
 ):

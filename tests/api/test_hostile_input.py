@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.api.application import describe_interface
+from truepath.app.api.application import describe_interface
 
 PATHS = sorted(json.loads(describe_interface())["paths"])
 GET_PATHS = sorted(
@@ -73,6 +73,7 @@ def idle(client, service):
 
 @relaxed
 @given(body=bodies)
+@pytest.mark.fault_row(35)
 def test_any_json_as_a_job(idle, body):
     text = json.dumps(body)  # with NaN and Infinity, as careless clients write them
     answer = idle.post(
@@ -85,6 +86,7 @@ def test_any_json_as_a_job(idle, body):
 @given(
     body=st.binary(max_size=200), kind=st.sampled_from(["application/json", "x", ""])
 )
+@pytest.mark.fault_row(35)
 def test_any_bytes_as_a_job(idle, body, kind):
     answer = idle.post("/api/v1/jobs", content=body, headers={"content-type": kind})
     is_sound(answer)
@@ -110,6 +112,7 @@ def test_any_name_and_query(idle, path, name, query):
     tag=header_values,
     key=header_values,
 )
+@pytest.mark.fault_row(35)
 def test_any_headers(idle, verb, tag, key):
     headers = {"if-match": tag, "idempotency-key": key, "last-event-id": tag}
     is_sound(idle.post(f"/api/v1/jobs/nobody/{verb}", headers=headers))
@@ -118,12 +121,14 @@ def test_any_headers(idle, verb, tag, key):
 
 @relaxed
 @given(content=st.binary(max_size=400), name=st.text(max_size=40))
+@pytest.mark.fault_row(36)
 def test_any_bytes_as_a_bundle(idle, content, name):
     is_sound(idle.post("/api/v1/runs", files={"bundle": (name, content)}))
 
 
 @relaxed
 @given(cut=st.integers(min_value=0, max_value=2000), flip=st.integers(0, 2000))
+@pytest.mark.fault_row(36)
 def test_any_damage_to_a_bundle(idle, bundle, cut, flip):
     content = bytearray(bundle())
     content[flip % len(content)] ^= 0x41

@@ -6,7 +6,7 @@ import time
 import pytest
 from scripted_cell import wait_until
 
-from app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.errors import StorageUnavailable
 
 UNKNOWN = "/api/v1/jobs/019a0000-0000-7000-8000-000000000000"
 

@@ -17,8 +17,8 @@ import pytest
 ROUNDS = 12
 ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
 PROGRAM = """
-from app.main import serve
-from app.settings import load_settings
+from truepath.app.main import serve
+from truepath.app.settings import load_settings
 
 if __name__ == "__main__":
     serve(load_settings())
@@ -67,6 +67,7 @@ def start(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
+@pytest.mark.fault_row(25)
 def test_whatever_was_answered_is_there_after_a_kill_at_any_moment(start):
     rng = random.Random(11)
     known: dict[str, int] = {}

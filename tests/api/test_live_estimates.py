@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.api.jobs import describe_job
-from app.jobs.job import decode_job
+from truepath.app.api.jobs import describe_job
+from truepath.app.jobs.job import decode_job
 
 
 @pytest.fixture

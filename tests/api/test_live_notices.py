@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from app.api.application import create_application
-from app.jobs.job import JobEvent
-from app.main import open_service
-from app.settings import load_settings
-from simulators import paths
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.api.application import create_application
+from truepath.app.jobs.job import JobEvent
+from truepath.app.main import open_service
+from truepath.app.settings import load_settings
+from truepath.simulators import paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 SPEED = 6.0
 ROWS, KNOCKED_S, KNOCK_MM = 34, 82.0, 0.03  # since the stream began
@@ -92,6 +92,7 @@ def lines_of(job: dict[str, Any], client: TestClient) -> int:
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
+@pytest.mark.fault_row(11)
 def test_a_knock_is_told_kept_and_the_line_before_it_driven_again(tmp_path):
     with knocked_floor(tmp_path / "data") as floor:
         floor.begin(on_notice="check")

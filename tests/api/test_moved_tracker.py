@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from app.api.application import create_application
-from app.main import open_service
-from app.settings import load_settings
-from simulators.bench import Bench
+from truepath.app.api.application import create_application
+from truepath.app.main import open_service
+from truepath.app.settings import load_settings
+from truepath.simulators.bench import Bench
 
 SPEED = 12.0
 WORKSPACE = {

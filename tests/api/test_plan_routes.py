@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
-from app.files.machine_file import machine_from_json
-from app.jobs.plan_orders import plan_measurement
-from app.motion.nc_programs.programs import read_program
-from simulators.scenario import load_machine
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.jobs.plan_orders import plan_measurement
+from truepath.app.motion.nc_programs.programs import read_program
+from truepath.simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
 SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}

@@ -19,17 +19,17 @@ import pytest
 from scripted_cell import wait_until
 from starlette.testclient import TestClient
 
-from app.api.application import create_application
-from app.errors import BadInput
-from app.jobs.errors import InUse, SchemaTooNew
-from app.main import open_service, serve
-from app.settings import load_settings
-from simulators.scenario import load_machine
+from truepath.app.api.application import create_application
+from truepath.app.errors import BadInput
+from truepath.app.jobs.errors import InUse, SchemaTooNew
+from truepath.app.main import open_service, serve
+from truepath.app.settings import load_settings
+from truepath.simulators.scenario import load_machine
 
 PROGRAM = """
 import sys
-from app.main import serve
-from app.settings import load_settings
+from truepath.app.main import serve
+from truepath.app.settings import load_settings
 
 if __name__ == "__main__":
     serve(load_settings())
@@ -225,6 +225,25 @@ def test_pause_resume_and_abort_reach_the_machine(settings):
         assert not run["complete"]
 
 
+@pytest.mark.fault_row(30)
+def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
+    """Nobody could stop it meanwhile; it goes on only when somebody says so."""
+    with process(tmp_path) as (running, client):
+        job = create(client)
+        arm(client, job)
+        moving(client, job["id"])
+        os.kill(running.pid, signal.SIGSTOP)
+        try:
+            time.sleep(4.0)  # so long it stands still
+        finally:
+            os.kill(running.pid, signal.SIGCONT)
+        paused = follow(client, job["id"], "paused")
+        assert "service has stood still" in json.dumps(paused)
+        client.post("/api/v1/stop")
+        follow(client, job["id"], "aborted")
+
+
+@pytest.mark.fault_row(23)
 def test_a_killed_cell_leaves_a_run_and_the_next_one_takes_over(settings):
     with (
         open_service(settings) as service,
@@ -248,6 +267,7 @@ def test_a_killed_cell_leaves_a_run_and_the_next_one_takes_over(settings):
 
 
 @pytest.mark.parametrize("how", ["terminated", "Ctrl+C"])
+@pytest.mark.fault_row(40)
 def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(tmp_path, how):
     with process(tmp_path) as (running, client):
         job = create(client)
@@ -273,6 +293,7 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(tmp_path, h
     assert events[-1] == "service ended"
 
 
+@pytest.mark.fault_row(25)
 def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path):
     with process(tmp_path) as (running, client):
         job = create(client)

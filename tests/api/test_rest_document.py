@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from scripted_cell import wait_until
 
-from app.api import problems
-from app.jobs.plan_orders import plan_measurement
-from app.jobs.transitions import FINAL, State
+from truepath.app.api import problems
+from truepath.app.jobs.plan_orders import plan_measurement
+from truepath.app.jobs.transitions import FINAL, State
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "rest-api.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")

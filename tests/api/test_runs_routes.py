@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from app.api import runs as run_routes
+from truepath.app.api import runs as run_routes
 
 ADDRESS = "/api/v1/runs"
 

@@ -5,8 +5,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.api.server import bind_socket, format_address
-from app.errors import BadInput
+from truepath.app.api.server import bind_socket, format_address
+from truepath.app.errors import BadInput
 
 
 @pytest.mark.parametrize(

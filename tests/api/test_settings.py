@@ -5,11 +5,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from app.errors import BadInput
-from app.files.machine_file import encode_machine
-from app.jobs.workers import Workers, choose_workers
-from app.main import _load_machine, open_service
-from app.settings import load_settings
+from truepath.app.errors import BadInput
+from truepath.app.files.machine_file import encode_machine
+from truepath.app.jobs.workers import Workers, choose_workers
+from truepath.app.main import _load_machine, open_service
+from truepath.app.settings import load_settings
+from truepath.drivers.interfaces.tracker_records import Light
 
 
 @pytest.fixture(autouse=True)
@@ -91,7 +92,7 @@ def test_patience_with_a_tracker_reaches_its_cell(toml, tmp_path, mill):
         ('host = "0.0.0.0"', "reached from other computers.*--allow-plain-http"),
         ('host = "mill.example"', "host mill.example can be reached"),
         ("simulated_speed = 0", "setting simulated_speed: Input should be greater"),
-        ("[tracker_options]\na = [1]\n", "setting tracker_options.a"),
+        ("tracker_options = 3\n", "setting tracker_options"),
         ("[tracker_patience_s]\nsilence = 1.0\n", "silence is none of silent, dead"),
         ("[tracker_patience_s]\ndead = 0.0\n", "dead is 0 s, not in 0 to 3600 s"),
     ],
@@ -166,3 +167,34 @@ def test_a_service_whose_executor_cannot_be_does_not_start(tmp_path):
         open_service(settings),
     ):
         pass
+
+
+def test_thermometers_and_the_light_of_a_tracker_reach_their_cell(toml, tmp_path, mill):
+    (tmp_path / "mill.json").write_bytes(encode_machine(mill))
+    file = toml(f"""
+machine_file = "{tmp_path / "mill.json"}"
+thermometer_driver = "modbus-registers"
+tracker_light = {{ wavelength_nm = 633, is_group = 0 }}
+
+[thermometer_options]
+host = "192.0.2.20"
+
+[[thermometer_options.registers]]
+name = "X_degC"
+address = 3
+scale = 0.1
+""")
+    with ExitStack() as stack:
+        _, config = _load_machine(load_settings(file), stack)
+    assert config.thermometer_driver == "modbus-registers"
+    row = config.thermometer_options["registers"][0]
+    assert row == {"name": "X_degC", "address": 3, "scale": 0.1}
+    assert config.light == Light(633.0, is_group=False, assumed_index=1.0)
+
+
+@pytest.mark.parametrize(
+    "light", ["{ wavelength_nm = 63.3 }", "{ index = 1 }", "{ is_group = 1 }"]
+)
+def test_a_light_that_cannot_be_is_named(toml, light):
+    with pytest.raises(BadInput, match="tracker_light"):
+        load_settings(toml(f"tracker_light = {light}\n"))

@@ -2,8 +2,12 @@ from __future__ import annotations
 
 import pytest
 
-from app.api import machine as machine_routes
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, WrongDevice
+from truepath.app.api import machine as machine_routes
+from truepath.drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    WrongDevice,
+)
 
 
 def test_the_system_says_what_it_is(client):

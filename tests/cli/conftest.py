@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from app.cli.command import run
-from app.files.bundle import write_bundle
+from truepath.app.cli.command import run
+from truepath.app.files.bundle import write_bundle
 
 
 @pytest.fixture(scope="session")

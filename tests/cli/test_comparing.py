@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from app.cli.command import run
-from app.files.recorded_files import encode_reference
-from app.files.run import DirectMeasurement
-from app.kinematics.symbols import is_turn, list_error_motions
+from truepath.app.cli.command import run
+from truepath.app.files.recorded_files import encode_reference
+from truepath.app.files.run import DirectMeasurement
+from truepath.app.kinematics.symbols import is_turn, list_error_motions
 
 RUNS, STEP_MM = 5, 25.0
 REPEATABILITY = {"um": 0.3, "urad": 0.8}

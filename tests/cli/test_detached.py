@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from app.cli.command import run
-from app.files.commanded_file import encode_commanded
-from app.files.machine_file import machine_from_json
-from app.motion.nc_programs.programs import read_program, write_program
-from app.planning.default_path import default_path
-from app.results.points_csv import predict_points
-from simulators import synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.scenario import load_machine
-from simulators.timeline import Program
+from truepath.app.cli.command import run
+from truepath.app.files.commanded_file import encode_commanded
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.motion.nc_programs.programs import read_program, write_program
+from truepath.app.planning.default_path import default_path
+from truepath.app.results.points_csv import predict_points
+from truepath.simulators import synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
 
 FEED_MM_MIN = 12_000.0
 

@@ -4,9 +4,9 @@ import errno
 
 import pytest
 
-from app.cli.command import run, run_command
-from app.errors import AlignmentError, BadInput, BundleError
-from drivers.interfaces.errors import DeviceTimeout
+from truepath.app.cli.command import run, run_command
+from truepath.app.errors import AlignmentError, BadInput, BundleError
+from truepath.drivers.interfaces.errors import DeviceTimeout
 
 
 def failing(error):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.cli.command import run
+from truepath.app.cli.command import run
 
 
 @pytest.fixture

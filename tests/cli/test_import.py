@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from app.cli.command import run
-from app.files.bundle import read_bundle, write_bundle
-from app.motion.nc_programs.programs import write_program
+from truepath.app.cli.command import run
+from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.app.motion.nc_programs.programs import write_program
 
 HZ = 500.0
 
@@ -108,6 +108,17 @@ def test_temperatures_of_an_export_are_in_the_bundle(bring, record, tmp_path):
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
 
 
+def test_an_nc_program_is_the_path_that_it_drives(bring, record, tmp_path):
+    truth = record(1, rows=12)[0]
+    program = write_program(truth.commanded, truth.machine, "heidenhain")
+    (tmp_path / "program.h").write_text(program)
+    assert bring(german(truth), path="program.h") == 0
+    read = read_bundle(tmp_path / "bundle").commanded
+    np.testing.assert_allclose(read.position, truth.commanded.position, atol=1e-9)
+    np.testing.assert_allclose(read.feed_mm_min, truth.commanded.feed_mm_min)
+
+
+@pytest.mark.long
 def test_an_export_and_an_nc_program_give_the_tables_of_the_machine(
     bring, record, tmp_path
 ):
@@ -259,3 +270,51 @@ def test_a_dry_run_shows_what_is_recognised_and_writes_nothing(
     assert "X [mm]" in shown
     assert "left out" in shown
     assert not (tmp_path / "bundle").exists()
+
+
+def by_clock(truth, stamp, also=lambda k, cells: cells):
+    rows = ["Timestamp,X [mm],Y [mm],Z [mm]"]
+    first = truth.tracker.device_time_s[0]
+    for k, (t, p, _) in enumerate(rows_of(truth)):
+        rows.append(",".join(also(k, [stamp(float(t - first)), *map(word, p)])))
+    return "\n".join(rows).encode()
+
+
+def iso(t, zone_h=0, begin="2026-03-29T00:59:50"):
+    passed = np.timedelta64(round(1e6 * t) + 3_600_000_000 * zone_h, "us")
+    return f"{np.datetime64(begin) + passed}+{zone_h:02d}:00"
+
+
+def test_a_zone_that_changes_to_summer_time_is_no_gap(bring, record, tmp_path):
+    truth = record(1, rows=12)[0]
+    data = by_clock(truth, lambda t: iso(t, 1 if t < 10.0 else 2))
+    assert bring(data) == 0
+    read = read_bundle(tmp_path / "bundle").tracker.device_time_s
+    time_s = truth.tracker.device_time_s
+    np.testing.assert_allclose(read, time_s - time_s[0], atol=1.1e-6)
+
+
+def test_a_clock_that_is_set_back_is_refused_at_its_row(bring, record, capsys):
+    def local(t):
+        return iso(t if t < 10.0 else t - 3600.0)[:-6]
+
+    assert bring(by_clock(record(1, rows=12)[0], local)) == 2
+    text = capsys.readouterr().err
+    for word_of in ("export.txt", "Timestamp", "does not increase", "2026-03-29T00:59"):
+        assert word_of in text
+
+
+def test_a_long_gap_and_a_position_that_stays_are_noted_with_their_rows(
+    bring, record, capsys
+):
+    truth = record(1, rows=12)[0]
+    stuck = [word(v) for v in truth.tracker.position_mm[4000]]
+    data = by_clock(
+        truth,
+        lambda t: iso(t if t < 10.0 else t + 3600.0)[:-6],
+        lambda k, cells: [cells[0], *stuck] if 4000 <= k < 4100 else cells,
+    )
+    bring(data, "--dry-run")
+    said = capsys.readouterr().err
+    assert "a gap of 3600 s before row" in said
+    assert "rows 4002 to 4101 repeat one position" in said

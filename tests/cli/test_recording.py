@@ -11,17 +11,18 @@ import time
 import numpy as np
 import pytest
 
-from app.cli.command import run
-from app.files.bundle import read_bundle
-from app.files.commanded_file import encode_commanded
-from app.files.machine_file import machine_from_json
-from app.motion.nc_programs.programs import read_program, write_program
-from app.planning.default_path import default_path
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.errors import DeviceTimeout
-from drivers.interfaces.records import MotionState
-from simulators.bench import Bench
+from truepath.app.cli.command import run
+from truepath.app.files.bundle import read_bundle
+from truepath.app.files.commanded_file import encode_commanded
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.motion.nc_programs.programs import read_program, write_program
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.errors import DeviceTimeout
+from truepath.drivers.interfaces.records import MotionState
+from truepath.simulators.bench import Bench
 
+MAIN = "from truepath.app.cli.command import main; main()"
 SPEED = 16.0
 PATIENCE_S = 40.0
 
@@ -43,7 +44,18 @@ def files(bench, tmp_path):
     options = ", ".join(
         f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()
     )
-    (tmp_path / "settings.toml").write_text(f"tracker_options = {{ {options} }}\n")
+    sensors = {k: v for k, v in bench.thermometer_options.items() if k != "registers"}
+    rows = "".join(
+        "[[thermometer_options.registers]]\n"
+        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in row.items())
+        for row in bench.thermometer_options["registers"]
+    )
+    (tmp_path / "settings.toml").write_text(
+        f"tracker_options = {{ {options} }}\n"
+        'thermometer_driver = "modbus-registers"\n[thermometer_options]\n'
+        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in sensors.items())
+        + rows
+    )
     return tmp_path
 
 
@@ -55,7 +67,7 @@ def recording(files):
     def begin(*more):
         words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
         process = subprocess.Popen(
-            [sys.executable, "-c", "from app.cli.command import main; main()", *words,
+            [sys.executable, "-c", MAIN, *words,
              "--config", "settings.toml", *more],
             cwd=files,
             stdout=subprocess.PIPE,
@@ -125,9 +137,12 @@ def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
         "machine.json",
         "path.csv",
         "tracker.parquet",
+        "environment.csv",
         "run.sqlite",
     }
-    assert len(read_bundle(bundle).tracker) == said["samples"] > 5000
+    recorded = read_bundle(bundle)
+    assert len(recorded.tracker) == said["samples"] > 5000
+    assert recorded.temperature.names == ("X", "Y", "Z", "spindle", "air")
     assert run(["analyse", str(bundle), "-o", str(files / "result")]) == 0
     machine = machine_from_json(bench.machine)
     q = volume(machine)

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from app.cli.command import run
-from app.files.bundle import write_bundle, zip_bundle
-from app.numerics.adaptive_trials import TrialPlan
+from truepath.app.cli.command import run
+from truepath.app.files.bundle import write_bundle, zip_bundle
+from truepath.app.numerics.adaptive_trials import TrialPlan
 
 
 def test_analyse_writes_result_tables_and_report(analysed):
@@ -96,7 +96,7 @@ def test_trials_are_told_in_the_summary_and_to_a_person(
     small_run, tmp_path, monkeypatch, summary, capsys
 ):
     plan = partial(TrialPlan, most_blocks=2)
-    monkeypatch.setattr("app.numerics.adaptive_trials.TrialPlan", plan)
+    monkeypatch.setattr("truepath.app.numerics.adaptive_trials.TrialPlan", plan)
     asked = ["--monte-carlo", "--seed", "5", "--interval", "shortest"]
     out = tmp_path / "out"
     assert run(["analyse", str(small_run), "-o", str(out), *asked, "--json"]) == 0

@@ -16,9 +16,14 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.client import Client, calibrate, follow_to_the_end, measure_on_the_fly
-from app.cli.command import run
-from app.errors import JobError, MeasurementFailed
+from truepath.app.cli.client import (
+    Client,
+    calibrate,
+    follow_to_the_end,
+    measure_on_the_fly,
+)
+from truepath.app.cli.command import run
+from truepath.app.errors import JobError, MeasurementFailed
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 TABLES_STAND_S = 120.0

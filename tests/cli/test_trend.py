@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.models.trend import TrendOut
-from app.cli.command import run
-from app.files.bundle import read_bundle, zip_bundle
-from app.files.machine_file import machine_from_json
-from app.jobs.science import follow_recorded
-from app.planning.default_path import default_path
-from simulators import synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.machine_file import parse_machine
-from simulators.random_machine import random_machine
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting
-from simulators.timeline import Program
+from truepath.app.api.models.trend import TrendOut
+from truepath.app.cli.command import run
+from truepath.app.files.bundle import read_bundle, zip_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.jobs.science import follow_recorded
+from truepath.app.planning.default_path import default_path
+from truepath.simulators import synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.timeline import Program
 
 HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6
 AT = ",".join(map(str, HOURS))

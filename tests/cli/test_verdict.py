@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from app.cli.command import run
-from app.cli.summary import print_result
-from app.files.verdict import Reason, Verdict, verdict_json
-from app.results import analysis
+from truepath.app.cli.command import run
+from truepath.app.cli.summary import print_result
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
+from truepath.app.results import analysis
 
 LEFT_OUT = Reason(
     "samples-left-out",

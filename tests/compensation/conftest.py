@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.files.result_file import CalibrationResult
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 MACHINE = Machine(
     "bench mill",

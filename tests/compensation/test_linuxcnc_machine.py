@@ -9,12 +9,12 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from app.compensation.error_map import map_errors
-from app.compensation.export import export_result
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.motion.nc_programs.programs import write_program
-from drivers.interfaces.records import Path
-from simulators.linuxcnc.rig import explain_absence
+from truepath.app.compensation.error_map import map_errors
+from truepath.app.compensation.export import export_result
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.motion.nc_programs.programs import write_program
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators.linuxcnc.rig import explain_absence
 
 sys.path.append(str(FilePath(__file__).parent))
 from linuxcnc_machine import TRAVEL, run_program
@@ -113,10 +113,10 @@ def test_the_motor_is_sent_against_the_error_in_the_direction_it_comes_from(
             inside &= np.roll(inside, 20) & np.roll(inside, -20)
             if inside.any():
                 np.testing.assert_allclose(added[inside], trims[k][inside], atol=2e-5)
-    # At the end X came up: the error there is taken away, lost motion included.
+    # At the end X came up, as it came to its zero: the error since is taken away.
     place = source.middle_mm[None]
     place[0, 0] = ROWS[-1][0]
     reference = source.middle_mm[None]
     reference[0, 0] = 0.0
-    error = source.error_mm(place, 1.0) - source.error_mm(reference)
+    error = source.error_mm(place, 1.0) - source.error_mm(reference, 1.0)
     assert (motor - commanded)[-1, 0] == pytest.approx(-error[0, 0], abs=2e-4)

@@ -2,11 +2,13 @@
 
 import pytest
 
-from app.discovery.discover import discover
-from app.discovery.name_trial import CERTAIN
-from app.results.discovery_json import discovery_json
-from simulators.hidden.setup_step import SetupStep
-from simulators.synthetic import Setting
+from truepath.app.discovery.discover import discover
+from truepath.app.discovery.findings import find_share
+from truepath.app.discovery.name_trial import CERTAIN
+from truepath.app.results.discovery_json import discovery_json
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.synthetic import Setting
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,22 @@ def test_the_gap_on_lines_not_seen_falls_to_the_noise(knocked):
     open_before = gap.before_um - gap.noise_floor_um
     assert open_before > 2.0 * (gap.after_um - gap.noise_floor_um)
     assert gap.after_um < 1.05 * gap.noise_floor_um
+
+
+def test_a_lone_effect_closes_nearly_the_whole_gap(knocked):
+    (found,) = knocked.findings
+    assert 0.9 < found.evidence.share <= 1.0
+
+
+def test_an_effect_beside_one_that_stays_closes_its_part_of_the_gap(record):
+    """Of a knock and a creep the model is given one: the other's gap stays open."""
+    hidden = SetupStep(40.0, (4.0, -3.0, 0.0)), TableDrift((0.0, 0.05, 0.04))
+    both = discover([record(11, rows=60, setting=Setting(hidden=hidden))[0]])
+    without, terms = both.fitter.fit([]), [found.term for found in both.findings]
+    assert len(terms) == 2
+    alone = [both.fitter.fit([term]) for term in terms]
+    shares = [find_share(without.misfit - a.misfit, without, a) for a in alone]
+    assert max(shares) < 0.9
 
 
 def test_the_disagreement_is_located_by_line_and_time(knocked):

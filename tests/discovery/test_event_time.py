@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from app.alignment.observations import Observations
-from app.discovery.discover import align_runs, discover
-from app.discovery.evidence import TermData, log_bayes
-from app.discovery.scan import scan_term
-from app.estimation.folded_lines import build_lines
-from app.estimation.term_equations import TermEquations
-from simulators.hidden.setup_step import SetupStep
-from simulators.synthetic import Setting
+from truepath.app.alignment.observations import Observations
+from truepath.app.discovery.discover import align_runs, discover
+from truepath.app.discovery.evidence import TermData, log_bayes
+from truepath.app.discovery.scan import scan_term
+from truepath.app.estimation.folded_lines import build_lines
+from truepath.app.estimation.term_equations import TermEquations
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.synthetic import Setting
 
 ROWS = 30
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from app.discovery.discover import discover
-from app.results.discovery_json import discovery_json
-from simulators.hidden.settling_stand import SettlingStand
-from simulators.synthetic import Setting
+from truepath.app.discovery.discover import discover
+from truepath.app.results.discovery_json import discovery_json
+from truepath.simulators.hidden.settling_stand import SettlingStand
+from truepath.simulators.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

@@ -14,31 +14,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from app.api.models.job_request import JobRequest
-from app.discovery.discover import Discovery, discover
-from app.discovery.extended_model import ExtendedModel, baseline_model
-from app.discovery.open_questions import design_discrimination
-from app.errors import BundleError
-from app.files.commanded_file import decode_commanded, encode_commanded
-from app.files.run import Run
-from app.kinematics.estimated_model import EstimatedModel
-from app.kinematics.model import MachineModel
-from app.motion.travel import check_travel
-from app.planning.discrimination import DiscriminationDesign
-from app.reporting.discovery_report import describe_ask, render_discovery_report
-from app.reporting.templating import render_part
-from app.results.discovery_json import ask_json, discovery_json
-from app.results.model_file import build_next_model
-from simulators import synthetic
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.lateral_backlash import LateralBacklash
-from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.setup_step import SetupStep
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting
-from simulators.timeline import Program
+from truepath.app.api.models.job_request import JobRequest
+from truepath.app.discovery.discover import Discovery, discover
+from truepath.app.discovery.extended_model import ExtendedModel, baseline_model
+from truepath.app.discovery.open_questions import design_discrimination
+from truepath.app.errors import BundleError
+from truepath.app.files.commanded_file import decode_commanded, encode_commanded
+from truepath.app.files.run import Run
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.motion.travel import check_travel
+from truepath.app.planning.discrimination import DiscriminationDesign
+from truepath.app.reporting.discovery_report import (
+    describe_ask,
+    render_discovery_report,
+)
+from truepath.app.reporting.templating import render_part
+from truepath.app.results.discovery_json import ask_json, discovery_json
+from truepath.app.results.model_file import build_next_model
+from truepath.simulators import synthetic
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.lateral_backlash import LateralBacklash
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.timeline import Program
 
 RunOf = Callable[[synthetic.Recording], Run]
 MACHINE = 5

@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.discovery.discover import Discovery, discover
-from app.discovery.extended_model import extend_model
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.estimated_model import EstimatedModel
-from app.planning.default_path import default_path
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.turning import (
+from truepath.app.discovery.discover import Discovery, discover
+from truepath.app.discovery.extended_model import extend_model
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.planning.default_path import default_path
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.effect import HiddenEffect
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.turning import (
     GearCyclic,
     RotaryEccentricity,
     SwivelSag,
     TurningBacklash,
 )
-from simulators.scenario import load_machine
-from simulators.timeline import Program
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
 
 pytestmark = pytest.mark.timeout(180)
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from app.discovery.discover import discover
-from simulators.hidden.thermal_growth import ThermalGrowth
-from simulators.synthetic import Setting
+from truepath.app.discovery.discover import discover
+from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.synthetic import Setting
 
 TAU_S, RISE_K, PER_K = 70.0, 2.5, 10.0
 

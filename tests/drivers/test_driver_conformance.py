@@ -9,28 +9,28 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from drivers.conformance import device, motion, tracker
-from drivers.conformance.checking import NotConforming, on_terms
-from drivers.conformance.motion import MOTION_CHECKS
-from drivers.conformance.polled_tracker import POLLED_CHECKS
-from drivers.conformance.tracker import TRACKER_CHECKS
-from drivers.interfaces.errors import (
+from truepath.drivers.conformance import device, motion, tracker
+from truepath.drivers.conformance.checking import NotConforming, on_terms
+from truepath.drivers.conformance.motion import MOTION_CHECKS
+from truepath.drivers.conformance.polled_tracker import POLLED_CHECKS
+from truepath.drivers.conformance.tracker import TRACKER_CHECKS
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     OutOfTravel,
     Refused,
 )
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import (
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
     Identity,
     LinkHealth,
     MotionState,
     MotionStatus,
     TrackerSamples,
 )
-from drivers.interfaces.tracker import Tracker
-from simulators.bench import Bench
+from truepath.drivers.interfaces.tracker import Tracker
+from truepath.simulators.bench import Bench
 
 TRACKERS = {point.name: point for point in entry_points(group="truepath.trackers")}
 CONTROLLERS = {
@@ -76,7 +76,7 @@ def test_every_registered_driver_of_ours_has_a_peer():
     ours = {
         point.name
         for point in (*TRACKERS.values(), *CONTROLLERS.values())
-        if point.module.startswith("drivers.")
+        if point.module.startswith("truepath.drivers.")
     }
     peers = ELSEWHERE | set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
     assert ours == peers == set(ABSENT)
@@ -321,6 +321,15 @@ def begin_clock_anew(self, timeout_s):
     return replace(block, device_time_s=block.device_time_s % 0.02)
 
 
+def forget_what_waits(self):
+    self.number += int(500 * (time.monotonic() - self.read_s))
+
+
+def begin_to_wait(self, timeout_s):
+    self.read_s = time.monotonic()
+    return GoodTracker.read(self, timeout_s)
+
+
 def with_faults(base, **faults):
     return type("Faulty", (base,), faults)
 
@@ -363,6 +372,14 @@ def with_faults(base, **faults):
         (
             tracker.times_are_those_of_the_samples,  # arrival, in blocks of ten
             {"stamp": lambda self, n: (n // 10) * 20e-3 + (n % 10) * 1e-6},
+        ),
+        (
+            tracker.times_are_those_of_the_samples,  # one of 50 lost, the rest counted
+            {"stamp": lambda self, number: 2e-3 * (number + number // 49)},
+        ),
+        (
+            tracker.numbers_go_on_after_a_pause,  # what waited goes at the stop
+            {"read": begin_to_wait, "stop": forget_what_waits},
         ),
         (tracker.a_target_at_rest_is_valid_and_in_mm, {"place": 1.5}),
         (tracker.a_target_at_rest_is_valid_and_in_mm, {"status": 4}),
@@ -407,6 +424,10 @@ def test_a_faulty_tracker_is_caught(check, faults):
                     self, "at", MotionStatus(MotionState.IDLE, (51.0,), 0)
                 )
             },
+        ),
+        (
+            motion.resume_of_nothing_does_nothing,
+            {"resume": lambda self: None if self.path is None else self.start()},
         ),
         (
             motion.abort_from_another_thread_ends_the_motion,

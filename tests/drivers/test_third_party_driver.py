@@ -12,29 +12,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.errors import BadInput
-from app.files.machine_file import machine_from_json
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.alignment.align import align
+from truepath.app.errors import BadInput
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
     StreamTimeouts,
 )
-from app.measurement.run_reading import open_run
-from app.plugins import find_plugins, load
-from app.settings import load_settings
-from drivers.conformance import device
-from drivers.conformance.checking import on_terms
-from drivers.conformance.tracker import TRACKER_CHECKS
-from drivers.interfaces.errors import Refused
-from drivers.interfaces.records import Path as MotionPath
-from simulators.errors import SimulatorError
-from simulators.recorded_run import read_recorded_run
-from simulators.rig import Rig, running_rig
-from simulators.scenario import load_machine
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.plugins import find_plugins, load
+from truepath.app.settings import load_settings
+from truepath.drivers.conformance import device
+from truepath.drivers.conformance.checking import on_terms
+from truepath.drivers.conformance.tracker import TRACKER_CHECKS
+from truepath.drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.records import Path as MotionPath
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.recorded_run import read_recorded_run
+from truepath.simulators.rig import Rig, running_rig
+from truepath.simulators.scenario import load_machine
 
 HERE = Path(__file__).parent
 NAME = "othermake-lt50"

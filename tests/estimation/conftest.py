@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
 
 
 def _deviations(result, truth):

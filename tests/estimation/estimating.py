@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from app.estimation import batch
-from app.estimation.known_effects import KnownEffects
-from app.files.one_machine import one_machine
-from app.kinematics.coarse_model import build_run_models
+from truepath.app.estimation import batch
+from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.files.one_machine import one_machine
+from truepath.app.kinematics.coarse_model import build_run_models
 
 
 def estimate(*observed, names=(), known=None, **options):

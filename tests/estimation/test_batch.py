@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.alignment.align import align
-from app.estimation import batch
-from app.kinematics.volumetric_map import build_volumetric_map
-from simulators.synthetic import Setting
-from simulators.tracker_head import Air
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.estimation import batch
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.tracker_head import Air
 
 
 @pytest.fixture(scope="module")

@@ -3,23 +3,23 @@
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.estimation.information import invert_covariance
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.conditions import make_standstill
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.motion.configurations import Configurations
-from app.motion.motion_times import Drive
-from app.planning.initial_design import start_design
-from app.planning.point_design import PointDesignState
-from app.results.error_tables import build_error_tables
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.estimation.information import invert_covariance
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.motion_times import Drive
+from truepath.app.planning.initial_design import start_design
+from truepath.app.planning.point_design import PointDesignState
+from truepath.app.results.error_tables import build_error_tables
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 def content_of(name, measured, asked=()):

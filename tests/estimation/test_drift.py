@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from app.estimation.common_basis import CommonBasis
-from app.estimation.drift import DriftData, DriftPosterior, estimate_drift
-from app.estimation.drift_course import Course, DriftSizes
-from app.estimation.drift_shapes import build_drift_shapes
-from app.estimation.information import Information
-from app.files.machine_file import machine_from_json
-from app.kinematics.effects.error_motion import make_error_motion
-from app.kinematics.model import MachineModel
-from simulators.scenario import load_machine
+from truepath.app.estimation.common_basis import CommonBasis
+from truepath.app.estimation.drift import DriftData, DriftPosterior, estimate_drift
+from truepath.app.estimation.drift_course import Course, DriftSizes
+from truepath.app.estimation.drift_shapes import build_drift_shapes
+from truepath.app.estimation.information import Information
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.effects.error_motion import make_error_motion
+from truepath.app.kinematics.model import MachineModel
+from truepath.simulators.scenario import load_machine
 
 HOUR_S = 3600.0
 SIGMA = 0.02  # of a shape, in usual sizes, as one Run tells it

@@ -5,21 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.estimation.extrapolation import (
+from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.estimation import batch
+from truepath.app.estimation.extrapolation import (
     beyond_travel_variance_mm2,
     estimate_variations,
     full_travel,
 )
-from app.files.bundle import read_bundle
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.nuisance import TrackerPose
-from app.results.error_tables import build_error_tables
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from tests.estimation.estimating import estimate
+from truepath.app.files.bundle import read_bundle
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.results.error_tables import build_error_tables
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 def part_of_travel(content, seed):
@@ -152,7 +153,7 @@ def test_a_measurement_of_the_whole_travel_is_left_as_it_is(record, monkeypatch)
     run, _ = record(21, rows=40)
     seen = align(run)
     with_ends = estimate(seen)
-    monkeypatch.setattr("app.estimation.batch.soften_ends", lambda fit, *rest: fit)
+    monkeypatch.setattr(batch, "soften_ends", lambda fit, *rest: fit)
     assert estimate(seen).theta == pytest.approx(with_ends.theta, abs=1e-12)
 
 

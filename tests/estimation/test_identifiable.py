@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
 
 ONE = [(0.0, 0.0, -100.0)]
 TWO = [*ONE, (0.0, 0.0, -250.0)]

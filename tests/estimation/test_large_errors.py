@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from app.alignment.align import align
-from app.kinematics.conditions import make_standstill
-from app.kinematics.volumetric_map import build_volumetric_map
-from simulators.synthetic import Setting
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.simulators.synthetic import Setting
 
 FAR_OFF = Setting(error_scale=25.0)
 

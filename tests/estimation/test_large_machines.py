@@ -9,23 +9,23 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.surroundings import add_surroundings
-from app.errors import Unidentifiable
-from app.estimation.baseline import fit_baseline
-from app.estimation.disturbances import estimate_checked
-from app.estimation.knots import compute_hidden_variance
-from app.estimation.misfit import assess_misfit
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.coarse_model import build_baseline_models, build_run_models
-from app.kinematics.identifiable import build_identifiable_model
-from drivers.interfaces.records import Path, TrackerSamples
-from simulators import paths, synthetic
-from simulators.machine_file import parse_machine
-from simulators.random_machine import join_rack, random_machine
-from simulators.scenario import load_machine
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.baseline import fit_baseline
+from truepath.app.estimation.disturbances import estimate_checked
+from truepath.app.estimation.knots import compute_hidden_variance
+from truepath.app.estimation.misfit import assess_misfit
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.coarse_model import build_baseline_models, build_run_models
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.simulators import paths, synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.random_machine import join_rack, random_machine
+from truepath.simulators.scenario import load_machine
 
 LONG = (3000.0, 800.0, 600.0)
 GANTRY = (6000.0, 2500.0, 1200.0)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.change_search import KNOCK, LINE, LOST_MOTION, Change
-from app.estimation.live import LiveEstimator
-from app.estimation.notices import UNNAMED, revise
+from truepath.app.estimation.change_search import KNOCK, LINE, LOST_MOTION, Change
+from truepath.app.estimation.live import LiveEstimator
+from truepath.app.estimation.notices import UNNAMED, revise
 
 ROWS = tuple(range(1, 21))
 
@@ -42,6 +42,7 @@ def test_nothing_is_noticed_where_nothing_changes(usual):
     assert not any(notices for _, notices in told)
 
 
+@pytest.mark.fault_row(11)
 def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual):
     run, share = usual
     late = share > 0.7

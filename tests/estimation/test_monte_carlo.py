@@ -7,15 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.estimation.direction import select_fit
-from app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
-from app.estimation.noise import NoiseModel
-from app.estimation.prior import widen_by_unknown_precision
-from app.estimation.runs import RunInput
-from app.kinematics.coarse_model import NestedModels
-from app.kinematics.identifiable import build_identifiable_model
-from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
+from truepath.app.alignment.align import align
+from truepath.app.estimation.direction import select_fit
+from truepath.app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.prior import widen_by_unknown_precision
+from truepath.app.estimation.runs import RunInput
+from truepath.app.kinematics.coarse_model import NestedModels
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
 NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)
 FEW = TrialPlan(most_blocks=2)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from app.estimation.observability import (
+from truepath.app.estimation.observability import (
     describe_form,
     find_poorly_observable,
     usual_precision_matrix,
 )
-from app.kinematics.effects.error_motion import make_error_motion
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.kinematics.effects.error_motion import make_error_motion
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
 
 X = LinearAxis("X", 0.0, 600.0)
 MILL = Machine(

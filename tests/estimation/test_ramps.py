@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.estimation.disturbances import estimate_checked
-from app.estimation.misfit import assess_misfit
-from app.kinematics.coarse_model import build_run_models
-from app.kinematics.volumetric_map import build_volumetric_map
-from simulators.hidden.inertial_bend import InertialBend
-from simulators.profile import Limits
-from simulators.synthetic import Setting
+from truepath.app.alignment.align import align
+from truepath.app.estimation.disturbances import estimate_checked
+from truepath.app.estimation.misfit import assess_misfit
+from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.simulators.hidden.inertial_bend import InertialBend
+from truepath.simulators.profile import Limits
+from truepath.simulators.synthetic import Setting
 
 FAST = {"rows": 45, "feed": 40_000.0}  # most of a line of half a metre is ramp
 LIMITS = Limits(3000.0, 1e5)

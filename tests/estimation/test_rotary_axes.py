@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.identifiable import build_identifiable_model
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic, turning_paths
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 def measured(name, seed, points=200):

@@ -8,21 +8,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.estimation.design_matrix import linearise
-from app.estimation.live import LiveEstimator
-from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import RecursiveEstimator, compute_information
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.kinematics.identifiable import build_identifiable_model
-from app.planning.default_path import default_path
-from app.results.error_tables import build_error_tables
-from drivers.interfaces.records import TrackerSamples
-from simulators import synthetic
-from simulators.scenario import load_machine
-from simulators.timeline import Program
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.live import LiveEstimator
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.normal_equations import (
+    RecursiveEstimator,
+    compute_information,
+)
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.planning.default_path import default_path
+from truepath.app.results.error_tables import build_error_tables
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
 
 pytestmark = pytest.mark.timeout(300)
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)

@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation import separation
-from app.estimation.design_matrix import linearise
-from app.estimation.information import compute_posterior
-from app.estimation.normal_equations import compute_information
-from app.estimation.observability import usual_precision_matrix
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import (
+from truepath.app.estimation import separation
+from truepath.app.estimation.design_matrix import linearise
+from truepath.app.estimation.information import compute_posterior
+from truepath.app.estimation.normal_equations import compute_information
+from truepath.app.estimation.observability import usual_precision_matrix
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from app.planning.default_path import default_path
-from app.planning.grade import grade
-from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.app.planning.default_path import default_path
+from truepath.app.planning.grade import grade
+from truepath.app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")

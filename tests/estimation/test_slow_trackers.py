@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.errors import AlignmentError
-from app.files.run import PointRows
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results.analysis import analyse
-from drivers.interfaces.records import TrackerSamples
-from simulators import paths, synthetic
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
 from tests.conftest import Truth, _run
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.errors import AlignmentError
+from truepath.app.files.run import PointRows
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.analysis import analyse
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import paths, synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from app.errors import BundleError
-from app.files import tables
-from app.files.bundle import read_bundle
-from app.files.machine_file import decode_machine, read_machine
+from truepath.app.errors import BundleError
+from truepath.app.files import tables
+from truepath.app.files.bundle import read_bundle
+from truepath.app.files.machine_file import decode_machine, read_machine
 
 Edit = Callable[[Path], None]
 
@@ -563,3 +564,45 @@ def test_a_path_in_metres_is_named_as_such(bundle):
     (bundle / "path.csv").write_text("\n".join([lines[0], *metres]) + "\n")
     with pytest.raises(BundleError, match=r"path\.csv, row \d+, column ._mm.* m; conv"):
         read_bundle(bundle)
+
+
+def write_packed(folder: Path, columns: dict[str, pa.Array]) -> int:
+    file = folder / "tracker.parquet"
+    pq.write_table(pa.table(columns), file, compression="zstd")
+    return file.stat().st_size
+
+
+@pytest.mark.fault_row(35)
+def test_a_small_file_of_very_many_rows_is_refused_before_it_is_unpacked(bundle):
+    zeros = pa.array(np.zeros(3_000_000))
+    columns = dict.fromkeys(("t_s", "x_mm", "y_mm", "z_mm"), zeros)
+    assert write_packed(bundle, columns) < 100_000
+    before = pa.total_allocated_bytes()
+    with pytest.raises(BundleError, match=r"tracker\.parquet: has 3000000 rows in"):
+        read_bundle(bundle)
+    assert pa.total_allocated_bytes() - before < 1 << 20
+
+
+@pytest.mark.fault_row(35)
+def test_lists_are_refused_and_unknown_columns_are_not_unpacked(bundle, monkeypatch):
+    table = pq.read_table(bundle / "tracker.parquet")
+    bomb = pa.array(["0" * 100_000] * table.num_rows)
+    write_packed(
+        bundle, {**dict(zip(table.column_names, table.columns, strict=True)), "w": bomb}
+    )
+    assert len(read_bundle(bundle).tracker) == table.num_rows
+    lists = pa.array([[0.0] * 100] * table.num_rows)
+    write_packed(bundle, {"t_s": lists})
+    with pytest.raises(BundleError, match="column t_s: holds list<"):
+        read_bundle(bundle)
+    texts = dict.fromkeys(("t_s", "x_mm", "y_mm", "z_mm"), bomb)
+    write_packed(bundle, texts)
+    monkeypatch.setattr(tables, "SMALL_BYTES", 1 << 20)
+    with pytest.raises(BundleError, match="column t_s: holds long texts"):
+        read_bundle(bundle)
+
+
+def test_the_error_crosses_to_another_process_whole():
+    error = BundleError("is odd", file="a.csv", row=3, column="x", remedy="mend it")
+    copy = pickle.loads(pickle.dumps(error))
+    assert (str(copy), vars(copy)) == (str(error), vars(error))

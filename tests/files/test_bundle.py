@@ -11,14 +11,14 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
-from app.errors import BundleError
-from app.files import bundle as bundle_file
-from app.files import whole_files
-from app.files.bundle import read_bundle, write_bundle, zip_bundle
-from app.files.run import Run
-from app.kinematics.machine import RotaryAxis, Target
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path, TrackerSamples
+from truepath.app.errors import BundleError
+from truepath.app.files import bundle as bundle_file
+from truepath.app.files import whole_files
+from truepath.app.files.bundle import read_bundle, write_bundle, zip_bundle
+from truepath.app.files.run import Run
+from truepath.app.kinematics.machine import RotaryAxis, Target
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 
 def assert_same(first: Run, second: Run) -> None:

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.files.run import Run, digest_run, summarize_run
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath.app.files.run import Run, RunEvent, digest_run, summarize_run
+from truepath.app.motion.configurations import Configurations
+from truepath.app.reporting.measurement_sections import state_interruptions
+from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture
@@ -85,3 +86,21 @@ def moved_sample(run):
 )
 def test_another_input_has_another_digest(run, change):
     assert digest_run(change(run)) != digest_run(run)
+
+
+def test_broken_beams_lost_samples_and_lines_driven_twice_are_told(run):
+    status = np.zeros(1000, int)
+    status[100:150] = 1  # 0.1 s
+    status[990:] = 3  # up to the end
+    sequence = np.arange(1000) + 7 * (np.arange(1000) >= 600)
+    stream = replace(run.tracker, status=status, sequence=sequence)
+    events = (RunEvent(1, "again", "from row 4 on"), RunEvent(2, "start", ""))
+    summary = summarize_run(replace(run, tracker=stream, events=events))
+    found = summary.interruptions
+    assert (found.breaks, found.gaps, found.lost_samples) == (2, 1, 7)
+    assert found.broken_s == pytest.approx(0.12, rel=1e-3)
+    assert state_interruptions(summary) == (
+        "the beam was broken 2 times, 0.1 s in all; 7 samples lost in one place; "
+        "driven twice: from row 4 on"
+    )
+    assert state_interruptions(summarize_run(run)) == ""

@@ -6,8 +6,8 @@ from string import Formatter
 
 import pytest
 
-from app.errors import NotUsable
-from app.files.verdict import (
+from truepath.app.errors import NotUsable
+from truepath.app.files.verdict import (
     SENTENCES,
     Reason,
     Verdict,

@@ -2,8 +2,8 @@
 
 import pytest
 
-from app.errors import BundleError
-from app.files.whole_files import read_whole, replace_file
+from truepath.app.errors import BundleError
+from truepath.app.files.whole_files import read_whole, replace_file
 
 
 def test_what_was_written_is_read(tmp_path):

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from app.files.machine_file import machine_from_json
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.context import JobContext
-from app.jobs.database import Database
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.event_bus import EventBus
-from app.jobs.runs import RunCatalogue
-from app.jobs.store import Store
-from app.jobs.transitions import State
-from simulators.scenario import load_machine
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State
+from truepath.simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))
 from scripted_cell import CellMaker, Inline, Science, wait_until

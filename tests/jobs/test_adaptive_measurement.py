@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from scripted_cell import Inline
 
-from app.cli.demo import compare_with_truth
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.context import JobContext
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.errors import StaleVersion
-from app.jobs.job import JobKind
-from app.jobs.live_estimation import LiveEstimation
-from app.jobs.requested_job import RequestedJob
-from app.jobs.runs import RunCatalogue
-from app.jobs.science import analyse_recorded
-from app.jobs.store import Store
-from app.jobs.transitions import State
-from app.measurement.cell import Cell
-from app.measurement.messages import CellConfig
-from app.measurement.run_reading import open_run
-from app.motion.travel import check_travel
-from simulators.bench import Bench
+from truepath.app.cli.demo import compare_with_truth
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.errors import StaleVersion
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.live_estimation import LiveEstimation
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.science import analyse_recorded
+from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import CellConfig
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.motion.travel import check_travel
+from truepath.simulators.bench import Bench
 
 SPEED = 10.0
 BUDGET_MIN = 10.0

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
-from app.errors import BundleError, NotFound
-from app.files.bundle import write_bundle
-from app.files.run import Run
-from app.jobs import dispatcher as dispatching
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.errors import Aborted, QueueFull
-from app.jobs.job import JobKind
-from app.jobs.requested_job import RequestedJob
-from app.jobs.runs import open_recorded
-from app.jobs.workers import Workers
-from app.motion.configurations import Configurations
-from app.numerics.adaptive_trials import TrialPlan
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.errors import BundleError, NotFound
+from truepath.app.files.bundle import write_bundle
+from truepath.app.files.run import Run
+from truepath.app.jobs import dispatcher as dispatching
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.errors import Aborted, QueueFull
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.runs import open_recorded
+from truepath.app.jobs.workers import Workers
+from truepath.app.motion.configurations import Configurations
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.drivers.interfaces.records import TrackerSamples
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ import threading
 import pytest
 from scripted_cell import CellMaker, wait_until
 
-from app.errors import MeasurementFailed, TruepathError
-from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.errors import CellDown, DeviceSettings
-from app.measurement.messages import CellVerb
-from drivers.interfaces.errors import WrongDevice
+from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.errors import CellDown, DeviceSettings
+from truepath.app.measurement.messages import CellVerb
+from truepath.drivers.interfaces.errors import WrongDevice
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def test_a_killed_cell_is_replaced(maker, running):
 
 
 def test_a_cell_that_hangs_when_asked_to_begin_is_killed(running, maker, monkeypatch):
-    monkeypatch.setattr("app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("truepath.app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     first, hold = maker.cell, threading.Event()
     first.begin = lambda order: hold.wait(5)
     with pytest.raises(CellDown, match="does not answer"):
@@ -139,7 +139,7 @@ def test_a_cell_that_hangs_when_asked_to_begin_is_killed(running, maker, monkeyp
 def test_a_cell_that_hangs_when_asked_to_connect_is_reported(
     running, maker, monkeypatch
 ):
-    monkeypatch.setattr("app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("truepath.app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     hold = threading.Event()
     maker.cell.connect = lambda: hold.wait(5) and {}
     with pytest.raises(CellDown, match="does not answer"):

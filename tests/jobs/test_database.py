@@ -13,12 +13,12 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
 
-from app.errors import BadInput
-from app.jobs import migrations
-from app.jobs.database import Database
-from app.jobs.errors import SchemaTooNew, StorageUnavailable
-from app.jobs.schema import metadata
-from app.jobs.store import Store
+from truepath.app.errors import BadInput
+from truepath.app.jobs import migrations
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import SchemaTooNew, StorageUnavailable
+from truepath.app.jobs.schema import metadata
+from truepath.app.jobs.store import Store
 
 MIGRATIONS = Path(migrations.__file__).parent
 
@@ -57,6 +57,7 @@ def test_sqlite_is_set_for_safety_on_each_connection(sqlite_database, pragma, va
             assert connection.execute(text(f"PRAGMA {pragma}")).scalar() == value
 
 
+@pytest.mark.fault_row(37)
 def test_a_newer_schema_is_refused(sqlite_database):
     sqlite_database.write(
         lambda c: c.execute(text("UPDATE alembic_version SET version_num='9999'"))
@@ -128,6 +129,7 @@ def test_a_write_waits_for_another_program_and_then_succeeds(sqlite_file):
     database.close()
 
 
+@pytest.mark.fault_row(37)
 def test_a_catalogue_locked_for_too_long_says_so(sqlite_database, sqlite_file):
     other = sqlite3.connect(sqlite_file, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")

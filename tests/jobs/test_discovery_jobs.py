@@ -10,17 +10,21 @@ import numpy as np
 import pytest
 from scripted_cell import Explorer, wait_until
 
-from app.errors import EstimationError, NotFound
-from app.files.bundle import write_bundle, zip_bundle
-from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.job import JobKind
-from app.jobs.requested_job import RequestedJob
-from app.jobs.science import discover_recorded
-from app.jobs.transitions import State
-from app.motion.configurations import Configurations
-from app.results.model_history import find_model_file, read_difference, read_versions
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.errors import EstimationError, NotFound
+from truepath.app.files.bundle import write_bundle, zip_bundle
+from truepath.app.files.run import Run
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.science import discover_recorded
+from truepath.app.jobs.transitions import State
+from truepath.app.motion.configurations import Configurations
+from truepath.app.results.model_history import (
+    find_model_file,
+    read_difference,
+    read_versions,
+)
+from truepath.drivers.interfaces.records import TrackerSamples
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ import time
 import pytest
 from scripted_cell import wait_until
 
-from app.jobs.errors import Aborted, TaskFailed, WorkerDied
-from app.jobs.executor import ProcessExecutor
-from app.progress import ignore_progress
+from truepath.app.jobs.errors import Aborted, TaskFailed, WorkerDied
+from truepath.app.jobs.executor import ProcessExecutor
+from truepath.app.progress import ignore_progress
 
 TASKS = """
 import os, time
-from app.errors import BundleError
+from truepath.app.errors import BundleError
 
 prepared = []
 
@@ -183,8 +183,8 @@ def test_the_processes_end_with_the_service_even_if_it_is_killed(tasks, tmp_path
         import sys, time
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import lane_tasks
-        from app.jobs.executor import ProcessExecutor
-        from app.progress import ignore_progress
+        from truepath.app.jobs.executor import ProcessExecutor
+        from truepath.app.progress import ignore_progress
 
         if __name__ == "__main__":
             lanes = ProcessExecutor(1)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scripted_cell import Explorer
 
-from app.errors import NotFound, OutOfTravel, PlanningError
-from app.files.bundle import zip_bundle
-from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.job import JobKind
-from app.jobs.requested_job import RequestedJob
-from app.jobs.transitions import State
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.errors import NotFound, OutOfTravel, PlanningError
+from truepath.app.files.bundle import zip_bundle
+from truepath.app.files.run import Run
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.transitions import State
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import TrackerSamples
 
 ROWS = [
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},

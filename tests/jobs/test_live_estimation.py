@@ -10,14 +10,14 @@ import time
 import numpy as np
 import pytest
 
-from app.jobs.event_bus import JOBS, EventBus
-from app.jobs.job import JobEvent, JobKind
-from app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
-from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.requested_job import RequestedJob
-from app.main import open_service
-from app.settings import load_settings
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.jobs.event_bus import JOBS, EventBus
+from truepath.app.jobs.job import JobEvent, JobKind
+from truepath.app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
+from truepath.app.jobs.live_process import LiveEstimateOrder
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.main import open_service
+from truepath.app.settings import load_settings
+from truepath.drivers.interfaces.records import TrackerSamples
 
 SPEED = 8.0
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.live import LiveEstimate
-from app.files.machine_file import machine_from_json
-from app.jobs.live_process import estimate_json
-from app.kinematics.effects.location_error import AxisLocation
-from app.kinematics.identifiable import build_identifiable_model
-from simulators.scenario import load_machine
+from truepath.app.estimation.live import LiveEstimate
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.jobs.live_process import estimate_json
+from truepath.app.kinematics.effects.location_error import AxisLocation
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.simulators.scenario import load_machine
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from app.jobs.live_notice import OnNotice
-from app.jobs.notices import NoticeBoard
-from app.jobs.planned_rows import PlannedRows
-from drivers.interfaces.records import Path
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.notices import NoticeBoard
+from truepath.app.jobs.planned_rows import PlannedRows
+from truepath.drivers.interfaces.records import Path
 
 
 @dataclass

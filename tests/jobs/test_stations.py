@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 from scripted_cell import wait_until
 
-from app.errors import IllegalTransition, NotFound, PlanningError
-from app.files.commanded_file import encode_commanded_json
-from app.files.machine_file import machine_to_json
-from app.jobs.dispatcher import Dispatcher
-from app.jobs.job import JobKind
-from app.jobs.requested_job import RequestedJob
-from app.jobs.transitions import State
-from app.motion.commanded_rows import command_rows
+from truepath.app.errors import IllegalTransition, NotFound, PlanningError
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.transitions import State
+from truepath.app.motion.commanded_rows import command_rows
 
 PLACES = ([1200.0, 0.0, 0.0], [0.0, -900.0, 50.0], [-500.0, 300.0, 0.0])
 ROWS = (

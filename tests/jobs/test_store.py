@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import text, update
 
-from app.errors import IllegalTransition, NotFound
-from app.jobs.errors import CellBusy, KeyReused, StaleVersion
-from app.jobs.job import (
+from truepath.app.errors import IllegalTransition, NotFound
+from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from truepath.app.jobs.job import (
     Failure,
     Health,
     Job,
@@ -20,9 +20,9 @@ from app.jobs.job import (
     encode_job,
     make_id,
 )
-from app.jobs.schema import events, idempotency_keys
-from app.jobs.store import KEEP_KEYS_S, IdempotencyKey, Store
-from app.jobs.transitions import State
+from truepath.app.jobs.schema import events, idempotency_keys
+from truepath.app.jobs.store import KEEP_KEYS_S, IdempotencyKey, Store
+from truepath.app.jobs.transitions import State
 
 ANALYSE = Job(JobKind.ANALYSE)
 MEASURE = Job(JobKind.MEASURE_OTF)
@@ -100,6 +100,7 @@ def test_the_table_of_states_is_kept_by_the_store(store):
     assert store.get(job.id).version == 1
 
 
+@pytest.mark.fault_row(33)
 def test_of_many_writers_with_one_version_one_wins(store):
     job, _ = store.create(ANALYSE)
     outcomes = []
@@ -132,6 +133,7 @@ def test_a_change_behind_the_back_of_the_process_is_seen(store, database):
     assert store.change(job.id, meddled).version == 2
 
 
+@pytest.mark.fault_row(33)
 def test_the_same_key_and_body_make_one_job(store):
     key = IdempotencyKey("k-1", b'{"kind": "analyse"}')
     job, is_new = store.create(ANALYSE, key)

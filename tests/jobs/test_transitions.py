@@ -5,8 +5,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from app.errors import IllegalTransition
-from app.jobs.transitions import (
+from truepath.app.errors import IllegalTransition
+from truepath.app.jobs.transitions import (
     FINAL,
     TRANSITIONS,
     VERB_SATISFIED,
@@ -37,6 +37,7 @@ def test_every_state_can_be_reached_from_the_first():
 
 
 @pytest.mark.parametrize("state", sorted(set(State) - FINAL))
+@pytest.mark.fault_row(34)
 def test_abort_is_accepted_in_every_state_that_is_not_final(state):
     assert apply_verb(Verb.ABORT, state) is State.ABORTING
 
@@ -47,6 +48,7 @@ def test_abort_leaves_an_ended_job_as_it_is(state):
 
 
 @pytest.mark.parametrize("verb", sorted(Verb))
+@pytest.mark.fault_row(34)
 def test_a_verb_leads_only_where_the_table_goes(verb):
     for state, after in VERB_TRANSITIONS[verb].items():
         assert may_follow(state, after)

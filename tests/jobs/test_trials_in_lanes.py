@@ -9,12 +9,12 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from app.jobs.errors import Aborted, TaskFailed
-from app.jobs.executor import ProcessExecutor
-from app.jobs.science import analyse_recorded
-from app.jobs.workers import Workers
-from app.numerics.adaptive_trials import TrialPlan
-from app.progress import ignore_progress
+from truepath.app.jobs.errors import Aborted, TaskFailed
+from truepath.app.jobs.executor import ProcessExecutor
+from truepath.app.jobs.science import analyse_recorded
+from truepath.app.jobs.workers import Workers
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.app.progress import ignore_progress
 
 TWO_BLOCKS = TrialPlan(seed=5, most_blocks=2)
 

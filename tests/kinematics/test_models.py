@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.effects.position_wave import ScrewCyclic
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.kinematics.model import MachineModel
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.effects.position_wave import ScrewCyclic
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.kinematics.model import MachineModel
 
 MACHINE = Machine(
     "m",

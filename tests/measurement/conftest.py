@@ -13,17 +13,17 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from app.measurement.messages import (
+from truepath.app.measurement.messages import (
     CellEvent,
     FaultReported,
     StateChanged,
     StreamTimeouts,
 )
-from app.measurement.run_file import LINK_STREAM
-from app.measurement.timing import EngineSettings
-from drivers.interfaces.errors import DeviceTimeout
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import (
+from truepath.app.measurement.run_file import LINK_STREAM
+from truepath.app.measurement.timing import EngineSettings
+from truepath.drivers.interfaces.errors import DeviceTimeout
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
     Identity,
     LinkHealth,
     MotionState,
@@ -31,7 +31,7 @@ from drivers.interfaces.records import (
     Path,
     TrackerSamples,
 )
-from drivers.interfaces.tracker import ByteLink, Tracker
+from truepath.drivers.interfaces.tracker import ByteLink, Tracker
 
 E = TypeVar("E")
 
@@ -158,6 +158,8 @@ class FakeMotion(MotionController):
         self.calls: list[str] = []
         self.out_of_reach = False
         self.has_watchdog = True
+        self.override: float | None = None
+        self.limits_override = True
         self.ignores_hold = self.ignores_resume = False
         self.ends_after_s: float | None = None
         self.here = np.zeros(3)
@@ -199,8 +201,18 @@ class FakeMotion(MotionController):
                 self.beats += self._is_fed
             self._is_fed = False
             return MotionStatus(
-                self._state, tuple(self.here), line, self.alarm, self._reason
+                self._state,
+                tuple(self.here),
+                line,
+                self.alarm,
+                self._reason,
+                self.override,
             )
+
+    def limit_override(self, largest: float) -> None:
+        if not self.limits_override:
+            super().limit_override(largest)
+        self.override = min(self.override or largest, largest)
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         self._reach()

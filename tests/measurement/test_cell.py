@@ -19,13 +19,13 @@ import numpy as np
 import psutil
 import pytest
 
-from app.errors import MeasurementFailed, OutOfTravel, TruepathError
-from app.files.bundle import read_bundle, write_bundle
-from app.files.machine_file import machine_from_json
-from app.measurement import cell as cell_module
-from app.measurement.cell import Cell
-from app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
-from app.measurement.messages import (
+from truepath.app.errors import MeasurementFailed, OutOfTravel, TruepathError
+from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.measurement import cell as cell_module
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
+from truepath.app.measurement.messages import (
     BlockRecorded,
     CellConfig,
     CellEvent,
@@ -40,13 +40,13 @@ from app.measurement.messages import (
     StateChanged,
     StreamTimeouts,
 )
-from app.measurement.run_reading import open_run, repair_run
-from app.motion.configurations import Configurations
-from app.planning.default_path import default_path
-from app.plugins import load
-from drivers.interfaces.errors import ConnectionLost, WrongDevice
-from drivers.interfaces.records import MotionStatus, TrackerSamples
-from simulators.bench import Bench
+from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.motion.configurations import Configurations
+from truepath.app.planning.default_path import default_path
+from truepath.app.plugins import load
+from truepath.drivers.interfaces.errors import ConnectionLost, WrongDevice
+from truepath.drivers.interfaces.records import MotionStatus, TrackerSamples
+from truepath.simulators.bench import Bench
 
 E = TypeVar("E")
 SPEED = 10.0
@@ -185,8 +185,8 @@ def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
 def test_the_bytes_of_a_run_decode_to_its_samples_again(
     connected, order, read_link_bytes
 ):
-    from drivers.tracker.streaming.codec import SampleDecoder
-    from drivers.tracker.streaming.framing import FrameReader
+    from truepath.drivers.tracker.streaming.codec import SampleDecoder
+    from truepath.drivers.tracker.streaming.framing import FrameReader
 
     connected.cell.begin(order)
     connected.until_closed()
@@ -282,6 +282,7 @@ def test_a_second_order_is_refused_while_one_runs(connected, long_order, tmp_pat
     assert not (tmp_path / "other.sqlite").exists()
 
 
+@pytest.mark.fault_row(23)
 def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     connected, long_order, machine_state
 ):
@@ -342,12 +343,12 @@ def assert_held(status: MotionStatus) -> None:
 
 PARENT = """
 import sys, time
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig, MeasurementOrder, MeasurementProgress
 )
-from app.files.machine_file import machine_from_json
-from app.planning.default_path import default_path
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.planning.default_path import default_path
 def main():
     tracker, motion, machine, file = eval(sys.argv[1])
     machine = machine_from_json(machine)
@@ -412,6 +413,7 @@ def test_closing_a_cell_that_measures_ends_the_run_properly(
     assert open_run(long_order.run_file).provenance["outcome"] == "aborted"
 
 
+@pytest.mark.fault_row(5)
 def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
     bench, watchful, long_order, machine_state
 ):
@@ -426,6 +428,7 @@ def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
     assert machine_state().state == "held"
 
 
+@pytest.mark.fault_row(5)
 def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     watchful.cell.begin(long_order)
     watchful.until_line(1)
@@ -436,6 +439,7 @@ def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     assert closed.lost_samples > 0.5 * SPEED * 500
 
 
+@pytest.mark.fault_row(16)
 def test_a_closed_connection_of_the_controller_costs_nothing(bench, watchful, order):
     watchful.cell.begin(order)
     watchful.until_line(1)
@@ -448,6 +452,7 @@ def test_a_closed_connection_of_the_controller_costs_nothing(bench, watchful, or
     assert closed.lost_samples == 0
 
 
+@pytest.mark.fault_row(1)
 def test_a_stream_of_bad_frames_is_held_and_named(bench, watchful, order):
     watchful.cell.begin(order)
     watchful.until_line(1)
@@ -459,6 +464,24 @@ def test_a_stream_of_bad_frames_is_held_and_named(bench, watchful, order):
     run = open_run(closed.run_file)
     assert len(run.commanded) > len(order.commanded)
     assert "bad or lost" in run.provenance["stream"]
+
+
+@pytest.mark.fault_row(30)
+def test_a_service_that_falls_silent_is_a_hold_that_a_person_ends(connected, order):
+    """Whoever has told the cell once that it can be reached has to go on."""
+    connected.cell.send(CellVerb.BEAT)
+    connected.cell.begin(order)
+    connected.until_state("paused")
+    assert set(connected.faults) == {"service-silent"}
+    connected.cell.send(CellVerb.RESUME)
+    connected.until(lambda: "resuming" in connected.states)
+
+    def beat() -> bool:
+        connected.cell.send(CellVerb.BEAT)
+        return bool(connected.of(RunClosed))
+
+    connected.until(beat, 45.0)
+    assert connected.of(RunClosed)[-1].outcome == "finished"
 
 
 @contextmanager
@@ -486,6 +509,7 @@ def suspended(*process_ids: int) -> Iterator[None]:
         ("tracker cnc cell", 1.4),
     ],
 )
+@pytest.mark.fault_row(30)
 def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     bench, watchful, long_order, who, for_s
 ):
@@ -503,6 +527,7 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     assert moves(run) >= len(long_order.commanded) - 1
 
 
+@pytest.mark.fault_row(23)
 def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
     bench, watchful, long_order, machine_state
 ):
@@ -523,6 +548,7 @@ def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
 
 
+@pytest.mark.fault_row(9)
 def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
     watchful.cell.begin(long_order)
     watchful.until_line(1)
@@ -537,6 +563,7 @@ def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
     assert (open_run(long_order.run_file).tracker.status != 0).any()
 
 
+@pytest.mark.fault_row(19)
 def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
     faults = ["cnc:alarm@row2"]
     with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:
@@ -552,6 +579,7 @@ def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
     assert len(open_run(order.run_file).tracker) > 0
 
 
+@pytest.mark.fault_row(20)
 def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, long_order):
     connected.cell.begin(long_order)
     connected.until_line(1)
@@ -560,6 +588,7 @@ def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, long_o
     assert connected.states[2:] == ["running", "paused", "running", "finished"]
 
 
+@pytest.mark.fault_row(7)
 def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path):
     faults = ["tracker:wrong-identity"]
     with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:

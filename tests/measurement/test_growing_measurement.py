@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import PlanningError
-from app.measurement.measurement import Measurement
-from app.measurement.messages import (
+from truepath.app.errors import PlanningError
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
     CellVerb,
     FaultReported,
     MeasurementOrder,
@@ -18,9 +18,9 @@ from app.measurement.messages import (
     PartRequested,
     RunClosed,
 )
-from app.measurement.run_reading import open_run
-from app.motion.configurations import Configurations, append_part
-from drivers.interfaces.records import Path
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.motion.configurations import Configurations, append_part
+from truepath.drivers.interfaces.records import Path
 
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 

@@ -9,21 +9,21 @@ import time
 import numpy as np
 import pytest
 
-from app.files.machine_file import machine_from_json
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
 )
-from drivers.cnc.linuxcnc.driver import LinuxCncController
-from drivers.interfaces.records import MotionState, Path
-from simulators.bench import Bench
-from simulators.linuxcnc.files import LinuxCncMachine
-from simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from simulators.scenario import load_machine
+from truepath.drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.simulators.bench import Bench
+from truepath.simulators.linuxcnc.files import LinuxCncMachine
+from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
+from truepath.simulators.scenario import load_machine
 
 ABSENT = explain_absence()
 pytestmark = [

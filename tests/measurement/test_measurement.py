@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.measurement.axis_order import arrange_axes
-from app.measurement.faults import Fault
-from app.measurement.measurement import Measurement
-from app.measurement.messages import (
+from truepath.app.measurement.axis_order import arrange_axes
+from truepath.app.measurement.faults import Fault
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
     CellVerb,
     FaultReported,
     LinesDamaged,
@@ -23,17 +23,18 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.run_reading import open_run
-from app.measurement.timing import EngineSettings
-from app.motion.configurations import Configurations
-from drivers.interfaces.errors import (
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     MotionFault,
     OutOfTravel,
     Refused,
 )
-from drivers.interfaces.records import MotionState
+from truepath.drivers.interfaces.records import MotionState
+from truepath.drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 
 # Nothing is judged by the clock of a busy computer: where a test is not about patience,
 # there is plenty of it; where it is, the test passes the time by hand.
@@ -268,6 +269,48 @@ def test_points_are_stepped_through_with_a_dwell_at_each(
     assert (last.done, last.total, last.unit) == (4, 4, "points")
 
 
+@pytest.mark.fault_row(22)
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
+    begin, order, square, motion, journal, calm, comes_back
+):
+    """Somebody jogs the machine while it is measured where it stands."""
+    points = Configurations(square.axes, square.position[:2], np.full(2, 60.0))
+    settings = replace(calm, confirm_s=0.5)
+    running = begin(replace(order, commanded=points), settings=settings)
+    running.until(lambda: any(b.device_time_s > 110.0 for b in journal.of(LivePoints)))
+    with motion._lock:
+        motion.here = motion.here + 1.0
+        left_s = journal.of(LivePoints)[-1].device_time_s
+    running.until(lambda: journal.of(LivePoints)[-1].device_time_s > left_s + 10.0)
+    if comes_back:
+        with motion._lock:
+            motion.here = motion.here - 1.0
+        assert running.ended() == "finished"
+        done = [e.text for e in running.run.events if e.kind == "point"]
+        assert "row 1: moved while it was measured" in done
+        until_s = float(next(t for t in done if " until " in t).split()[3])
+        assert until_s > left_s + 60.0
+    else:
+        assert running.ended() == "faulted"
+        assert journal.faults == ["ended-early"]
+
+
+@pytest.mark.fault_row(20)
+def test_a_machine_that_runs_without_moving_is_told_once_and_goes_on(
+    begin, order, motion, journal, calm
+):
+    """The feed override stands at 0 %, and the controller does not tell."""
+    running = begin(order, settings=replace(calm, stuck_s=0.1))
+    running.until_moving()
+    speed, motion.speed = motion.speed, 0.0
+    running.until(lambda: bool(journal.faults))
+    motion.speed = speed
+    assert running.ended() == "finished"
+    assert journal.faults == ["not-moving"]
+    assert "override" in journal.of(FaultReported)[0].action
+
+
 def test_pause_holds_and_resume_goes_on(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
@@ -419,6 +462,7 @@ def test_halt_holds_the_feed_and_forgets_nothing(begin, long_order, motion):
     assert motion.status().state == "held"
 
 
+@pytest.mark.fault_row(5)
 def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     begin, long_order, tracker, motion, journal
 ):
@@ -518,6 +562,7 @@ def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
     running.finished()
 
 
+@pytest.mark.fault_row(30)
 def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, journal):
     clock = HandClock()
     running = begin(long_order, settings=JUDGED, clock=clock)
@@ -548,6 +593,7 @@ def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, jou
     running.finished()
 
 
+@pytest.mark.fault_row(5)
 def test_a_long_silence_is_a_fault_with_the_feed_held(
     begin, long_order, tracker, motion, journal
 ):
@@ -562,6 +608,7 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(
     assert running.run.provenance["outcome"] == "faulted"
 
 
+@pytest.mark.fault_row(1)
 def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
     begin, short_order, tracker, motion, journal
 ):
@@ -611,6 +658,7 @@ def test_a_damaged_stream_before_the_path_costs_no_line(
     assert motion.calls.count("start") == 1
 
 
+@pytest.mark.fault_row(9)
 def test_a_lost_beam_holds_until_somebody_resumes(
     begin, long_order, tracker, motion, journal
 ):
@@ -661,6 +709,16 @@ def test_a_tracker_that_refuses_the_rate_fails_the_order(
     assert "500 Hz is too fast" in journal.of(FaultReported)[-1].text
 
 
+def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
+    begin, order, tracker, motion, journal, monkeypatch
+):
+    stamps = TrackerCapabilities(clock=Clock.HOST)
+    monkeypatch.setattr(type(tracker), "capabilities", stamps)
+    assert begin(order).ended() == "failed"
+    assert journal.of(FaultReported)[-1].code == "no-times"
+    assert not {"move_to", "load", "start"} & set(motion.calls)
+
+
 @pytest.mark.parametrize("error", [ConnectionLost("unplugged"), OSError("odd")])
 def test_a_tracker_that_goes_away_is_a_fault(
     begin, long_order, tracker, motion, journal, error
@@ -701,6 +759,7 @@ def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
         (MotionState.DOOR, ("door is open", "close it")),
     ],
 )
+@pytest.mark.fault_row(19)
 def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
     begin, long_order, motion, journal, state, said
 ):
@@ -713,15 +772,41 @@ def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
     assert said[1] in fault.action
 
 
-def test_an_emergency_stop_under_way_is_a_fault(begin, long_order, motion, journal):
+@pytest.mark.fault_row(19)
+@pytest.mark.parametrize(
+    ("state", "code", "said"),
+    [
+        (MotionState.ESTOP, "motion-estop", "emergency stop"),
+        (MotionState.DOOR, "motion-door", "door"),
+        (MotionState.UNHOMED, "motion-unhomed", "home"),
+    ],
+)
+def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
+    begin, long_order, motion, journal, state, code, said
+):
     running = begin(long_order)
     running.until_moving()
-    motion._state = MotionState.ESTOP
+    motion._state = state
     assert running.ended() == "faulted"
-    assert journal.faults == ["motion-estop"]
+    assert journal.faults == [code]
+    (fault,) = journal.of(FaultReported)
+    assert said in f"{fault.text} {fault.action}".lower()
     assert len(running.run.tracker) > 100
 
 
+@pytest.mark.fault_row(19)
+def test_overtravel_is_told_in_the_words_of_the_controller(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.raise_alarm("510: X beyond its software limit")
+    assert running.ended() == "faulted"
+    assert "510: X beyond its software limit" in journal.of(FaultReported)[0].text
+    assert len(running.run.tracker) > 100
+
+
+@pytest.mark.fault_row(21)
 def test_a_motion_that_ends_early_is_a_fault(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
@@ -729,6 +814,22 @@ def test_a_motion_that_ends_early_is_a_fault(begin, long_order, motion, journal)
     assert running.ended() == "faulted"
     assert journal.faults == ["ended-early"]
     assert "not at 410.000, 310.000, -210.000" in journal.of(FaultReported)[0].text
+
+
+@pytest.mark.fault_row(22)
+def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
+    begin, order, square, motion, journal, calm
+):
+    """The controller says that it has finished, and stands elsewhere."""
+    points = Configurations(square.axes, square.position[:3], np.full(3, 0.2))
+    motion.ends_after_s = 0.1
+    settings = replace(calm, confirm_s=0.5)
+    running = begin(replace(order, commanded=points), settings=settings)
+    assert running.ended() == "faulted"
+    assert journal.faults == ["ended-early"]
+    assert "not at" in journal.of(FaultReported)[0].text
+    measured = [event for event in running.run.events if event.kind == "point"]
+    assert len(measured) <= 1
 
 
 def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
@@ -746,6 +847,7 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
     assert journal.states == ["running", "paused", "running", "finished"]
 
 
+@pytest.mark.fault_row(20)
 def test_a_hold_at_the_machine_may_be_ended_by_resume(
     begin, long_order, motion, journal
 ):
@@ -834,6 +936,7 @@ def test_a_verb_that_does_not_reach_the_controller_says_so(begin, long_order, mo
     assert motion.status().state == "aborted"
 
 
+@pytest.mark.fault_row(24)
 def test_nothing_moves_when_a_row_is_out_of_travel(
     begin, order, motion, journal, square
 ):
@@ -908,6 +1011,7 @@ def test_a_defect_of_ours_is_a_fault_not_a_hang(
     assert "defect while measuring" in caplog.text
 
 
+@pytest.mark.fault_row(27)
 def test_a_disk_that_fails_holds_the_machine_first(
     begin, long_order, motion, journal, monkeypatch
 ):
@@ -926,10 +1030,11 @@ def test_a_disk_that_fails_holds_the_machine_first(
     assert len(running.run.tracker) > 0
 
 
+@pytest.mark.fault_row(27)
 def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
     begin, long_order, motion, journal, monkeypatch
 ):
-    monkeypatch.setattr("app.measurement.recorder.SPACE_CHECK_S", 0.0)
+    monkeypatch.setattr("truepath.app.measurement.recorder.SPACE_CHECK_S", 0.0)
     running = begin(long_order)
     running.until_moving()
     recorder = running.measurement._recorder
@@ -940,6 +1045,7 @@ def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
     assert running.run.provenance["outcome"] == "failed"
 
 
+@pytest.mark.fault_row(28)
 def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
     begin, long_order, motion, journal, monkeypatch
 ):
@@ -978,3 +1084,28 @@ def test_rows_are_put_into_the_axis_order_of_the_controller(square):
 def test_an_axis_that_the_controller_lacks_is_named(square):
     with pytest.raises(Fault, match="axes X, Y, none is Z"):
         arrange_axes(square, ("X", "Y"), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("override", "can_limit", "told", "left"),
+    [
+        (None, True, [], None),
+        (1.0, True, [], 1.0),
+        (1.2, True, [], 1.0),
+        (1.2, False, ["feed-override"], 1.2),
+        (0.5, True, ["feed-override"], 0.5),
+    ],
+)
+def test_an_override_is_lowered_or_told(
+    begin, order, motion, journal, override, can_limit, told, left
+):
+    motion.override, motion.limits_override = override, can_limit
+    running = begin(order, settings=JUDGED)
+    running.finished()
+    assert (journal.faults, motion.override) == (told, left)
+    if told:
+        said = journal.of(FaultReported)[0]
+        assert f"{100 * override:.0f} %" in said.text
+        assert "100 %" in said.action
+    kinds = [event.kind for event in running.run.events]
+    assert ("override" in kinds) == (override == 1.2 and can_limit)

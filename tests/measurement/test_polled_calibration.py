@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.files.bundle import read_bundle, write_bundle
-from app.files.machine_file import machine_from_json
-from app.kinematics.conditions import make_standstill
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.measurement.measurement import Measurement
-from app.measurement.messages import MeasurementOrder
-from app.measurement.run_reading import open_run
-from app.measurement.timing import EngineSettings
-from app.motion.default_points import default_points
-from app.plugins import load
-from app.results.analysis import analyse
-from simulators.bench import Bench
-from simulators.scenario import load_machine
+from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import MeasurementOrder
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.default_points import default_points
+from truepath.app.plugins import load
+from truepath.app.results.analysis import analyse
+from truepath.simulators.bench import Bench
+from truepath.simulators.scenario import load_machine
 
 QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
 

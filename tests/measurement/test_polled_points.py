@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.files.bundle import read_bundle, write_bundle
-from app.files.run import Run, summarize_run
-from app.measurement.measurement import Measurement
-from app.measurement.messages import (
+from truepath.app.alignment.align import align
+from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.app.files.run import Run, summarize_run
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
     BlockRecorded,
     CellVerb,
     FaultReported,
@@ -23,13 +23,18 @@ from app.measurement.messages import (
     RunClosed,
     StreamTimeouts,
 )
-from app.measurement.run_reading import open_run
-from app.measurement.timing import EngineSettings
-from app.motion.configurations import Configurations
-from drivers.interfaces.errors import BeamLost, ConnectionLost, DeviceError, Refused
-from drivers.interfaces.records import Identity
-from drivers.interfaces.tracker import EventSource, PolledTracker
-from drivers.interfaces.tracker_records import (
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.errors import (
+    BeamLost,
+    ConnectionLost,
+    DeviceError,
+    Refused,
+)
+from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.tracker import EventSource, PolledTracker
+from truepath.drivers.interfaces.tracker_records import (
     Air,
     Clock,
     PointMeasurement,
@@ -246,6 +251,7 @@ def test_a_path_is_refused_before_anything_moves(measure, order, square, motion)
     assert "move_to" not in motion.calls
 
 
+@pytest.mark.fault_row(10)
 def test_warnings_of_the_instrument_are_told_and_recorded(measure, polled, journal):
     warning = TrackerEvent(TrackerEventKind.WARNING, "battery low", "plug it in")
     polled.before = lambda asked: polled.events.append(warning) if asked == 2 else None

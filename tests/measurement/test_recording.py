@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import BundleError, MeasurementFailed
-from app.measurement import recorder as recorder_module
-from app.measurement.recorder import Recorder
-from app.measurement.run_file import RunHeader, hash_file
-from app.measurement.run_reading import open_run, repair_run
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
+from truepath.app.errors import BundleError, MeasurementFailed
+from truepath.app.measurement import recorder as recorder_module
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.run_file import RunHeader, hash_file
+from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 DEVICES = {
     "tracker": Identity("Us", "T", "1", "0.1"),
@@ -208,6 +208,7 @@ def test_a_disk_that_fills_up_is_noticed_in_time(file, header, monkeypatch):
     assert recorder.close("failed").failure == ""
 
 
+@pytest.mark.fault_row(27)
 def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
     file, header, monkeypatch
 ):
@@ -232,6 +233,7 @@ def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
     np.testing.assert_array_equal(recorded.sequence[:200], written.sequence)
 
 
+@pytest.mark.fault_row(28)
 def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
     file, header, monkeypatch
 ):
@@ -290,10 +292,10 @@ import sys
 sys.path[:0] = [{root!r}]
 from pathlib import Path
 import numpy as np
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.measurement.recorder import Recorder
-from app.measurement.run_file import RunHeader
-from drivers.interfaces.records import Path as Lines, TrackerSamples
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.run_file import RunHeader
+from truepath.drivers.interfaces.records import Path as Lines, TrackerSamples
 axes = tuple(LinearAxis(n, 0.0, 500.0) for n in "XYZ")
 mill = Machine("m", (), ("X", "Y", "Z"), axes, (Target("", "tool", (0, 0, 0)),),
                TrackerNoise())
@@ -350,6 +352,7 @@ def test_a_killed_run_is_settled_into_one_file(killed):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.99])
+@pytest.mark.fault_row(26)
 def test_a_log_cut_anywhere_gives_the_batches_before_the_cut(killed, share):
     file, _ = killed
     whole = open_run(file).tracker
@@ -390,6 +393,7 @@ def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
     assert texts["gap"] == "gap: 50 samples after sequence 1349"
 
 
+@pytest.mark.fault_row(26)
 def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng):
     good = open_run(closed_file)
     whole = {int(s): i for i, s in enumerate(good.tracker.sequence)}
@@ -409,6 +413,7 @@ def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng):
         np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
 
 
+@pytest.mark.fault_row(26)
 def test_lost_pages_leave_the_rest_readable(closed_file):
     data = bytearray(closed_file.read_bytes())
     page = 4096
@@ -420,6 +425,7 @@ def test_lost_pages_leave_the_rest_readable(closed_file):
     assert any(e.kind == "bad-batch" for e in run.events)
 
 
+@pytest.mark.fault_row(26)
 def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
     damaged_at = block(1000 + 50 * 7).position_mm[10].tobytes()
     damage(closed_file, damaged_at)
@@ -456,7 +462,7 @@ def test_a_damaged_manifest_is_an_error_not_a_guess(closed_file):
 
 
 def test_a_later_schema_is_refused(file, header, monkeypatch):
-    monkeypatch.setattr("app.measurement.run_file.SCHEMA", "run/2")
+    monkeypatch.setattr("truepath.app.measurement.run_file.SCHEMA", "run/2")
     Recorder(file, header, reserve_bytes=0).close("finished")
     monkeypatch.undo()
     with pytest.raises(BundleError, match="schema is 'run/2', not 'run/1'"):

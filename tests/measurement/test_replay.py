@@ -10,29 +10,29 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.alignment.align import align
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
     StreamTimeouts,
 )
-from app.measurement.run_reading import open_run
-from app.motion.configurations import Commanded, Configurations
-from drivers.interfaces.errors import Refused
-from drivers.interfaces.records import Path
-from drivers.tracker.streaming.driver import StreamingTracker
-from simulators.bench import Bench
-from simulators.command import main
-from simulators.errors import SimulatorError
-from simulators.processes import DeviceProcesses
-from simulators.recorded_run import read_recorded_run
-from simulators.replay import Replay
-from simulators.scenario import load_machine
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.records import Path
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.simulators.bench import Bench
+from truepath.simulators.command import main
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.processes import DeviceProcesses
+from truepath.simulators.recorded_run import read_recorded_run
+from truepath.simulators.replay import Replay
+from truepath.simulators.scenario import load_machine
 
 AXES = ("X", "Y", "Z")
 CORNERS = np.array(

@@ -8,24 +8,24 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.nominal_path import compute_nominal_path
-from app.files.bundle import read_bundle, write_bundle
-from app.files.machine_file import machine_from_json
-from app.files.run import Run
-from app.measurement.cell import Cell
-from app.measurement.messages import (
+from truepath.app.alignment.align import align
+from truepath.app.alignment.nominal_path import compute_nominal_path
+from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
 )
-from app.measurement.run_reading import open_run
-from drivers.interfaces.records import Path
-from simulators.bench import Bench
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.turning_paths import looking_at, turning_path
+from truepath.app.measurement.run_reading import open_run
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators.bench import Bench
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.turning_paths import looking_at, turning_path
 
 SPEED = 10.0
 

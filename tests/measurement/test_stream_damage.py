@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from app.measurement.stream_damage import StreamDamage
-from drivers.interfaces.records import TrackerSamples
+from truepath.app.measurement.stream_damage import StreamDamage
+from truepath.drivers.interfaces.records import TrackerSamples
 
 RATE_HZ = 500.0
 

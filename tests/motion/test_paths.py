@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import OutOfTravel, PlanningError
-from app.kinematics.machine import (
+from truepath.app.errors import OutOfTravel, PlanningError
+from truepath.app.kinematics.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from app.motion.configurations import Configurations
-from app.motion.default_points import default_points
-from app.motion.motion_times import row_times_s, travel_time_s
-from app.motion.travel import check_travel
-from drivers.interfaces.records import Path
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.default_points import default_points
+from truepath.app.motion.motion_times import row_times_s, travel_time_s
+from truepath.app.motion.travel import check_travel
+from truepath.drivers.interfaces.records import Path
 
 
 def machine(x: float = 500.0, y: float = 400.0, z: float = 300.0) -> Machine:
@@ -111,6 +111,7 @@ def test_a_rotary_move_is_timed_by_its_degrees():
     assert travel_time_s(path) == pytest.approx(90 / 30 + 30 / 1000)
 
 
+@pytest.mark.fault_row(24)
 def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy():
     with pytest.raises(OutOfTravel) as caught:
         check_travel(machine(), line((0, 0, 0), (612.4, 0, 0)))

@@ -8,15 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.motion_times import Drive
-from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState
-from app.planning.forecast import Assumptions
-from app.planning.initial_design import start_design
-from app.planning.line_design import LineDesignState
-from app.planning.planner import Planner
-from app.planning.point_design import PointDesignState
+from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.motion.motion_times import Drive
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.design_state import DesignState
+from truepath.app.planning.forecast import Assumptions
+from truepath.app.planning.initial_design import start_design
+from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.planner import Planner
+from truepath.app.planning.point_design import PointDesignState
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import PlanningError
-from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import (
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from app.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
-from app.motion.travel import check_travel
-from app.planning.default_path import default_path
-from app.planning.design_state import inverse
-from app.planning.initial_design import start_design
-from app.planning.line_design import LineDesignState
-from drivers.interfaces.records import Path
+from truepath.app.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
+from truepath.app.motion.travel import check_travel
+from truepath.app.planning.default_path import default_path
+from truepath.app.planning.design_state import inverse
+from truepath.app.planning.initial_design import start_design
+from truepath.app.planning.line_design import LineDesignState
+from truepath.drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
 TARGETS = (

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import BundleError, PlanningError
-from app.files.machine_file import machine_from_json, machine_to_json
-from app.kinematics.machine import MotionLimits
-from app.motion.motion_times import Drive, Legs
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from app.results.plan_document import plan_document
-from simulators.profile import Limits, rest_to_rest
+from truepath.app.errors import BundleError, PlanningError
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.kinematics.machine import MotionLimits
+from truepath.app.motion.motion_times import Drive, Legs
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.results.plan_document import plan_document
+from truepath.simulators.profile import Limits, rest_to_rest
 
 
 def moving_at(machine, **stated):

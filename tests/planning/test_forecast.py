@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.kinematics.volumetric_map import compute_volumetric_gram
-from app.planning.forecast import Assumptions, forecast
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.app.planning.forecast import Assumptions, forecast
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])

@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.errors import PlanningError
-from app.kinematics.machine import Target, TrackerNoise
-from app.kinematics.volumetric_map import build_volumetric_map, compute_volumetric_gram
-from app.motion.configurations import Configurations
-from app.planning.default_path import default_path
-from app.planning.grade import SetUp, grade, grade_together, verdict
-from drivers.interfaces.records import Path
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.errors import PlanningError
+from truepath.app.kinematics.machine import Target, TrackerNoise
+from truepath.app.kinematics.volumetric_map import (
+    build_volumetric_map,
+    compute_volumetric_gram,
+)
+from truepath.app.motion.configurations import Configurations
+from truepath.app.planning.default_path import default_path
+from truepath.app.planning.grade import SetUp, grade, grade_together, verdict
+from truepath.drivers.interfaces.records import Path
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, Legs, Stops, row_times_s
-from app.motion.travel import inner_travel
-from app.motion.workspace import Workspace
-from app.planning.default_path import default_path
-from app.planning.design_state import inverse
-from app.planning.initial_design import predict_lag_sigmas_s, start_design
-from app.planning.leg_choice import LegChoice, SearchEffort
-from app.planning.line_design import LineDesignState
-from app.planning.planner import Planner
-from drivers.interfaces.records import Path
+from truepath.app.motion.corner_path import corner_path
+from truepath.app.motion.motion_times import Drive, Legs, Stops, row_times_s
+from truepath.app.motion.travel import inner_travel
+from truepath.app.motion.workspace import Workspace
+from truepath.app.planning.default_path import default_path
+from truepath.app.planning.design_state import inverse
+from truepath.app.planning.initial_design import predict_lag_sigmas_s, start_design
+from truepath.app.planning.leg_choice import LegChoice, SearchEffort
+from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.planner import Planner
+from truepath.drivers.interfaces.records import Path
 
 
 def left_mm(planner, plan):

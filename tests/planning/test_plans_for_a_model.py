@@ -5,29 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.surroundings import add_surroundings
-from app.errors import BundleError
-from app.estimation.prior_model import PriorModel
-from app.files.machine_file import machine_from_json
-from app.files.result_file import CalibrationResult
-from app.kinematics.effects.backlash import BacklashFamily
-from app.kinematics.effects.elastic_sag import ElasticSagFamily
-from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from app.kinematics.model import MachineModel, restore_effect
-from app.planning.forecast import Assumptions, forecast
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from app.reporting.plan_report import render_plan_report
-from app.results.plan_document import plan_document
-from simulators import synthetic
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting
-from simulators.timeline import Program
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.errors import BundleError
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.kinematics.effects.backlash import BacklashFamily
+from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.app.kinematics.model import MachineModel, restore_effect
+from truepath.app.planning.forecast import Assumptions, forecast
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.reporting.plan_report import render_plan_report
+from truepath.app.results.plan_document import plan_document
+from truepath.simulators import synthetic
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.timeline import Program
 
 FEEDS = (3000.0, 9000.0)
 SMALL = load_machine("demo")

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from app.kinematics.machine import Machine
-from app.motion.motion_times import Drive
-from app.motion.workspace import Workspace, moving_targets
-from app.planning.initial_design import choose_station, start_design
-from app.planning.line_design import LineDesignState
-from app.planning.planner import Planner
-from app.planning.target_shares import share_among_targets
 from tests.planning.test_default_path import trunnion
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.motion_times import Drive
+from truepath.app.motion.workspace import Workspace, moving_targets
+from truepath.app.planning.initial_design import choose_station, start_design
+from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.planner import Planner
+from truepath.app.planning.target_shares import share_among_targets
 
 CHANGE_S = 5.0
 

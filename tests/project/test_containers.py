@@ -16,8 +16,8 @@ import jsonschema
 import pytest
 import yaml
 
-from app.files.machine_file import read_machine
-from app.settings import Settings, load_settings
+from truepath.app.files.machine_file import read_machine
+from truepath.app.settings import Settings, load_settings
 
 VENDORED = Path(__file__).parent / "vendor" / "compose-spec.json"
 

@@ -55,11 +55,17 @@ def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):
         packed = set(archive.namelist())
     rooms = {"app", "drivers", "simulators"}
     wanted = {
-        str(path.relative_to(root))
+        f"truepath/{path.relative_to(root)}"
         for path in project_files
         if path.relative_to(root).parts[0] in rooms
     }
     assert wanted <= packed, f"left out: {sorted(wanted - packed)}"
+
+
+def test_the_wheel_takes_one_name_in_site_packages(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        first = {name.split("/")[0] for name in archive.namelist()}
+    assert {name for name in first if not name.endswith(".dist-info")} == {"truepath"}
 
 
 def test_the_wheel_registers_the_command_and_the_plug_ins(wheel):

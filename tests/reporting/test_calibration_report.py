@@ -7,9 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from app.reporting.calibration_report import render_calibration_report, render_section
-from app.results.findings import group_residuals, state_findings, state_noise
-from app.results.number_format import format_expanded, format_number
+from truepath.app.reporting.calibration_report import (
+    render_calibration_report,
+    render_section,
+)
+from truepath.app.results.findings import group_residuals, state_findings, state_noise
+from truepath.app.results.number_format import format_expanded, format_number
 
 VOID = {"meta", "br", "img", "link", "hr", "path", "use"}
 

@@ -5,10 +5,13 @@ import re
 
 import pytest
 
-from app.reporting.discovery_report import render_discovery_report, write_discovery
-from app.results.discovery import ASK, discover_runs
-from simulators.hidden.setup_step import SetupStep
-from simulators.synthetic import Setting
+from truepath.app.reporting.discovery_report import (
+    render_discovery_report,
+    write_discovery,
+)
+from truepath.app.results.discovery import ASK, discover_runs
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.synthetic import Setting
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +55,8 @@ def test_where_it_disagrees_is_told_by_line_time_place_and_direction(page):
     for grouping in ("line", "time", "beam", "moving axis", "position of X"):
         assert grouping in said
     assert "direction of Y" in said
+    assert "− direction" in said
+    assert "+ direction" in said
     assert "region of X and Z" in said
     assert "X, Y and Z of the workpiece, on which the tracker stands" in said
 

@@ -11,32 +11,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.alignment.surroundings import add_surroundings
-from app.discovery.discover import discover
-from app.errors import BundleError
-from app.estimation.monte_carlo import draw_outputs, prepare_trials
-from app.estimation.prior_model import PriorModel
-from app.files.result_file import CalibrationResult, result_from_json
-from app.kinematics.effects.backlash import BacklashFamily
-from app.kinematics.effects.elastic_sag import ElasticSagFamily
-from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from app.kinematics.model import MachineModel, restore_effect
-from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.analysis_files import render_analysis
-from app.results.analysis import analyse
-from app.results.model_file import build_next_model
-from app.results.prediction import predict
-from app.results.result_json import result_json
-from simulators import paths, synthetic
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.table_drift import TableDrift
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.alignment.surroundings import add_surroundings
+from truepath.app.discovery.discover import discover
+from truepath.app.errors import BundleError
+from truepath.app.estimation.monte_carlo import draw_outputs, prepare_trials
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.result_file import CalibrationResult, result_from_json
+from truepath.app.kinematics.effects.backlash import BacklashFamily
+from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.app.kinematics.model import MachineModel, restore_effect
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.app.reporting.analysis_files import render_analysis
+from truepath.app.results.analysis import analyse
+from truepath.app.results.model_file import build_next_model
+from truepath.app.results.prediction import predict
+from truepath.app.results.result_json import result_json
+from truepath.simulators import paths, synthetic
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
 
 FEED, TRAVEL_MM = 6000.0, 220.0
 SAG = ElasticSag("X", "Y", "Z", 30.0)

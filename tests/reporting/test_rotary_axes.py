@@ -7,16 +7,16 @@ import json
 import numpy as np
 import pytest
 
-from app.cli.summary import summarise_result
-from app.files.bundle import read_bundle
-from app.files.result_file import read_result
-from app.reporting.analysis_files import render_analysis, write_analysis
-from app.results.analysis import analyse
-from app.results.points_csv import predict_points
-from simulators import synthetic, turning_paths
-from simulators.bundle_files import write_bundle_files
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
+from truepath.app.cli.summary import summarise_result
+from truepath.app.files.bundle import read_bundle
+from truepath.app.files.result_file import read_result
+from truepath.app.reporting.analysis_files import render_analysis, write_analysis
+from truepath.app.results.analysis import analyse
+from truepath.app.results.points_csv import predict_points
+from truepath.simulators import synthetic, turning_paths
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import AlignmentError, BundleError
-from app.files.result_file import result_from_json
-from app.files.run import number_names
-from app.kinematics.machine import Target
-from app.reporting.analysis_files import render_analysis
-from app.results.analysis import analyse
-from app.results.result_json import result_json
+from truepath.app.errors import AlignmentError, BundleError
+from truepath.app.files.result_file import result_from_json
+from truepath.app.files.run import number_names
+from truepath.app.kinematics.machine import Target
+from truepath.app.reporting.analysis_files import render_analysis
+from truepath.app.results.analysis import analyse
+from truepath.app.results.result_json import result_json
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import pytest
 from jinja2 import DictLoader
 
-from app.reporting import templating
+from truepath.app.reporting import templating
 
 
 @pytest.fixture

@@ -9,16 +9,16 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.estimation.batch import Estimate, Observability
-from app.estimation.extrapolation import full_travel
-from app.estimation.noise import NoiseModel
-from app.estimation.run_estimate import Residuals, RunEstimate
-from app.files.result_file import CalibrationResult
-from app.files.run import RunSummary
-from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.numerics.rigid import RigidTransform
-from app.results.findings import Findings, Provenance, state_findings
+from truepath.app.estimation.batch import Estimate, Observability
+from truepath.app.estimation.extrapolation import full_travel
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.run_estimate import Residuals, RunEstimate
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.run import RunSummary
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.results.findings import Findings, Provenance, state_findings
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from app.results.analysis import analyse
-from app.results.result_json import result_json
-from simulators.hidden.table_drift import TableDrift
-from simulators.synthetic import Setting
+from truepath.app.results.analysis import analyse
+from truepath.app.results.result_json import result_json
+from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.synthetic import Setting
 
 
 def shifted(run, first, last, shift_mm):
@@ -37,6 +38,7 @@ def test_a_clean_measurement_is_usable_and_keeps_all(found):
 
 
 @pytest.mark.parametrize(("samples", "off_mm"), [(50, 5.0), (700, 0.1)])
+@pytest.mark.fault_row(12)
 def test_a_burst_is_left_out_and_named_by_its_time(clean, found, samples, off_mm):
     first = len(clean.tracker) // 3
     spoilt = analyse(shifted(clean, first, first + samples, [0.0, off_mm, 0.0]))
@@ -52,6 +54,7 @@ def test_a_burst_is_left_out_and_named_by_its_time(clean, found, samples, off_mm
     )
 
 
+@pytest.mark.fault_row(11)
 def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
     first = int(0.55 * len(clean.tracker))
     spoilt = analyse(shifted(clean, first, None, [0.03, -0.03, 0.02]))
@@ -74,6 +77,7 @@ def test_a_drift_is_no_knock_and_is_not_passed_over(record):
     assert "loop-open" in {reason.kind for reason in told.verdict.reasons}
 
 
+@pytest.mark.fault_row(12)
 def test_a_frozen_tracker_is_said(clean):
     first = len(clean.tracker) // 2
     moved = clean.tracker.position_mm.copy()
@@ -81,3 +85,18 @@ def test_a_frozen_tracker_is_said(clean):
     spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
     assert "frozen" in {each.cause for each in spoilt.left_out[0]}
     assert spoilt.verdict.state == "usable"
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(12)
+def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
+    rows = np.random.default_rng(5).choice(len(clean.tracker), 40, replace=False)
+    moved = clean.tracker.position_mm.copy()
+    moved[rows] *= [-1.0, 1.0, 1.0]
+    spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
+    told = [each for each in result_json(spoilt)["left_out"] if each["samples"]]
+    assert sum(each["samples"] for each in told) >= 30  # others are in no pass
+    assert spoilt.verdict.state == "usable"
+    assert spoilt.volumetric.before.mean.value_um == pytest.approx(
+        found.volumetric.before.mean.value_um, rel=0.02
+    )

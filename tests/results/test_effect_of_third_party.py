@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-from app import plugins
-from app.estimation.prior_model import PriorModel
-from app.files.result_file import result_from_json
-from app.kinematics.effects.conformance import CHECKS, example_conditions
-from app.planning.plan_making import make_plan
-from app.planning.plan_order import PlanOrder
-from app.reporting.analysis_files import render_analysis
-from app.reporting.discovery_report import render_discovery_report
-from app.reporting.plan_report import render_plan_report
-from app.results.analysis import analyse
-from app.results.discovery import ASK, discover_runs
-from app.results.plan_document import plan_document
-from app.web.pages import catalogue
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.synthetic import Setting
+from truepath.app import plugins
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.result_file import result_from_json
+from truepath.app.kinematics.effects.conformance import CHECKS, example_conditions
+from truepath.app.planning.plan_making import make_plan
+from truepath.app.planning.plan_order import PlanOrder
+from truepath.app.reporting.analysis_files import render_analysis
+from truepath.app.reporting.discovery_report import render_discovery_report
+from truepath.app.reporting.plan_report import render_plan_report
+from truepath.app.results.analysis import analyse
+from truepath.app.results.discovery import ASK, discover_runs
+from truepath.app.results.plan_document import plan_document
+from truepath.app.web.pages import catalogue
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.synthetic import Setting
 
 PAGE = Path(__file__).parents[2] / "docs" / "write-an-effect.md"
 KEYS = {"beam": "X", "load": "Y", "toward": "Z"}

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.errors import AlignmentError
-from app.files.verdict import Verdict
-from app.results.analysis import analyse
-from app.results.verdict import judge_driving
-from drivers.interfaces.records import Path
-from simulators.synthetic import Defects, Setting
+from truepath.app.alignment.align import align
+from truepath.app.errors import AlignmentError
+from truepath.app.files.verdict import Verdict
+from truepath.app.results.analysis import analyse
+from truepath.app.results.verdict import judge_driving
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators.synthetic import Defects, Setting
 
 
 def said_of(run) -> Verdict:
@@ -101,6 +101,7 @@ def test_a_recording_that_begins_late_says_so(record):
 
 
 @pytest.mark.parametrize("other", [7, 8])
+@pytest.mark.fault_row(21)
 def test_another_program_is_refused(record, other):
     run, _ = record(6)
     wrong, _ = record(other)

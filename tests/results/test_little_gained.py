@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from app.results.verdict import judge_gain
-from app.results.volumetric_error import VolumetricError, compute_volumetric_error
+from truepath.app.results.verdict import judge_gain
+from truepath.app.results.volumetric_error import (
+    VolumetricError,
+    compute_volumetric_error,
+)
 
 
 def scaled(found: VolumetricError, left_um: float) -> VolumetricError:

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.discovery.discover import discover
-from app.errors import BundleError
-from app.estimation.prior_model import PriorModel
-from app.files.result_file import CalibrationResult, result_from_json
-from app.kinematics.model import CatalogueEffect
-from app.results.model_file import build_next_model, build_reference
-from app.results.prediction import predict
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.synthetic import Setting
+from truepath.app.discovery.discover import discover
+from truepath.app.errors import BundleError
+from truepath.app.estimation.prior_model import PriorModel
+from truepath.app.files.result_file import CalibrationResult, result_from_json
+from truepath.app.kinematics.model import CatalogueEffect
+from truepath.app.results.model_file import build_next_model, build_reference
+from truepath.app.results.prediction import predict
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.synthetic import Setting
 
 SAG = ElasticSag("X", "Y", "Z", 14.0)
 

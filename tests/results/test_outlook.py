@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.estimation.drift_course import Course
-from app.results.outlook import LookAhead
-from app.results.trend_json import describe_outlook
+from truepath.app.estimation.drift_course import Course
+from truepath.app.results.outlook import LookAhead
+from truepath.app.results.trend_json import describe_outlook
 
 HOUR_S = 3600.0
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import build_volumetric_map
-from app.results import prediction
-from app.results.prediction import predict
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
+from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results import prediction
+from truepath.app.results.prediction import predict
 
 
 @pytest.fixture

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import BundleError
-from app.files.covariance_file import pack_symmetric
-from app.files.machine_file import machine_from_json
-from app.files.model_file import model_to_json
-from app.files.result_file import result_from_json
-from app.files.verdict import Reason, Verdict
-from app.kinematics.effects.base import Role
-from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.estimated_model import EstimatedModel
-from app.results.error_tables import build_error_tables
-from app.results.findings import state_findings
-from app.results.prediction import predict
-from app.results.result_json import result_json
+from truepath.app.errors import BundleError
+from truepath.app.files.covariance_file import pack_symmetric
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.model_file import model_to_json
+from truepath.app.files.result_file import result_from_json
+from truepath.app.files.verdict import Reason, Verdict
+from truepath.app.kinematics.effects.base import Role
+from truepath.app.kinematics.effects.nuisance import TrackerPose
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.results.error_tables import build_error_tables
+from truepath.app.results.findings import state_findings
+from truepath.app.results.prediction import predict
+from truepath.app.results.result_json import result_json
 
 # Of result/1, beside the schema.
 KEYS = (

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.alignment.align import align
-from app.files.bundle import read_bundle
-from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.analysis_files import render_analysis
-from app.reporting.measurement_sections import describe_trials
-from app.reporting.templating import render_part
-from app.results.analysis import analyse
-from app.results.error_tables import build_error_tables
-from app.results.trial_results import MAP, run_trials, trials_json
 from tests.estimation.estimating import estimate
+from truepath.app.alignment.align import align
+from truepath.app.files.bundle import read_bundle
+from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.app.reporting.analysis_files import render_analysis
+from truepath.app.reporting.measurement_sections import describe_trials
+from truepath.app.reporting.templating import render_part
+from truepath.app.results.analysis import analyse
+from truepath.app.results.error_tables import build_error_tables
+from truepath.app.results.trial_results import MAP, run_trials, trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
 

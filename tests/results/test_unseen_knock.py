@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.results.analysis import analyse
-from simulators import synthetic
-from simulators.machine_file import parse_machine
-from simulators.scenario import load_machine
-from simulators.turning_paths import turning_points
+from truepath.app.results.analysis import analyse
+from truepath.simulators import synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.turning_paths import turning_points
 
 _POINTS = 96
 KNOCK_MM = np.array([0.012, -0.008, 0.014])

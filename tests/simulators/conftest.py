@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulators.machine_file import MachineFile, parse_machine
-from simulators.scenario import load_machine
+from truepath.simulators.machine_file import MachineFile, parse_machine
+from truepath.simulators.scenario import load_machine
 
 
 @pytest.fixture
@@ -24,3 +24,16 @@ def demo() -> dict[str, Any]:
 @pytest.fixture
 def machine(demo: dict[str, Any]) -> MachineFile:
     return parse_machine(demo)
+
+
+@pytest.fixture(scope="module")
+def two_target_content() -> dict[str, Any]:
+    """Return the demonstration machine with two targets, 150 mm apart."""
+    content = load_machine("demo")
+    offset_mm = content.pop("tool_offset_mm")
+    beside_mm = [offset_mm[0] + 150.0, *offset_mm[1:]]
+    content["targets"] = {
+        "T1": {"on": "tool", "offset_mm": offset_mm},
+        "T2": {"on": "tool", "offset_mm": beside_mm},
+    }
+    return content

@@ -18,16 +18,25 @@ import numpy as np
 import psutil
 import pytest
 
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.errors import ConnectionLost, DeviceError, Refused, WrongDevice
-from drivers.interfaces.records import MotionState, MotionStatus, TrackerSamples
-from drivers.interfaces.records import Path as MotionPath
-from drivers.tracker.streaming.driver import StreamingTracker
-from simulators import tracker_head
-from simulators.bench import Bench
-from simulators.errors import SimulatorError
-from simulators.hidden.backlash import Backlash
-from simulators.machine_file import parse_machine
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    Refused,
+    WrongDevice,
+)
+from truepath.drivers.interfaces.records import (
+    MotionState,
+    MotionStatus,
+    TrackerSamples,
+)
+from truepath.drivers.interfaces.records import Path as MotionPath
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.simulators import tracker_head
+from truepath.simulators.bench import Bench
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.machine_file import parse_machine
 
 LINE = MotionPath(
     ("X", "Y", "Z"),
@@ -39,9 +48,9 @@ LINE = MotionPath(
 CLIENT = """
 import sys, time
 import numpy as np
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.records import Path
-from drivers.tracker.streaming.driver import StreamingTracker
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.records import Path
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
 
 motion = ModbusController(**eval(sys.argv[1]))
 motion.connect()
@@ -303,6 +312,7 @@ def test_wrong_devices_are_refused(bench: Callable[..., Bench]) -> None:
         pass
 
 
+@pytest.mark.fault_row(6)
 def test_a_pulled_cable_is_noticed_and_the_port_comes_back(
     bench: Callable[..., Bench],
 ) -> None:
@@ -353,7 +363,7 @@ def test_closing_ends_both_processes_and_removes_the_links(tmp_path: Path) -> No
 
 ORPHANS = """
 import signal, time
-from simulators.bench import Bench
+from truepath.simulators.bench import Bench
 # A shell that starts a program in the background lets it ignore SIGINT.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 bench = Bench().start()

@@ -3,15 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.cnc.modbus import registers as regmap
-from drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
-from drivers.interfaces.records import MotionState, Path
-from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
-from simulators.cnc_registers import Clocks, CncRegisters
-from simulators.machine_file import MachineFile
-from simulators.modbus_wire import ILLEGAL_VALUE, ModbusError
-from simulators.profile import Limits
-from simulators.timeline import Timeline
+from truepath.drivers.cnc.modbus import registers as regmap
+from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
+from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
+from truepath.simulators.cnc_registers import Clocks, CncRegisters
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.modbus_wire import ILLEGAL_VALUE, ModbusError
+from truepath.simulators.profile import Limits
+from truepath.simulators.timeline import Timeline
 
 LEAD_S = 0.02
 
@@ -210,6 +210,7 @@ def test_hold_and_resume_do_nothing_where_nothing_runs(
     assert master.state is MotionState.IDLE
 
 
+@pytest.mark.fault_row(23)
 def test_silence_in_motion_is_held_by_the_watchdog(moving: Master) -> None:
     moving.wait(0.9, beating=False)
     assert moving.state is MotionState.RUNNING

@@ -17,13 +17,13 @@ import numpy as np
 import psutil
 import pytest
 
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.records import MotionState
-from drivers.tracker.streaming.driver import StreamingTracker
-from simulators.command import main
-from simulators.control_socket import ControlSocket
-from simulators.errors import SimulatorError
-from simulators.rig import Rig, running_rig
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.records import MotionState
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.simulators.command import main
+from truepath.simulators.control_socket import ControlSocket
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.rig import Rig, running_rig
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_a_rig_ends_with_the_process_that_owns_it(tmp_path: Path) -> None:
 
 OWNER = """
 import json, time
-from simulators.rig import running_rig
+from truepath.simulators.rig import running_rig
 with running_rig({}) as rig:
     print(json.dumps(rig.links["pids"]), flush=True)
     time.sleep(60)

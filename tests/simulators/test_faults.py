@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulators.errors import SimulatorError
-from simulators.faults import KINDS, Fault, Schedule, parse_fault
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.faults import KINDS, Fault, Schedule, parse_fault
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from drivers.tracker.streaming.driver import StreamingTracker
-from simulators.bench import Bench
-from simulators.errors import SimulatorError
-from simulators.followed_positions import FollowedPositions, open_source
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.simulators.bench import Bench
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.followed_positions import FollowedPositions, open_source
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulators import paths, synthetic
-from simulators.bench import Bench
-from simulators.errors import SimulatorError
-from simulators.hidden.backlash import Backlash
-from simulators.hidden.drawing import (
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bench import Bench
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.drawing import (
     CATALOGUED,
     EFFECTS,
     as_json,
@@ -21,28 +21,28 @@ from simulators.hidden.drawing import (
     from_json,
     parse_hidden,
 )
-from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.hidden.elastic_sag import ElasticSag
-from simulators.hidden.lateral_backlash import LateralBacklash
-from simulators.hidden.motion import Motion, continue_from
-from simulators.hidden.reversal_spike import ReversalSpike
-from simulators.hidden.screw_cyclic import ScrewCyclic
-from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.setup_step import SetupStep
-from simulators.hidden.spindle_growth import SpindleGrowth
-from simulators.hidden.squareness import Squareness
-from simulators.hidden.table_drift import TableDrift
-from simulators.hidden.thermal_growth import ThermalGrowth
-from simulators.hidden.tracker_eccentricity import TrackerEccentricity
-from simulators.hidden.tracker_range_offset import TrackerRangeOffset
-from simulators.hidden.vibration import Vibration
-from simulators.machine_file import MachineFile, parse_machine
-from simulators.profile import Limits
-from simulators.recording import Recording
-from simulators.scenario import load_machine
-from simulators.synthetic import Setting, record
-from simulators.timeline import Program, follow
-from simulators.tracker_head import TrackerClock
+from truepath.simulators.hidden.effect import HiddenEffect, Occasion
+from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.lateral_backlash import LateralBacklash
+from truepath.simulators.hidden.motion import Motion, continue_from
+from truepath.simulators.hidden.reversal_spike import ReversalSpike
+from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.spindle_growth import SpindleGrowth
+from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
+from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from truepath.simulators.hidden.vibration import Vibration
+from truepath.simulators.machine_file import MachineFile, parse_machine
+from truepath.simulators.profile import Limits
+from truepath.simulators.recording import Recording
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting, record
+from truepath.simulators.timeline import Program, follow
+from truepath.simulators.tracker_head import TrackerClock
 
 FEED_MM_S = 100.0
 CLOCK = TrackerClock(100.0, 0.0)

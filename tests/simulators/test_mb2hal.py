@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cnc.modbus.registers import BY_NAME, Command, Result
-from simulators.bench import Bench
-from simulators.linuxcnc.rig import explain_absence
+from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, Result
+from truepath.simulators.bench import Bench
+from truepath.simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence() or ("" if shutil.which("mb2hal") else "mb2hal is absent")
 pytestmark = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from drivers.cnc.modbus.registers import BY_NAME, Command, Result
-from simulators.bench import Bench
+from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, Result
+from truepath.simulators.bench import Bench
 
 Poll = Callable[..., str]
 

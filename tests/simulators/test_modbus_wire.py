@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.modbus_wire import (
+from truepath.simulators.modbus_wire import (
     ModbusError,
     Registers,
     RtuFramer,
@@ -80,6 +80,7 @@ WRITE = rtu_frame(1, bytes.fromhex("10 0001 0002 04 000A 0102"))
 
 
 @given(st.lists(st.sampled_from([READ, WRITE]), max_size=6), st.data())
+@pytest.mark.fault_row(4)
 def test_any_split_of_a_serial_line_gives_the_same_requests(
     frames: list[bytes], data: st.DataObject
 ) -> None:

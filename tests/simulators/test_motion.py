@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulators import interruption
-from simulators.profile import Limits, brake, rest_to_rest
-from simulators.timeline import Program, Timeline, along, follow, standing
+from truepath.simulators import interruption
+from truepath.simulators.profile import Limits, brake, rest_to_rest
+from truepath.simulators.timeline import Program, Timeline, along, follow, standing
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)

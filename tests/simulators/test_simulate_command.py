@@ -15,11 +15,11 @@ import numpy as np
 import psutil
 import pytest
 
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.errors import DeviceError
-from drivers.interfaces.records import MotionState
-from drivers.tracker.streaming.driver import StreamingTracker
-from simulators.command import main
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.records import MotionState
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.simulators.command import main
 
 Command = tuple["subprocess.Popen[str]", dict[str, Any]]
 
@@ -30,7 +30,7 @@ def simulate() -> Iterator[Callable[..., Command]]:
 
     def run(*options: str) -> Command:
         process = subprocess.Popen(
-            [sys.executable, "-m", "simulators.command", "--json", *options],
+            [sys.executable, "-m", "truepath.simulators.command", "--json", *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

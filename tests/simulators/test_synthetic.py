@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.files.bundle import read_bundle
-from simulators import paths, synthetic
-from simulators.bundle_files import write_bundle_files
-from simulators.hidden.setup_step import SetupStep
-from simulators.machine_file import MachineFile
-from simulators.recording import Recording
-from simulators.synthetic import Defects, Setting, record
-from simulators.tracker_head import (
+from truepath.app.files.bundle import read_bundle
+from truepath.simulators import paths, synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.recording import Recording
+from truepath.simulators.synthetic import Defects, Setting, record
+from truepath.simulators.tracker_head import (
     Air,
     SampleNoise,
     measure_polar,

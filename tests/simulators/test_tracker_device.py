@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.interfaces.records import TrackerSamples
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.framing import encode_frame
-from drivers.tracker.streaming.measurements import StatusBit
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.framing import encode_frame
+from truepath.drivers.tracker.streaming.measurements import StatusBit
+from truepath.drivers.tracker.streaming.messages import (
     VERSION,
     Ack,
     DeviceInfo,
@@ -28,13 +28,13 @@ from drivers.tracker.streaming.messages import (
     StreamInfo,
     encode_message,
 )
-from simulators.faults import Schedule, parse_fault
-from simulators.machine_file import MachineFile
-from simulators.profile import Limits
-from simulators.random_machine import random_machine
-from simulators.timeline import Program, Timeline, follow, standing
-from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
-from simulators.tracker_head import Air, TrackerClock, random_pose
+from truepath.simulators.faults import Schedule, parse_fault
+from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.profile import Limits
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.timeline import Program, Timeline, follow, standing
+from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
+from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
 
 CLOCK = TrackerClock(100.0, 1e-5)
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulators.errors import SimulatorError
-from simulators.joint import rotation_matrices
-from simulators.linear_joint import LinearJoint
-from simulators.machine_file import MachineFile, Reflector, parse_machine
-from simulators.random_machine import random_machine
-from simulators.scenario import list_machines, load_machine
-from simulators.truth_machine import TruthMachine, perfect
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.joint import rotation_matrices
+from truepath.simulators.linear_joint import LinearJoint
+from truepath.simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import list_machines, load_machine
+from truepath.simulators.truth_machine import TruthMachine, perfect
 
 CHAINS = [
     "-".join(["w", *order[:k], "b", *order[k:], "t"])

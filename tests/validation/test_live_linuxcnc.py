@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simulators.linuxcnc.rig import explain_absence
+from truepath.simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence()
 pytestmark = [
@@ -29,7 +29,7 @@ def live(monkeypatch):
 
 @pytest.mark.parametrize(
     ("case", "lines", "factor"),
-    [("THREE_AXES", 24, 15.0), ("FIVE_AXES", 48, 15.0)],
+    [("THREE_AXES", 24, 15.0), ("OVER_MODBUS", 24, 15.0), ("FIVE_AXES", 48, 15.0)],
 )
 def test_linuxcnc_drives_and_the_error_is_found(live, tmp_path, case, lines, factor):
     shorter = replace(getattr(live, case), lines=lines)

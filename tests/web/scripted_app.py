@@ -10,8 +10,8 @@ from fastapi.responses import JSONResponse, Response, StreamingResponse
 from scripted_data import MACHINE, MOTION, TRACKER, TRACKER_NOISE
 from scripted_service import ScriptedService
 
-from app.api.security import Guard
-from app.web.pages import STATIC_PATH, router, static_files
+from truepath.app.api.security import Guard
+from truepath.app.web.pages import STATIC_PATH, router, static_files
 
 API = "/api/v1"
 

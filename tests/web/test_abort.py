@@ -52,6 +52,7 @@ def test_abort_acts_on_touch_down(panel, service):
     page.mouse.up()
 
 
+@pytest.mark.fault_row(32)
 def test_abort_works_without_the_event_stream(panel, service, witness):
     witness.expect(*NO_STREAM)
     job = running(service)

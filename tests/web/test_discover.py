@@ -8,9 +8,9 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
-from app.files.verdict import Reason, Verdict, verdict_json
-from app.kinematics.effects.catalogue import list_families
-from app.web.pages import catalogue
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
+from truepath.app.kinematics.effects.catalogue import list_families
+from truepath.app.web.pages import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")
 NEXT = "#next button"
@@ -37,7 +37,8 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
     expect(finding).to_contain_text("width 6.39 ± 0.15 µm")
     expect(finding).to_contain_text("Play or wind-up in screw")
     expect(finding).to_contain_text("Enter the width as backlash compensation.")
-    expect(finding).to_contain_text("closes 93 % of the gap; log Bayes factor 512")
+    expect(finding).to_contain_text("closes 93 % of the gap above the noise")
+    expect(finding).to_contain_text("log Bayes factor 512")
     expect(finding).to_contain_text("Servo mismatch Y")
     step = page.locator("[data-effect=setup-step]")
     expect(step).to_contain_text("moment 40.020 ± 0.060 s")

@@ -39,7 +39,7 @@ def test_both_directions_of_approach_are_drawn_and_listed(panel, service):
     }
     job = done(service)
     page = panel.open(f"#/result/{job}")
-    expect(page.locator(".key .is-up")).to_have_text("Approaching upwards")
+    expect(page.locator(".key .is-up")).to_have_text("+ direction")
     page.locator("[data-symbol=EXX]").get_by_role("button").click()
     sheet = page.locator("#detail")
     expect(sheet.locator("thead th")).to_have_count(5)

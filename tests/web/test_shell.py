@@ -12,9 +12,9 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from app.api.security import Guard
-from app.kinematics.effects.catalogue import list_families
-from app.web.pages import (
+from truepath.app.api.security import Guard
+from truepath.app.kinematics.effects.catalogue import list_families
+from truepath.app.web.pages import (
     LANGUAGE_COOKIE,
     LANGUAGES,
     STATIC_PATH,

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import result
 
-from app.api.models.trend import TrendOut
+from truepath.app.api.models.trend import TrendOut
 
 NEXT = "#next button"
 HOURS = (0.0, 0.5, 2.0)

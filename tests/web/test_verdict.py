@@ -7,8 +7,8 @@ from string import Formatter
 import pytest
 from playwright.sync_api import expect
 
-from app.files.verdict import SENTENCES, TITLES, Reason, Verdict, verdict_json
-from app.web.pages import LANGUAGES, catalogue
+from truepath.app.files.verdict import SENTENCES, TITLES, Reason, Verdict, verdict_json
+from truepath.app.web.pages import LANGUAGES, catalogue
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 

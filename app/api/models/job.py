@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from app.api.models.base import JOB_ID, Links, Problem
-from app.files.verdict import State as VerdictState
-from app.jobs.live_notice import OnNotice
-from app.jobs.transitions import State
+from truepath.app.api.models.base import JOB_ID, Links, Problem
+from truepath.app.files.verdict import State as VerdictState
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.transitions import State
 
 
 class JobProgress(BaseModel):

@@ -6,7 +6,7 @@ from typing import Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from app.api.models.base import (
+from truepath.app.api.models.base import (
     JOB_ID,
     OTHER_ID,
     Degrees,
@@ -17,12 +17,12 @@ from app.api.models.base import (
     RequestBody,
     TargetUm,
 )
-from app.api.models.plan import PlanRequest, Point, Waypoint
-from app.jobs.job import JobKind
-from app.jobs.live_notice import OnNotice
-from app.jobs.requested_job import RequestedJob
-from app.motion.commanded_rows import MAX_ROWS
-from app.numerics.adaptive_trials import TrialPlan
+from truepath.app.api.models.plan import PlanRequest, Point, Waypoint
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.motion.commanded_rows import MAX_ROWS
+from truepath.app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from app.api.models.base import (
+from truepath.app.api.models.base import (
     JOB_ID,
     Deg,
     Dwell,
@@ -18,8 +18,8 @@ from app.api.models.base import (
     RequestBody,
     TargetUm,
 )
-from app.api.models.workspace import WorkspaceIn
-from app.motion.commanded_rows import MAX_ROWS
+from truepath.app.api.models.workspace import WorkspaceIn
+from truepath.app.motion.commanded_rows import MAX_ROWS
 
 MOST_MINUTES = 60.0
 MOST_STATIONS = 3

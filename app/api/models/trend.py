@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from app.files.verdict import State as VerdictState
+from truepath.app.files.verdict import State as VerdictState
 
 TableColumn = list[float]
 

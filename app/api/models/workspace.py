@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.api.models.base import Mm, RequestBody
-from app.errors import BundleError
-from app.files.workspace_file import workspace_from_json
+from truepath.app.api.models.base import Mm, RequestBody
+from truepath.app.errors import BundleError
+from truepath.app.files.workspace_file import workspace_from_json
 
 _MOST_BOXES = 100
 _Place = Annotated[list[Mm], Field(min_length=3, max_length=3)]

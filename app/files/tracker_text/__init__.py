@@ -8,5 +8,6 @@ settles it. Order of work:
     columns     names in several languages to what a column holds, and its unit
     numbers     cells to numbers: decimal comma, thousands, no value
     clock       cells to seconds: numbers, time of day, date and time
+    oddities    gaps and positions that stay, in words
     recording   all of it: samples, points, temperatures, and what was recognised
 """

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import BundleError
-from app.files.tracker_text.options import DELIMITERS
+from truepath.app.errors import BundleError
+from truepath.app.files.tracker_text.options import DELIMITERS
 
 _NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eE][+-]?\d+)?$")
 _NONE = re.compile(r"^([+-]?(nan|inf|1\.#\w+)(\(\w+\))?|n/?a|#n/?a|null|none|-+|\*+)?$")

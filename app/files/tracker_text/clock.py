@@ -9,17 +9,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import BundleError
-from app.files.tracker_text.cells import Cells
-from app.files.tracker_text.columns import Column
-from app.files.tracker_text.numbers import find_decimal, read_numbers
-from app.files.tracker_text.options import TextOptions
+from truepath.app.errors import BundleError
+from truepath.app.files.tracker_text.cells import Cells
+from truepath.app.files.tracker_text.columns import Column
+from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
+from truepath.app.files.tracker_text.options import TextOptions
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _DAY_S = 86400.0
 _OF_DAY = re.compile(
     r"(\d{1,2}):(\d\d):(\d\d(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
-    r"\s*(?:Z|UTC|[+-]\d\d:?\d\d)?$",
+    r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
     re.IGNORECASE,
 )
 _DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
@@ -63,16 +63,19 @@ def _read_counted(
 
 def _read_of_day(cells: Cells, time: Column, row: int) -> float:
     found = _OF_DAY.search(cells.rows[row][time.index])
-    if found is None:
+    if found is None or int(found[2]) > 59 or int(found[3][:2]) > 60:
         shown = f"is {cells.rows[row][time.index][:40]!r}, no time"
         remedy = "a time is HH:MM:SS.fff, with or without a date before it"
         raise cells.error(shown, row, time.index, remedy)
-    hour, minute, second, half = found.groups()
+    hour, minute, second, half, sign, zone_hours, zone_minutes = found.groups()
     hours = int(hour)
     if half:
         hours = hours % 12 + 12 * (half[0].lower() == "p")
     second = re.sub("[,:]", ".", second)
-    return 3600.0 * hours + 60.0 * int(minute) + float(second)
+    ahead_s = 0.0  # of UTC; summer time may begin within a recording
+    if sign:
+        ahead_s = float(f"{sign}1") * 60.0 * (60 * int(zone_hours) + int(zone_minutes))
+    return 3600.0 * hours + 60.0 * int(minute) + float(second) - ahead_s
 
 
 def _unwrap_midnight(

@@ -7,8 +7,8 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.errors import BundleError
-from app.files.tracker_text.cells import Cells
+from truepath.app.errors import BundleError
+from truepath.app.files.tracker_text.cells import Cells
 
 
 def _list_words(text: str) -> set[str]:

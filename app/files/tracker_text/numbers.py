@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import BundleError
-from app.files.tracker_text.cells import Cells, is_none
+from truepath.app.errors import BundleError
+from truepath.app.files.tracker_text.cells import Cells, is_none
 
 _THREES = re.compile(r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
 

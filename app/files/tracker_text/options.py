@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from app.errors import BadInput
+from truepath.app.errors import BadInput
 
 DELIMITERS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
 ROLES = ("x", "y", "z", "time", "date", "status", "point")

@@ -8,20 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.errors import BadInput, BundleError
-from app.files.run import PointRows
-from app.files.tracker_text.cells import Cells, read_cells
-from app.files.tracker_text.clock import read_clock
-from app.files.tracker_text.columns import (
+from truepath.app.errors import BadInput, BundleError
+from truepath.app.files.run import PointRows
+from truepath.app.files.tracker_text.cells import Cells, read_cells
+from truepath.app.files.tracker_text.clock import read_clock
+from truepath.app.files.tracker_text.columns import (
     LENGTH_MM,
     Column,
     recognise_columns,
     state_unit,
 )
-from app.files.tracker_text.numbers import find_decimal, read_numbers
-from app.files.tracker_text.options import TextOptions
-from app.motion.configurations import Commanded, Configurations
-from drivers.interfaces.records import TemperatureSamples, TrackerSamples
+from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
+from truepath.app.files.tracker_text.oddities import note_oddities
+from truepath.app.files.tracker_text.options import TextOptions
+from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.drivers.interfaces.records import TemperatureSamples, TrackerSamples
 
 NOT_VALID, NO_POSITION = 1, 2  # status of samples that are not to be used
 _GOOD = frozenset(("ok", "good", "valid", "true", "yes", "locked", "gut", "gültig"))
@@ -81,7 +82,11 @@ def read_recording(
         tuple(columns),
         cells.rows[0],
         facts,
-        (*cells.notes, *repeats),
+        (
+            *cells.notes,
+            *repeats,
+            *(note_oddities(cells, samples) if rows is None else ()),
+        ),
     )
 
 

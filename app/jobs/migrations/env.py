@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alembic import context
 
-from app.jobs.schema import metadata
+from truepath.app.jobs.schema import metadata
 
 context.configure(
     connection=context.config.attributes["connection"],

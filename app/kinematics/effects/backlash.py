@@ -15,15 +15,15 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import (
     Effect,
     ErrorCurve,
     QuadraticPrior,
     Role,
     columns_along,
 )
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -32,14 +32,14 @@ from app.kinematics.effects.catalogue import (
     Scan,
     read_words,
 )
-from app.kinematics.effects.error_motion import (
+from truepath.app.kinematics.effects.error_motion import (
     find_arm,
     find_usual_size,
 )
-from app.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
-from app.kinematics.machine import Axis, LinearAxis, Machine
-from app.kinematics.splines import CubicSpline, natural_spline
-from app.kinematics.symbols import is_positioning, is_turn, list_error_motions
+from truepath.app.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
+from truepath.app.kinematics.machine import Axis, LinearAxis, Machine
+from truepath.app.kinematics.splines import CubicSpline, natural_spline
+from truepath.app.kinematics.symbols import is_positioning, is_turn, list_error_motions
 
 _SHARE = 0.3  # usual size of h, in usual errors
 _INTERVALS = 5  # h changes slowly along an axis

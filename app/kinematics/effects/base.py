@@ -11,11 +11,11 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
-from app.kinematics.splines import CubicSpline
-from app.kinematics.symbols import DIRECTION, is_turn
-from app.numerics.value_equality import ValueEquality
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.machine import Axis, LinearAxis, RotaryAxis
+from truepath.app.kinematics.splines import CubicSpline
+from truepath.app.kinematics.symbols import DIRECTION, is_turn
+from truepath.app.numerics.value_equality import ValueEquality
 
 
 class Role(Enum):

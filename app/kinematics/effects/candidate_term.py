@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, EffectOfRun, name_in_run
-from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, EffectOfRun, name_in_run
+from truepath.app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave
 
 
 @dataclass(frozen=True)

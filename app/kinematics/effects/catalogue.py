@@ -18,12 +18,12 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.keys import Key
-from app.kinematics.machine import Axis, Machine
-from app.numerics.value_equality import ValueEquality
-from app.plugins import find_plugins, load
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.effects.keys import Key
+from truepath.app.kinematics.machine import Axis, Machine
+from truepath.app.numerics.value_equality import ValueEquality
+from truepath.app.plugins import find_plugins, load
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 LANGUAGES = ("en", "de")

@@ -3,7 +3,7 @@
 A check takes a family and conditions in which it proposes something; it returns
 nothing, or raises NotConforming, which says what was not kept. With pytest:
 
-    from app.kinematics.effects.conformance import CHECKS, example_conditions
+    from truepath.app.kinematics.effects.conformance import CHECKS, example_conditions
 
     @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
     def test_my_effect_conforms(check):
@@ -18,15 +18,19 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from app.kinematics.conditions import Conditions, RecordedState, make_standstill
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import (
+    Conditions,
+    RecordedState,
+    make_standstill,
+)
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.effects.catalogue import (
     LANGUAGES,
     Candidate,
     CandidateEstimate,
     Family,
 )
-from app.kinematics.machine import (
+from truepath.app.kinematics.machine import (
     Axis,
     LinearAxis,
     Machine,

@@ -20,9 +20,9 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -30,11 +30,14 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
-from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
-from app.kinematics.machine import Axis, LinearAxis
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
+from truepath.app.kinematics.effects.sinusoid import (
+    find_amplitude_and_phase,
+    sine_and_cosine,
+)
+from truepath.app.kinematics.machine import Axis, LinearAxis
+from truepath.app.kinematics.symbols import LINEAR
 
 _UNDER = replace(AXIS, phrase="under {}")
 

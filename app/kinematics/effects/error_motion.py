@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import (
     ErrorCurve,
     QuadraticPrior,
     columns_along,
 )
-from app.kinematics.machine import Axis, RotaryAxis, find_local_directions
-from app.kinematics.splines import CubicSpline, cyclic_spline, natural_spline
-from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
+from truepath.app.kinematics.machine import Axis, RotaryAxis, find_local_directions
+from truepath.app.kinematics.splines import CubicSpline, cyclic_spline, natural_spline
+from truepath.app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 

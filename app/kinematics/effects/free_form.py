@@ -15,9 +15,9 @@ from itertools import permutations, product
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -25,11 +25,11 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION, MOTION
-from app.kinematics.effects.polynomials import expand_share, multiply_shares
-from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS, DIRECTION, MOTION
+from truepath.app.kinematics.effects.polynomials import expand_share, multiply_shares
+from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 
 _HALF_WAVES = 8
 _SIDE_DEGREES = 5

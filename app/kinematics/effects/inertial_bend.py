@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.machine import LinearAxis
-from app.kinematics.symbols import is_turn, list_error_motions
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.symbols import is_turn, list_error_motions
 
 _UNIT_MM_S2 = 1000.0
 # At 1 m/s²: more than carriages do, so that data alone say how much it is.

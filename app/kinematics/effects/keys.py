@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.kinematics.machine import Machine
-from app.kinematics.symbols import (
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import (
     LINEAR,
     SQUARENESS,
     describe_symbol,

@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.catalogue import Candidate, Family, read_words
-from app.kinematics.effects.error_motion import reference_position_mm
-from app.kinematics.effects.keys import SYMBOL
-from app.kinematics.machine import RotaryAxis, find_local_directions
-from app.kinematics.symbols import DIRECTION, TURNS, list_locations
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Parameter
+from truepath.app.kinematics.effects.catalogue import Candidate, Family, read_words
+from truepath.app.kinematics.effects.error_motion import reference_position_mm
+from truepath.app.kinematics.effects.keys import SYMBOL
+from truepath.app.kinematics.machine import RotaryAxis, find_local_directions
+from truepath.app.kinematics.symbols import DIRECTION, TURNS, list_locations
 
 _USUAL_RAD = 2e-5
 # The axis out of square, which way it leans, the sign of a right-handed turn.

@@ -13,18 +13,18 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.effects.base import Role
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions, RecordedState
+from truepath.app.kinematics.effects.base import Role
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
     Quantity,
     read_words,
 )
-from app.kinematics.effects.keys import choose_from
-from app.kinematics.effects.polynomials import multiply_shares
-from app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily
+from truepath.app.kinematics.effects.keys import choose_from
+from truepath.app.kinematics.effects.polynomials import multiply_shares
+from truepath.app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily
 
 _PAIRS = [(i, j) for i, j in product(range(5), repeat=2) if 0 < i + j < 5]
 _MEAN_SQUARE = 0.15  # of a shape over the directions

@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import (
     Effect,
     Parameter,
     QuadraticPrior,
     Role,
     name_in_run,
 )
-from app.kinematics.machine import SAME_TARGET_MM, Target
-from app.numerics.rigid import RigidTransform, cross_matrix
+from truepath.app.kinematics.machine import SAME_TARGET_MM, Target
+from truepath.app.numerics.rigid import RigidTransform, cross_matrix
 
 
 @dataclass(frozen=True)

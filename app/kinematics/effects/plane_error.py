@@ -14,9 +14,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -24,11 +24,11 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import DIRECTION, PLANE
-from app.kinematics.effects.polynomials import multiply_shares
-from app.kinematics.machine import LinearAxis
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import DIRECTION, PLANE
+from truepath.app.kinematics.effects.polynomials import multiply_shares
+from truepath.app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.symbols import LINEAR
 
 _DEGREE = 3
 _PAIRS = [(i, j) for i in range(1, _DEGREE + 1) for j in range(1, _DEGREE + 1)]

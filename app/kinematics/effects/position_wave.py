@@ -9,22 +9,22 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Role
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Role
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     Wave,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
-from app.kinematics.effects.sinusoid import (
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
+from truepath.app.kinematics.effects.sinusoid import (
     Sinusoid,
     SinusoidFamily,
 )
-from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.machine import Axis, LinearAxis, RotaryAxis
+from truepath.app.kinematics.symbols import LINEAR
 
 _SECOND = 0.2  # usual share of the second harmonic
 _USUAL_RAD = 2e-5

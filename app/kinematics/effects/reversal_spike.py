@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     Family,
     Scan,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION
-from app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS, DIRECTION
+from truepath.app.kinematics.machine import LinearAxis
 
 _DECAYS_MM = np.geomspace(3.0, 60.0, 10)
 

@@ -12,19 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
     Family,
     Quantity,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm, reference_position_mm
-from app.kinematics.effects.keys import ROTARY_AXIS
-from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
-from app.kinematics.machine import RotaryAxis
+from truepath.app.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.app.kinematics.effects.keys import ROTARY_AXIS
+from truepath.app.kinematics.effects.sinusoid import (
+    find_amplitude_and_phase,
+    sine_and_cosine,
+)
+from truepath.app.kinematics.machine import RotaryAxis
 
 _USUAL_RAD = 2e-5
 _LEAST_TURN_DEG = 180.0  # of less, a wave a turn is any bend

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import Candidate, Family, read_words
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS
-from app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, columns_along
+from truepath.app.kinematics.effects.catalogue import Candidate, Family, read_words
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS
+from truepath.app.kinematics.machine import LinearAxis
 
 _USUAL_S = 1e-4
 

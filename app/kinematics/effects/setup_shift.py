@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,

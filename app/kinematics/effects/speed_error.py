@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -18,9 +18,9 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION
-from app.kinematics.machine import LinearAxis
+from truepath.app.kinematics.effects.error_motion import find_arm
+from truepath.app.kinematics.effects.keys import AXIS, DIRECTION
+from truepath.app.kinematics.machine import LinearAxis
 
 _LEAST_SPREAD = 0.1  # of the highest speed: less tells nothing of speed
 

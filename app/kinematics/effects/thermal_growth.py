@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
     Family,
@@ -18,9 +18,9 @@ from app.kinematics.effects.catalogue import (
     Scan,
     read_words,
 )
-from app.kinematics.effects.error_motion import find_arm, reference_position_mm
-from app.kinematics.effects.keys import AXIS
-from app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.app.kinematics.effects.keys import AXIS
+from truepath.app.kinematics.machine import LinearAxis, Machine
 
 _USUAL_PER_K = 1e-5  # steel: 11 µm/m/K; glass scales: 8; a scale that follows it: 0
 _USUAL_GROWTH = 2e-5

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect, Role, columns_along
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -19,9 +19,13 @@ from app.kinematics.effects.catalogue import (
     Wave,
     read_words,
 )
-from app.kinematics.effects.keys import DIRECTION
-from app.kinematics.effects.sinusoid import Sinusoid, SinusoidFamily, sine_and_cosine
-from app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.effects.keys import DIRECTION
+from truepath.app.kinematics.effects.sinusoid import (
+    Sinusoid,
+    SinusoidFamily,
+    sine_and_cosine,
+)
+from truepath.app.kinematics.symbols import LINEAR
 
 _LIMIT_HZ = 1.0  # between both
 _FASTEST = 0.45  # of the tracker's rate

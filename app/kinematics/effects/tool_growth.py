@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -19,7 +19,7 @@ from app.kinematics.effects.catalogue import (
     Scan,
     read_words,
 )
-from app.kinematics.effects.thermal_growth import list_time_constants
+from truepath.app.kinematics.effects.thermal_growth import list_time_constants
 
 _ALONG = 2  # the tool's own Z is the spindle (ISO 841)
 

@@ -9,15 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions, RecordedState
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
     Quantity,
     read_words,
 )
-from app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily, raise_beam
+from truepath.app.kinematics.effects.tracker_beam import (
+    BeamEffect,
+    BeamFamily,
+    raise_beam,
+)
 
 AIR = "air"  # name of the sensor
 _USUAL_PER_K = 1e-6  # refractive index of air

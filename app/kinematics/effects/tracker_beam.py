@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import Candidate, Family
+from truepath.app.kinematics.conditions import Conditions, RecordedState
+from truepath.app.kinematics.effects.base import Effect, Role, columns_along
+from truepath.app.kinematics.effects.catalogue import Candidate, Family
 
 
 class BeamEffect(Effect):

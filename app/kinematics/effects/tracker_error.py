@@ -11,19 +11,26 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import (
+from truepath.app.kinematics.conditions import Conditions, RecordedState
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
     Quantity,
     read_words,
 )
-from app.kinematics.effects.keys import choose_from
-from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
-from app.kinematics.effects.tracker_air import BeamBending
-from app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily, raise_beam
+from truepath.app.kinematics.effects.keys import choose_from
+from truepath.app.kinematics.effects.sinusoid import (
+    find_amplitude_and_phase,
+    sine_and_cosine,
+)
+from truepath.app.kinematics.effects.tracker_air import BeamBending
+from truepath.app.kinematics.effects.tracker_beam import (
+    BeamEffect,
+    BeamFamily,
+    raise_beam,
+)
 
 _USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from truepath.app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
 _CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
 _START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"

@@ -17,9 +17,12 @@ import re
 from collections.abc import Mapping
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
-from app.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion, line_error
+from truepath.app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.app.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
+from truepath.app.motion.nc_programs.programmed_motion import (
+    ProgrammedMotion,
+    line_error,
+)
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")
 _FORMS = BlockForms(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from app.motion.nc_programs.programmed_motion import (
+from truepath.app.motion.nc_programs.programmed_motion import (
     AXES,
     ProgrammedMotion,
     SimulatedControl,

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import re
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
-from app.motion.nc_programs.programmed_motion import (
+from truepath.app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.app.motion.nc_programs.programmed_motion import (
     AXES,
     ProgrammedMotion,
     SimulatedControl,

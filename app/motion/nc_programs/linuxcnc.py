@@ -1,14 +1,14 @@
-"""LinuxCNC (RS-274/NGC); how it drives is said in `drivers.interfaces.rs274`."""
+"""LinuxCNC (RS-274/NGC); `drivers.interfaces.rs274` says how it drives."""
 
 from __future__ import annotations
 
 import re
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
-from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from drivers.interfaces import rs274
+from truepath.app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
+from truepath.app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from truepath.drivers.interfaces import rs274
 
 _FORMS = BlockForms(
     motion=rs274.MOTION,

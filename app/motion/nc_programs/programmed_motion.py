@@ -11,8 +11,8 @@ from hashlib import sha256
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.errors import PlanningError
-from drivers.interfaces.records import Path
+from truepath.app.errors import PlanningError
+from truepath.drivers.interfaces.records import Path
 
 AXES = "XYZABC"
 _LINEAR = "XYZ"

@@ -9,18 +9,21 @@ from textwrap import wrap
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import OutOfTravel, PlanningError
-from app.kinematics.machine import Machine, position_unit
-from app.motion.configurations import Configurations
-from app.motion.motion_times import (
+from truepath.app.errors import OutOfTravel, PlanningError
+from truepath.app.kinematics.machine import Machine, position_unit
+from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.motion_times import (
     DEFAULT_FEED_MM_MIN,
     travel_time_s,
 )
-from app.motion.nc_programs.dialect import Dialect, ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion, compute_checksum
-from app.motion.travel import check_travel
-from app.plugins import find_plugins, load
-from drivers.interfaces.records import Path
+from truepath.app.motion.nc_programs.dialect import Dialect, ProgramContent, ProgramRow
+from truepath.app.motion.nc_programs.programmed_motion import (
+    ProgrammedMotion,
+    compute_checksum,
+)
+from truepath.app.motion.travel import check_travel
+from truepath.app.plugins import find_plugins, load
+from truepath.drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
 _COLUMNS = 60  # of a header line; every control's screen shows as many

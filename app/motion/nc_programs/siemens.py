@@ -13,14 +13,17 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import (
+from truepath.app.motion.nc_programs.dialect import (
     BlockForms,
     Dialect,
     ProgramContent,
     ProgramRow,
 )
-from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion, line_error
+from truepath.app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
+from truepath.app.motion.nc_programs.programmed_motion import (
+    ProgrammedMotion,
+    line_error,
+)
 
 _SAFE_START = ("G17 G40 G90 G94", "G710", "G500 D0", "TRAFOOF", "TRANS", "G60 G601")
 _FORMS = BlockForms(

@@ -5,46 +5,47 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
-from drivers.cnc.linuxcnc.machine import LinuxCncAxes
-from drivers.cnc.linuxcnc.memory import MotionMemory
-from drivers.cnc.linuxcnc.program import (
-    Program,
+from truepath.drivers.cnc.linuxcnc.machine import LinuxCncAxes
+from truepath.drivers.cnc.linuxcnc.motion import LinuxCncMotion
+from truepath.drivers.cnc.linuxcnc.program import (
     store_program,
     write_move,
     write_program,
 )
-from drivers.cnc.linuxcnc.rsh import RshLink
-from drivers.cnc.linuxcnc.session import LinuxCncSession
-from drivers.cnc.linuxcnc.watchdog import WatchdogLink
-from drivers.cnc.priority_lock import PriorityLock
-from drivers.cnc.travel import (
+from truepath.drivers.cnc.linuxcnc.rsh import RshLink
+from truepath.drivers.cnc.linuxcnc.session import LinuxCncSession
+from truepath.drivers.cnc.linuxcnc.watchdog import WatchdogLink
+from truepath.drivers.cnc.priority_lock import PriorityLock
+from truepath.drivers.cnc.travel import (
     arrange_path,
     check_dwells,
     check_feeds,
     check_positions,
 )
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     MotionFault,
     Refused,
 )
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus, Path
-from drivers.transport.tcp_port import TcpPort
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
+from truepath.drivers.transport.tcp_port import TcpPort
 
 log = logging.getLogger(__name__)
 
 _LEAST_FEED, _MOST_FEED = 0.01, 1e6
 _LONGEST_DWELL_S = 1e6
-_BEGIN_S = 0.3  # in which a motion shows, or is refused
-_BEGIN_LOOK_S = 0.01
 
 
 class LinuxCncController(MotionController):
@@ -98,8 +99,7 @@ class LinuxCncController(MotionController):
         self._at_connect = (reset_at_connect, home_at_connect)
         self._home_timeout_s, self._poll_s = home_timeout_s, poll_s
         self._lock = PriorityLock()
-        self._motion = MotionMemory()
-        self._aborts = 0
+        self._motion = LinuxCncMotion(self._session, self._lock)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ class LinuxCncController(MotionController):
     def status(self) -> MotionStatus:
         """Read state, position, line and override."""
         with self._lock.hold():
-            return self._look()
+            return self._motion.look()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move, by MDI; returns when it is under way."""
@@ -141,12 +141,12 @@ class LinuxCncController(MotionController):
         check_positions(machine.axes, machine.travel, where)
         check_feeds(np.array([feed_mm_min]), _LEAST_FEED, _MOST_FEED)
         move = write_move(machine.axes, where[0], feed_mm_min)
-        aborts = self._aborts
+        aborts = self._motion.aborts
         with self._lock.hold():
-            self._prepare("mdi")
+            self._motion.prepare("mdi")
             self._session.drive_by_blocks(self._prologue)
             self._session.require_joint_coordinates()
-        self._begin(f"mdi {move.text}", move, aborts)
+        self._motion.begin(f"mdi {move.text}", move, aborts)
 
     def load(self, path: Path) -> None:
         """Write a path as a program, open it, and see that it is open."""
@@ -157,29 +157,29 @@ class LinuxCncController(MotionController):
         check_positions(machine.axes, machine.travel, path.position)
         check_feeds(path.feed_mm_min, _LEAST_FEED, _MOST_FEED)
         check_dwells(path.dwell_s, _LONGEST_DWELL_S)
-        program, aborts = write_program(path, self._prologue), self._aborts
+        program, aborts = write_program(path, self._prologue), self._motion.aborts
         store_program(program, self._folder)
         with self._lock.hold():
-            self._prepare("auto")
+            self._motion.prepare("auto")
             self._session.open_program(self._remote_folder / program.name)
-            if self._aborts != aborts:
+            if self._motion.aborts != aborts:
                 raise Refused("aborted while the path was being loaded")
-            self._motion = MotionMemory(loaded=program, ended=MotionState.READY)
+            self._motion.take(program)
 
     def start(self) -> None:
         """Run the loaded path from its first row."""
         self._require_machine()
-        program, aborts = self._motion.loaded, self._aborts
+        program, aborts = self._motion.loaded, self._motion.aborts
         if program is None:
             raise Refused("no path is loaded; load one")
         file = self._remote_folder / program.name
         with self._lock.hold():
-            self._prepare("auto")
+            self._motion.prepare("auto")
             if not self._session.holds_program(file):
                 self._session.open_program(file)  # somebody has opened another one
             if not self._prologue:
                 self._session.require_joint_coordinates()
-        self._begin("run", program, aborts)
+        self._motion.begin("run", program, aborts)
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, beating meanwhile."""
@@ -187,7 +187,7 @@ class LinuxCncController(MotionController):
         while True:
             self.send_heartbeat()
             status = self.status()
-            self._require_able(status)
+            self._motion.require_able(status)
             if status.state is not MotionState.RUNNING:
                 return status
             left_s = deadline_s - time.monotonic()
@@ -203,30 +203,21 @@ class LinuxCncController(MotionController):
         if self._session.machine is None:
             return
         with self._lock.hold(urgent=True):
-            if self._session.is_running():
-                self._motion.is_held_by_us = True
-                self._session.insist("pause")
+            self._motion.hold()
 
     def resume(self) -> None:
         """Go on after a hold, of ours, of the operator or of the watchdog."""
         self._require_machine()
         with self._lock.hold():
-            if self._look().state is not MotionState.HELD:
-                return
-            self._session.arm()
-            self._motion.is_held_by_us = False
-            if not self._session.is_running():  # after the watchdog alone it does
-                self._session.demand("resume")
+            self._motion.resume()
 
     def abort(self) -> None:
         """Stop and forget the path."""
-        self._aborts += 1
+        self._motion.aborts += 1
         if self._session.machine is None:
             return
         with self._lock.hold(urgent=True):
-            self._session.insist("abort")
-            self._motion = MotionMemory(ended=MotionState.ABORTED)
-            self._session.disarm()
+            self._motion.abort()
 
     def send_heartbeat(self) -> None:
         """Beat for the watchdog in HAL, where there is one."""
@@ -263,7 +254,7 @@ class LinuxCncController(MotionController):
                     f"{self._session.name}: not homed in {timeout_s:g} s"
                 )
             time.sleep(self._poll_s)
-        self._require_able(status)
+        self._motion.require_able(status)
 
     def limit_override(self, largest: float) -> None:
         """Lower the feed override where it is above."""
@@ -282,61 +273,9 @@ class LinuxCncController(MotionController):
         with self._lock.hold(urgent=True):
             self._session.close()
 
-    def _look(self) -> MotionStatus:
-        """Read the machine, and draw what it means for our motion. Locked."""
-        look = self._session.look()
-        was_under_way = self._motion.is_under_way
-        status = self._motion.judge(look)
-        if was_under_way and not self._motion.is_under_way:
-            self._session.disarm()
-            errors = self._session.take_errors()
-            self._motion.text = "; ".join(errors)
-            for error in errors:
-                log.warning("%s: %s", self._session.name, error)
-            status = replace(status, alarm=status.alarm or self._motion.text)
-        return status
-
-    def _prepare(self, mode: str) -> None:
-        """Make ready for a motion in a mode. Locked."""
-        status = self._look()
-        self._require_able(status)
-        if status.state in (MotionState.RUNNING, MotionState.HELD):
-            raise Refused(f"{self._session.name}: not in state {status.state}")
-        self._session.take_errors()
-        self._session.enter_mode(mode)
-
-    def _begin(self, what: str, program: Program, aborts: int) -> None:
-        """Have a motion begin, and see that it does or has ended already."""
-        with self._lock.hold():
-            if self._aborts != aborts:
-                raise Refused("aborted before it began")
-            self._session.arm()
-            try:
-                self._session.demand(what)
-            except Refused:
-                self._session.disarm()
-                raise
-            self._motion = self._motion.begin(program)
-            before = self._session.look().position
-        deadline_s = time.monotonic() + _BEGIN_S
-        while self._aborts == aborts and time.monotonic() < deadline_s:
-            with self._lock.hold():
-                look, errors = self._session.look(), self._session.take_errors()
-                if errors and self._aborts == aborts:
-                    self._motion = self._motion.end_refused()
-                    self._session.disarm()
-                    raise Refused(f"{self._session.name}: {'; '.join(errors)}")
-                if look.position != before or look.has_ended:
-                    return
-            time.sleep(_BEGIN_LOOK_S)
-
     def _require_machine(self) -> LinuxCncAxes:
         if self._session.machine is None:
             raise ConnectionLost(
                 f"{self._session.name} is not connected; connect first"
             )
         return self._session.machine
-
-    def _require_able(self, status: MotionStatus) -> None:
-        if status.state in UNABLE:
-            raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.errors import Refused
 
 _AXES = "XYZABC"
 _WORKAREA = 1e6  # LinuxCNC's own limit where none is named

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from drivers.cnc.linuxcnc.program import Program
-from drivers.cnc.linuxcnc.readings import Reading
-from drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.drivers.cnc.linuxcnc.program import Program
+from truepath.drivers.cnc.linuxcnc.readings import Reading
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
 _ARRIVED = 1e-3  # mm or deg
 
@@ -16,6 +16,7 @@ class MotionMemory:
     """The path that is loaded and the motion that was begun last.
 
     ended : the state while nothing moves
+    begun_at : where the machine stood before the motion
     text : what LinuxCNC said at the end of the motion
     """
 
@@ -23,17 +24,23 @@ class MotionMemory:
     driven: Program | None = None
     ended: MotionState = MotionState.IDLE
     is_under_way: bool = False
+    begun_at: tuple[float, ...] = ()
     is_held_by_us: bool = False
     line: int = 0
     text: str = ""
 
-    def begin(self, program: Program) -> MotionMemory:
-        """Return the memory as a motion begins."""
-        return MotionMemory(self.loaded, program, self.ended, is_under_way=True)
+    def begin(self, program: Program, position: tuple[float, ...]) -> MotionMemory:
+        """Return the memory as a motion begins at a position."""
+        return MotionMemory(self.loaded, program, self.ended, True, position)
 
     def end_refused(self) -> MotionMemory:
         """Return the memory of a motion that did not begin."""
         return replace(self, driven=None, is_under_way=False)
+
+    def has_moved(self, look: Reading) -> bool:
+        """Tell whether the machine has left where the motion began."""
+        pairs = zip(look.position, self.begun_at, strict=True)
+        return any(abs(now - then) > _ARRIVED for now, then in pairs)
 
     def is_at_goal(self, look: Reading) -> bool:
         """Tell whether the machine is where the motion ends."""
@@ -65,5 +72,6 @@ class MotionMemory:
 
     def _find_hold_reason(self, look: Reading) -> str:
         if look.is_tripped:
-            return "watchdog"
+            told = f", because {look.dead} of LinuxCNC does not run"
+            return "watchdog" + (told if look.dead else "")
         return "command" if self.is_held_by_us else "operator"

@@ -9,9 +9,9 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from drivers.interfaces import rs274
-from drivers.interfaces.errors import Refused
-from drivers.interfaces.records import Path
+from truepath.drivers.interfaces import rs274
+from truepath.drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.records import Path
 
 _PREFIX = "truepath-"
 _MODES = "G21 G90 G94 G61.1 G40 G49 G80"

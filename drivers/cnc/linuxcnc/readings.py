@@ -5,15 +5,16 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from drivers.cnc.linuxcnc.machine import LinuxCncAxes
-from drivers.cnc.linuxcnc.rsh import RshLink
-from drivers.interfaces.errors import ConnectionLost
-from drivers.interfaces.records import MotionState
+from truepath.drivers.cnc.linuxcnc.machine import LinuxCncAxes
+from truepath.drivers.cnc.linuxcnc.rsh import RshLink
+from truepath.drivers.interfaces.errors import ConnectionLost
+from truepath.drivers.interfaces.records import MotionState
 
 # Longer than the usual cycle of LinuxCNC's task, after which its status is new.
 _FRESH_S = 0.025
 _LOOKS = 3  # that agree: the task may have been late for one
 _STILL = 1e-6  # mm or deg between two looks
+_SAME = 0.01  # mm or deg between a coordinate and its joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,9 @@ class Reading:
     is_tripped : the watchdog inhibits the feed
     stands : nothing moves; a held or ended motion may still be braking
     line : of the program's file, from 1
+    follows_tip : coordinates are not the positions of the axes (RTCP), after `position`
+        was read
+    dead : names of LinuxCNC's processes that do not run, where the watchdog says so
     """
 
     unable: MotionState | None
@@ -35,6 +39,8 @@ class Reading:
     line: int
     position: tuple[float, ...]
     override: float
+    follows_tip: bool
+    dead: str = ""
 
     @property
     def has_ended(self) -> bool:
@@ -62,6 +68,7 @@ def read_machine(
         int(_numbers(rsh.read("program_line"))[0]),
         read_position(rsh, machine),
         _numbers(rsh.read("feed_override"))[0] / 100.0,
+        differs_from_joints(rsh, machine),
     )
 
 
@@ -81,12 +88,16 @@ def read_position(rsh: RshLink, machine: LinuxCncAxes) -> tuple[float, ...]:
 
 
 def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
-    """Tell whether coordinates are not those of the joints: RTCP is on."""
-    world = _numbers(rsh.read("abs_cmd_pos"))
-    joints = read_position(rsh, machine)
+    """Tell whether coordinates are not those of the joints: RTCP is on.
+
+    In motion too: the coordinates lie between two readings of the joints.
+    """
+    before = read_position(rsh, machine)
+    world = _numbers(rsh.read("abs_act_pos"))
+    after = read_position(rsh, machine)
     return any(
-        abs(world["XYZABC".index(axis)] - joint) > 0.01
-        for axis, joint in zip(machine.axes, joints, strict=True)
+        not min(ends) - _SAME <= world["XYZABC".index(axis)] <= max(ends) + _SAME
+        for axis, *ends in zip(machine.axes, before, after, strict=True)
     )
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 import time
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, WrongDevice
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    WrongDevice,
+)
+from truepath.drivers.transport.byte_port import BytePort
 
 _LINE = re.compile(rb"[\r\n]*([^\r\n]+)[\r\n]")
 _NO_ERROR = "OK"

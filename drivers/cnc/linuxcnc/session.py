@@ -6,13 +6,18 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as FilePath
 
-from drivers.cnc.linuxcnc.machine import LinuxCncAxes, parse_travel, read_ini
-from drivers.cnc.linuxcnc.readings import Reading, differs_from_joints, read_machine
-from drivers.cnc.linuxcnc.rsh import RshLink
-from drivers.cnc.linuxcnc.watchdog import WatchdogLink, WatchdogState
-from drivers.interfaces.errors import (
+from truepath.drivers.cnc.linuxcnc.machine import LinuxCncAxes, parse_travel, read_ini
+from truepath.drivers.cnc.linuxcnc.readings import (
+    Reading,
+    differs_from_joints,
+    read_machine,
+)
+from truepath.drivers.cnc.linuxcnc.rsh import RshLink
+from truepath.drivers.cnc.linuxcnc.watchdog import WatchdogLink, WatchdogState
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     MotionFault,
@@ -25,6 +30,10 @@ log = logging.getLogger(__name__)
 _DONE_S = 2.0
 _LOOK_S = 0.02
 _UNITS = "MM"
+TIP_IS_FOLLOWED = (
+    "coordinates are not the positions of the axes: the tool tip is followed (RTCP); "
+    "switch that off, or name the blocks that do as prologue"
+)
 
 
 class LinuxCncSession:
@@ -95,14 +104,15 @@ class LinuxCncSession:
     def look(self) -> Reading:
         """Read the machine."""
         machine = self._reopen()
-        tripped = False
+        tripped, dead = False, ""
         if self._watchdog is not None:
             tripped = self._watchdog.tell("state") is WatchdogState.TRIPPED
+            dead = self._watchdog.list_dead() if tripped else ""
         reading = read_machine(
             self._rsh, machine, is_tripped=tripped, was_standing=self._was_standing
         )
         self._was_standing = reading.stands
-        return reading
+        return replace(reading, dead=dead)
 
     def is_running(self) -> bool:
         """Tell whether the interpreter runs anything."""
@@ -162,11 +172,7 @@ class LinuxCncSession:
     def require_joint_coordinates(self) -> None:
         """Raise Refused where positions of axes are not those of joints."""
         if differs_from_joints(self._rsh, self._reopen()):
-            raise Refused(
-                f"{self.name}: coordinates are not the positions of the axes: the tool "
-                "tip is followed (RTCP); switch that off, or name the blocks that do "
-                "as prologue"
-            )
+            raise Refused(f"{self.name}: {TIP_IS_FOLLOWED}")
 
     def open_program(self, file: FilePath) -> None:
         """Have a program opened. Raises Refused if another one is open then."""

@@ -1,20 +1,43 @@
 """Beats from Truepath to HAL, on the computer of LinuxCNC, by the system's Python.
 
 Loaded by `truepath.hal`. A client sends a line, `beat`, `arm`, `disarm` or `state`, and
-gets `idle`, `armed` or `tripped`. Only beats of the client that armed it last count. A
-client that goes without `disarm` leaves it armed: no beat comes then, and the feed is
-inhibited.
+gets `idle`, `armed` or `tripped`; for `dead` the names of what does not run. Only beats
+of the client that armed it last count. A client that goes without `disarm` leaves it
+armed: no beat comes then, and the feed is inhibited. So it is while LinuxCNC's task or
+its I/O is dead or stopped: what they have planned would go on.
 """
 
 import argparse
 import contextlib
+import pathlib
 import select
 import socket
 import time
 
 # Several cycles of the servo thread: it must have seen that it was disarmed.
 DISARMED_S = 0.01
+TASKS = ("milltask", "io")
 COMMANDS = ("beat", "arm", "disarm", "state")
+
+
+def find_tasks():
+    """Return names and process ids of LinuxCNC's task and I/O."""
+    found = []
+    for folder in pathlib.Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            name = (folder / "comm").read_text().strip()
+            if name in TASKS:
+                found.append((name, folder.name))
+    return found
+
+
+def runs(process):
+    """Tell whether a process is there and not stopped."""
+    try:
+        text = pathlib.Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] not in "TtZX"
 
 
 class Watchdog:
@@ -31,6 +54,7 @@ class Watchdog:
         self.pins.ready()
         self.was_reset = False
         self.owner = None
+        self.tasks = []
 
     def obey(self, command, client):
         """Do what a line of a client says; return the state after it."""
@@ -38,14 +62,19 @@ class Watchdog:
             self.pins["armed"] = False
             time.sleep(DISARMED_S)
             self.pins["armed"] = command == "arm"
-            self.owner = client
-        if command in ("arm", "beat") and client is self.owner:
+            self.owner, self.tasks = client, find_tasks()
+        is_ours = command in ("arm", "beat") and client is self.owner
+        if is_ours and not self.list_dead():
             self.pins["beat"] = not self.pins["beat"]
         if command == "arm":
             time.sleep(DISARMED_S)
         if not self.pins["armed"]:
             return "idle"
         return "tripped" if self.pins["tripped"] else "armed"
+
+    def list_dead(self):
+        """Return the names of what ran when it was armed and does not now."""
+        return [name for name, process in self.tasks if not runs(process)]
 
     def look_at_reset(self):
         """Disarm where somebody at the machine asks for it."""
@@ -83,6 +112,8 @@ def answer(watchdog, client, rest):
     for line in lines:
         command = line.decode("ascii", "replace").strip()
         reply = watchdog.obey(command, client) if command in COMMANDS else "unknown"
+        if command == "dead":
+            reply = "dead " + " ".join(watchdog.list_dead())
         client.sendall(reply.encode() + b"\n")
     return rest[-100:]
 

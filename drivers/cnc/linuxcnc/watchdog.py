@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from enum import StrEnum
 
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     WrongDevice,
 )
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.transport.byte_port import BytePort
 
 
 class WatchdogState(StrEnum):
@@ -37,18 +37,27 @@ class WatchdogLink:
 
     def tell(self, command: str) -> WatchdogState:
         """Send `beat`, `arm`, `disarm` or `state`; return the state after it."""
-        if not self._is_open:
-            self._port.open()
-            self._is_open = True
+        reply = self._ask(command)
         try:
-            self._port.write(command.encode() + b"\n")
-            return WatchdogState(self._read_line())
+            return WatchdogState(reply)
         except ValueError as error:
             self.close()
             raise WrongDevice(
                 f"{self._port.name} does not answer as Truepath's watchdog ({error}); "
                 "check watchdog_port"
             ) from error
+
+    def list_dead(self) -> str:
+        """Return the names of LinuxCNC's processes that do not run any more."""
+        return " ".join(self._ask("dead").split()[1:])
+
+    def _ask(self, command: str) -> str:
+        if not self._is_open:
+            self._port.open()
+            self._is_open = True
+        try:
+            self._port.write(command.encode() + b"\n")
+            return self._read_line()
         except DeviceError:
             self.close()
             raise

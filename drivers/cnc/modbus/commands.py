@@ -10,16 +10,15 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
-from drivers.cnc.modbus import registers as r
-from drivers.cnc.modbus.controller_map import (
+from truepath.drivers.cnc.modbus import registers as r
+from truepath.drivers.cnc.modbus.controller_map import (
     Controller,
     ControllerStatus,
     parse_controller,
     parse_status,
 )
-from drivers.cnc.modbus.link import TIMEOUT_S, DeviceBusy, ModbusLink
-from drivers.cnc.priority_lock import PriorityLock
-from drivers.interfaces.errors import (
+from truepath.drivers.cnc.priority_lock import PriorityLock
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
@@ -28,12 +27,14 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.drivers.transport.modbus_link import TIMEOUT_S, DeviceBusy, ModbusLink
 
 log = logging.getLogger(__name__)
 
 _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
+_SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
 _URGENT_S = 0.45  # by then a hold that does not reach the controller says so
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 1.0  # between attempts to open a broken link
 _REASONS: dict[int, str] = {
@@ -124,6 +125,18 @@ class CommandChannel:
             address = r.BY_NAME["heartbeat"].address
             self._patiently(lambda: self._link.write(address, words))
 
+    def limit_override(self, largest: float) -> bool:
+        """Have the override lowered where it is above; tell whether it is not now."""
+        deadline_s = time.monotonic() + self._timeout_s
+        with self._lock.hold():
+            if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
+                return False
+            while (self._read_status().motion.override or 0.0) > largest + _SAME:
+                if time.monotonic() >= deadline_s:
+                    return False
+                time.sleep(_ACK_POLL_S)
+            return True
+
     def command(
         self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
     ) -> ControllerStatus:
@@ -183,21 +196,22 @@ class CommandChannel:
                 f"{self.name}: controller {answers} answers, "
                 f"{self._serial_number} is configured; check the address"
             )
-        identity = replace(controller.identity, has_watchdog=self._set_watchdog())
+        has_watchdog = self._keeps("watchdog", self._watchdog_ms)
+        identity = replace(controller.identity, has_watchdog=has_watchdog)
         controller = replace(controller, identity=identity)
         # Over a new connection too, a number that was sent in vain is not used again.
         self._sequence = self._sequence or self._read_status().acknowledged
         return controller
 
-    def _set_watchdog(self) -> bool:
-        """Set the longest silence in motion; tell whether the device has taken it."""
-        asked = r.encode("watchdog", self._watchdog_ms)
-        address = r.BY_NAME["watchdog"].address
+    def _keeps(self, register: str, value: int) -> bool:
+        """Write a register; tell whether the device has it and keeps the value."""
+        asked = r.encode(register, value)
+        address = r.BY_NAME[register].address
         try:
             self._patiently(lambda: self._link.write(address, asked))
             return self._read(r.Block(address, len(asked))) == asked
         except Refused as error:
-            log.warning("%s has no watchdog: %s", self.name, error)
+            log.warning("%s has no %s: %s", self.name, register, error)
             return False
 
     def _number(self, deadline_s: float) -> int:
@@ -289,7 +303,7 @@ class CommandChannel:
         return r.decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
 
     def _read(self, block: r.Block) -> list[int]:
-        return self._patiently(lambda: self._link.read(block))
+        return self._patiently(lambda: self._link.read(block.address, block.count))
 
     def _patiently(self, request: Callable[[], T]) -> T:
         """Repeat a harmless request: once, longer while the device says it is busy.

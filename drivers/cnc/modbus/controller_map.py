@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.cnc.modbus import registers as r
-from drivers.interfaces.errors import WrongDevice
-from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus
+from truepath.drivers.cnc.modbus import registers as r
+from truepath.drivers.interfaces.errors import WrongDevice
+from truepath.drivers.interfaces.records import (
+    UNABLE,
+    Identity,
+    MotionState,
+    MotionStatus,
+)
 
 _HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
 _HOLD_REASONS[r.HoldReason.NONE] = ""

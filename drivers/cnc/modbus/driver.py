@@ -9,25 +9,31 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cnc.modbus import registers as r
-from drivers.cnc.modbus.commands import CommandChannel
-from drivers.cnc.modbus.controller_map import Controller
-from drivers.cnc.modbus.link import ModbusLink, SerialAddress, TcpAddress
-from drivers.cnc.travel import (
+from truepath.drivers.cnc.modbus import registers as r
+from truepath.drivers.cnc.modbus.commands import CommandChannel
+from truepath.drivers.cnc.modbus.controller_map import Controller
+from truepath.drivers.cnc.travel import (
     arrange_path,
     check_dwells,
     check_feeds,
     check_positions,
 )
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     MotionFault,
     Refused,
 )
-from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus, Path
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
+    UNABLE,
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
+from truepath.drivers.transport.modbus_link import ModbusLink, make_address
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +65,7 @@ class ModbusController(MotionController):
         watchdog_s: float = r.DEFAULT_WATCHDOG_S,
         poll_s: float = 0.05,
     ) -> None:
-        link = ModbusLink(_address(host, port, serial_port, baudrate), unit)
+        link = ModbusLink(make_address(host, port, serial_port, baudrate), unit)
         self._channel = CommandChannel(
             link, serial_number, command_timeout_s, watchdog_s
         )
@@ -169,6 +175,14 @@ class ModbusController(MotionController):
         self._channel.command(r.Command.HOME)
         self.wait(timeout_s)
 
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override where it is above, and see that it is not."""
+        override = self.status().override
+        if override is not None and override <= largest:
+            return
+        if not self._channel.limit_override(largest):
+            super().limit_override(largest)
+
     def send_heartbeat(self) -> None:
         """Write a new number for the watchdog."""
         self._channel.send_heartbeat()
@@ -210,13 +224,3 @@ def _check_motion(controller: Controller, path: Path) -> None:
 def _rows_argument(first: int, words: NDArray[np.uint16]) -> list[int]:
     """Return `first_row`, `row_count`, an unused CRC and the rows."""
     return [first, len(words), 0, 0, *(int(word) for word in words.ravel())]
-
-
-def _address(
-    host: str | None, port: int, serial_port: str | None, baudrate: int
-) -> TcpAddress | SerialAddress:
-    if (host is None) == (serial_port is None):
-        raise ValueError("give either host (Modbus TCP) or serial_port (Modbus RTU)")
-    if host is not None:
-        return TcpAddress(host, port)
-    return SerialAddress(str(serial_port), baudrate)

@@ -16,7 +16,7 @@ from enum import IntEnum, StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.records import MotionState, Path
 
 MAGIC = 0x54504331  # "TPC1"
 ORDER_TEST = 0x01020304
@@ -204,6 +204,14 @@ REGISTERS: tuple[Register, ...] = (
     ),
     Register("watchdog", 181, _U16, "longest silence in motion", "ms", Access.WRITE),
     Register(
+        "override_limit",
+        182,
+        _U16,
+        "a write lowers the feed override to it where that is above",
+        "0.1 %",
+        Access.WRITE,
+    ),
+    Register(
         "command_sequence",
         200,
         _U16,
@@ -239,6 +247,7 @@ IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
 ALARM_TEXT = Block(130, 32)
 CONTROL = Block(180, 2)
+LIMITS = Block(182, 1)  # which not every device has
 _VERB_WORDS, _HEAD_WORDS = 2, 6  # number and verb; those and all before the rows
 COMMAND = Block(200, _HEAD_WORDS + ROWS_A_BLOCK * ROW_WORDS)
 

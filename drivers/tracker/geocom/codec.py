@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 TRANSACTIONS = 1 << 15  # then numbers begin anew
+_TURN_RAD = 6.2832
 _DIGITS = 15  # more than six are cut by the format: so do public clients
+_VALUE = re.compile(rb'(?:"[^"]*"|[^,])*')
 _REPLY = re.compile(rb"^%R1P,(\d+)(?:,(\d+))?(?:,\d+)?:(\d+)(?:,(.*))?$")
 
 
@@ -38,6 +40,8 @@ class Procedure(IntEnum):
     AUT_SET_LOCK = 9020
     AUT_TURN_TO = 9027
     AUT_SEARCH = 9029
+    AUS_SET_USER_ATR = 18005
+    AUS_SET_USER_LOCK = 18007
 
 
 class ReturnCode(IntEnum):
@@ -56,6 +60,7 @@ class ReturnCode(IntEnum):
     DISTANCE_ERROR = 1292
     BUSY = 1293
     SIGNAL_ERROR = 1294
+    PROCEDURE_UNKNOWN = 3081
     AUT_TIMEOUT = 8704
     AUT_NO_TARGET = 8710
     AUT_MULTIPLE_TARGETS = 8711
@@ -65,6 +70,7 @@ class ReturnCode(IntEnum):
 
 
 C = ReturnCode
+NOT_OFFERED = frozenset({C.NOT_IMPLEMENTED, C.PROCEDURE_UNKNOWN})
 WITH_A_WARNING = frozenset({C.NO_FULL_CORRECTION, C.ACCURACY_NOT_GUARANTEED})
 NO_TARGET = frozenset(
     {
@@ -109,7 +115,7 @@ def parse_reply(line: bytes) -> Reply | None:
         int(link),
         None if transaction is None else int(transaction),
         int(code),
-        () if values is None else tuple(values.split(b",")),
+        () if values is None else _split(values),
     )
 
 
@@ -131,6 +137,23 @@ def to_cartesian_mm(
     level = np.sin(v_rad)
     way = [level * np.sin(hz_rad), level * np.cos(hz_rad), np.cos(v_rad)]
     return 1e3 * slope_distance_m * np.array(way)
+
+
+def is_point(hz_rad: float, v_rad: float, slope_distance_m: float) -> bool:
+    """Tell whether these are a point: angles within a turn, so not in deg or gon."""
+    angles = abs(hz_rad) <= _TURN_RAD and abs(v_rad) <= _TURN_RAD
+    return angles and 0.0 < slope_distance_m < np.inf
+
+
+def _split(values: bytes) -> tuple[bytes, ...]:
+    """Return the values between commas; a comma in quotes is of its text."""
+    found, end = [], -1
+    while end < len(values):
+        value = _VALUE.match(values, end + 1)
+        assert value is not None  # noqa: S101 (it matches nothing as well)
+        found.append(value.group())
+        end = value.end()
+    return tuple(found)
 
 
 def _encode_value(value: int | float) -> str:

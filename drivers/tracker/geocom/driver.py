@@ -10,22 +10,22 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity
-from drivers.interfaces.tracker import (
+from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.tracker import (
     AirExchange,
     ByteLink,
     EventSource,
     PolledTracker,
     TargetFinder,
 )
-from drivers.interfaces.tracker_records import (
+from truepath.drivers.interfaces.tracker_records import (
     Air,
     Clock,
     PointMeasurement,
@@ -33,18 +33,20 @@ from drivers.interfaces.tracker_records import (
     TrackerEvent,
     TrackerEventKind,
 )
-from drivers.tracker.geocom.codec import (
+from truepath.drivers.tracker.geocom.codec import (
     NO_TARGET,
+    NOT_OFFERED,
     WITH_A_WARNING,
     Procedure,
     Reply,
     describe_code,
+    is_point,
     to_cartesian_mm,
 )
-from drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
-from drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
-from drivers.transport.line_link import LineLink
-from drivers.transport.make_port import make_port
+from truepath.drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
+from truepath.drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
+from truepath.drivers.transport.line_link import LineLink
+from truepath.drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
 
@@ -228,10 +230,24 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
                     f"{told:g} mm was set; select a user prism at the instrument"
                 )
         if self._follows:
-            expect_ok(self._session.ask(P.AUT_SET_ATR, (1,)))
-            expect_ok(self._session.ask(P.AUT_SET_LOCK, (1,)))
+            self._switch_on(P.AUT_SET_ATR, P.AUS_SET_USER_ATR)
+            self._switch_on(P.AUT_SET_LOCK, P.AUS_SET_USER_LOCK)
             # Without a prism in view there is nothing to lock on yet.
             self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
+
+    def _switch_on(self, procedure: Procedure, newer: Procedure) -> None:
+        """Switch on what later series know by another procedure alone."""
+        try:
+            expect_ok(self._session.ask(procedure, (1,)))
+        except Refused as error:
+            if error.code not in NOT_OFFERED:
+                raise
+            try:
+                expect_ok(self._session.ask(newer, (1,)))
+            except Refused as last:
+                raise Refused(
+                    f"{last}; set follows = false for one without lock", last.code
+                ) from error
 
     def _shoot(self) -> tuple[NDArray[np.float64], bool]:
         """Return one point, and whether its accuracy is not guaranteed.
@@ -254,7 +270,7 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         else:
             expect_ok(reply)
         hz, v, distance = decode(reply, float, 3)
-        if not (math.isfinite(hz + v + distance) and distance > 0.0):
+        if not is_point(hz, v, distance):
             raise DeviceError(
                 f"{self._link.name}: Hz {hz}, V {v}, distance {distance} is no point"
             )

@@ -8,8 +8,13 @@ import threading
 import time
 from typing import TypeVar
 
-from drivers.interfaces.errors import BeamLost, DeviceError, DeviceTimeout, Refused
-from drivers.tracker.geocom.codec import (
+from truepath.drivers.interfaces.errors import (
+    BeamLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+)
+from truepath.drivers.tracker.geocom.codec import (
     NO_TARGET,
     TRANSACTIONS,
     Procedure,
@@ -19,7 +24,7 @@ from drivers.tracker.geocom.codec import (
     encode_request,
     parse_reply,
 )
-from drivers.transport.line_link import LineLink
+from truepath.drivers.transport.line_link import LineLink
 
 log = logging.getLogger(__name__)
 
@@ -80,6 +85,12 @@ class GeoComSession:
         )
 
     def _require_link(self, reply: Reply, procedure: Procedure) -> Reply:
+        if reply.link_code == ReturnCode.PROCEDURE_UNKNOWN:
+            raise Refused(
+                f"{self.name}: the instrument does not know {procedure.name} "
+                f"({reply.link_code}); it is of another series, or lacks a licence",
+                reply.link_code,
+            )
         if reply.link_code != ReturnCode.OK:
             raise DeviceError(
                 f"{self.name}: {procedure.name} did not reach the instrument: "
@@ -103,7 +114,7 @@ def expect_ok(reply: Reply) -> Reply:
 def decode(reply: Reply, kind: type[T], count: int = 1) -> tuple[T, ...]:
     """Return the values of a reply. Raises DeviceError if these are not so many."""
     try:
-        texts = [value.decode("ascii").strip('"') for value in reply.values]
+        texts = [value.decode("utf-8", "replace").strip('"') for value in reply.values]
         if len(texts) != count:
             raise ValueError(f"{len(texts)} values")
         return tuple(kind(text) for text in texts)

@@ -23,9 +23,9 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.records import LinkHealth, TrackerSamples
-from drivers.tracker.streaming.framing import FrameReader
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.interfaces.records import LinkHealth, TrackerSamples
+from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.measurements import (
     FORBIDS_USE,
     RawSamples,
     StatusBit,
@@ -33,7 +33,7 @@ from drivers.tracker.streaming.measurements import (
     parse_measurements,
     spherical_to_cartesian_mm,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
     Format,
     Message,
@@ -61,10 +61,11 @@ class SampleDecoder:
 
     lost_samples : samples that the device took and that are in no block
     device_overflows : samples that follow an overflow inside the device
+    stale : measurements left out since the last one that was kept: repeated or late
     """
 
     def __init__(self) -> None:
-        self.device_overflows = 0
+        self.device_overflows = self.stale = 0
         self._unwrapper = Unwrapper()
 
     @property
@@ -107,6 +108,8 @@ class SampleDecoder:
         position_mm, status = _positions(raw)
         overflown = keep & ((raw.status & StatusBit.OVERFLOW) != 0)
         self.device_overflows += int(np.count_nonzero(overflown))
+        after_kept = len(keep) - int(np.max(np.flatnonzero(keep), initial=-1)) - 1
+        self.stale = after_kept + (0 if keep.any() else self.stale)
         return TrackerSamples(
             sequence[keep],
             np.true_divide(clock_us[keep], 1e6, dtype=np.float64),

@@ -4,54 +4,80 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
 
-from drivers.interfaces.errors import (
+import numpy as np
+
+from truepath.drivers.interfaces.errors import (
+    BeamLost,
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
+    NotOffered,
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.interfaces.tracker import ByteLink, EventSource, Tracker
-from drivers.interfaces.tracker_records import TrackerCapabilities, TrackerEvent
-from drivers.tracker.streaming.codec import SampleDecoder, link_health
-from drivers.tracker.streaming.event_log import EventLog
-from drivers.tracker.streaming.framing import FrameReader
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath.drivers.interfaces.tracker import (
+    ByteLink,
+    EventSource,
+    TargetChoice,
+    TargetFinder,
+    Tracker,
+)
+from truepath.drivers.interfaces.tracker_records import (
+    Air,
+    TrackerCapabilities,
+    TrackerEvent,
+)
+from truepath.drivers.tracker.streaming.codec import SampleDecoder, link_health
+from truepath.drivers.tracker.streaming.event_log import EventLog
+from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.messages import (
+    VERBS_VERSION,
     VERSION,
     Ack,
+    Aim,
+    AirInUse,
     Command,
     DeviceInfo,
     Event,
     EventCode,
     Format,
+    GetAir,
     Hello,
+    Home,
     Message,
     Nak,
+    NakCode,
     Ping,
     Reply,
+    Search,
+    Select,
+    SetAir,
     Start,
     Stop,
     StreamInfo,
+    Verb,
     encode_message,
 )
-from drivers.tracker.streaming.receiver import Receiver
-from drivers.transport.make_port import make_port
+from truepath.drivers.tracker.streaming.receiver import Receiver
+from truepath.drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
 
 _GATHER_S = 0.02
 _TRIES = 2
+_STALE_S = 2.0  # of samples that are no newer than those before
 _RATE_TOLERANCE = 0.01
 # On the wire, a start and a stop bit a byte.
 _FRAME_BITS = {Format.MEAS64: 470, Format.MEAS: 300}
 
 
-class StreamingTracker(Tracker, ByteLink, EventSource):
+class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoice):
     """A tracker on a serial port (`port`) or behind TCP (`host` and the number `port`).
 
     port : path of the tty, or TCP port number where `host` is given
@@ -59,6 +85,10 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
     serial_number : refuse any other instrument
     compact : ask for the short frames, 10 nm and 2.9 nrad, on a slow line
     reply_timeout_s : longest wait for the reply to a command, sent twice in that time
+    turn_s : how much longer it may take to turn, to search and to change its target
+
+    Its verbs beside the stream are those of version 2 of the protocol. It is asked for
+    with the first of them; a device of version 1 goes on as it is, and refuses.
 
     `read` and `take_link_bytes` are for one thread, the other verbs for any.
     """
@@ -72,12 +102,14 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
         serial_number: str = "",
         compact: bool = False,
         reply_timeout_s: float = 0.5,
+        turn_s: float = 20.0,
     ) -> None:
         self._port = make_port(port, host, baudrate)
         self._baudrate = baudrate if host is None else None
         self._serial_number = serial_number
         self._format = Format.MEAS if compact else Format.MEAS64
-        self._reply_timeout_s = reply_timeout_s
+        self._reply_timeout_s, self._turn_s = reply_timeout_s, turn_s
+        self._knows_verbs = False
         self._lock = threading.RLock()
         self._write_lock = threading.Lock()
         self._transactions = itertools.count(1)
@@ -125,8 +157,18 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
             self._event_log.note_status(decoded.status)
             for message in decoded.messages:
                 self._note(message)
+            self._require_clock()
             if len(decoded.samples) or left_s == 0.0:
                 return decoded.samples
+
+    def _require_clock(self) -> None:
+        """Raise ConnectionLost where samples come, and none is newer than the last."""
+        if self._decoder.stale > _STALE_S * (self._rate_hz or math.inf):
+            raise ConnectionLost(
+                f"{self._port.name} sends samples, but none newer than before: its "
+                "clock has fallen back, or it has been switched off and on; connect "
+                "again"
+            )
 
     def stop(self) -> None:
         """End the stream. A lost port is left alone: the device ends it by itself."""
@@ -158,6 +200,34 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
         """Return what `read` has come across since the last call."""
         return self._event_log.take()
 
+    def home(self) -> None:
+        """Send the beam to the instrument's reference, to initialise there."""
+        self._do(Home)
+
+    def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
+        """Point the beam there."""
+        self._do(lambda t: Aim(t, azimuth_rad, elevation_rad))
+
+    def search(self) -> None:
+        """Find and lock a target near the beam."""
+        self._do(Search)
+
+    def select_target(self, name: str) -> None:
+        """Lock the target of that name, and measure it from now on."""
+        self._do(lambda t: Select(t, name))
+
+    def push_air(self, air: Air) -> None:
+        """Hand over the air; refuse what does not come back."""
+        told = air.temperature_degc, air.pressure_hpa, air.humidity_percent
+        used = self._read_detail(self._do(lambda t: SetAir(t, *told)))
+        back = used.temperature_degc, used.pressure_hpa, used.humidity_percent
+        if not np.allclose(back, told, rtol=0.0, atol=0.1, equal_nan=True):
+            raise Refused(f"{self._port.name} uses the air {back}, {told} was set")
+
+    def read_air(self) -> Air:
+        """Return the air that the device corrects its distances for."""
+        return self._read_detail(self._do(GetAir))
+
     @property
     def health(self) -> LinkHealth:
         """Counts since `connect`; losses are those of the samples already read."""
@@ -188,6 +258,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
     def _shut(self) -> None:
         receiver, self._receiver = self._receiver, None
         self._identity = self._rate_hz = None
+        self._knows_verbs = False
         if receiver is not None:
             receiver.close()
         self._port.close()
@@ -226,6 +297,37 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
             )
         return error
 
+    def _do(self, build: Callable[[int], Verb]) -> Ack:
+        """Ask for a verb of version 2, after that version where it was not yet."""
+        with self._lock:
+            receiver = self._require_receiver()
+            try:
+                if not self._knows_verbs:
+                    self._ask_for_verbs(receiver)
+                return self._ask(receiver, build, self._turn_s)
+            except Refused as error:
+                if error.code == NakCode.NO_TARGET:
+                    raise BeamLost(f"{error}; bring it near the beam") from error
+                raise
+
+    def _ask_for_verbs(self, receiver: Receiver) -> None:
+        try:
+            info = self._ask(receiver, lambda t: Hello(t, VERBS_VERSION)).detail
+        except Refused as error:
+            raise NotOffered(str(error), error.code) from error
+        if not isinstance(info, DeviceInfo) or info.version < VERBS_VERSION:
+            raise NotOffered(
+                f"{self._port.name} speaks GST/{VERSION}, which has no such verb",
+                NakCode.VERSION_NOT_SPOKEN,
+            )
+        self._knows_verbs = True
+
+    def _read_detail(self, ack: Ack) -> Air:
+        used = ack.detail
+        if not isinstance(used, AirInUse):
+            raise DeviceError(f"{self._port.name} tells no air")
+        return Air(used.temperature_degc, used.pressure_hpa, used.humidity_percent)
+
     def _require_receiver(self) -> Receiver:
         if self._receiver is None:
             raise ConnectionLost(f"{self._port.name} is not connected; connect first")
@@ -258,18 +360,25 @@ class StreamingTracker(Tracker, ByteLink, EventSource):
             )
         log.info("%s streams at %g Hz", self._port.name, actual_hz)
 
-    def _ask(self, receiver: Receiver, build: Callable[[int], Command]) -> Ack:
+    def _ask(
+        self,
+        receiver: Receiver,
+        build: Callable[[int], Command],
+        longer_s: float = 0.0,
+    ) -> Ack:
         """Send a command until its reply comes; a repeat has the same number."""
         command = build(next(self._transactions) & 0xFF)
         receiver.expect(command.transaction)
-        for _ in range(_TRIES):
+        for left in reversed(range(_TRIES)):
             self._send(command)
-            reply = receiver.wait_reply(self._reply_timeout_s / _TRIES)
+            patience_s = self._reply_timeout_s / _TRIES + longer_s * (left == 0)
+            reply = receiver.wait_reply(patience_s)
             if reply is not None:
                 return self._refuse_nak(reply)
         raise DeviceTimeout(
             f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
-            f"{self._reply_timeout_s:g} s; is the tracker on, warm and in remote mode?"
+            f"{self._reply_timeout_s + longer_s:g} s; is the tracker on, warm and in "
+            "remote mode?"
         )
 
     def _refuse_nak(self, reply: Reply) -> Ack:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 
-from drivers.interfaces.tracker_records import TrackerEvent, TrackerEventKind
-from drivers.tracker.streaming.measurements import StatusBit
-from drivers.tracker.streaming.messages import Event, EventCode
+from truepath.drivers.interfaces.tracker_records import TrackerEvent, TrackerEventKind
+from truepath.drivers.tracker.streaming.measurements import StatusBit
+from truepath.drivers.tracker.streaming.messages import Event, EventCode
 
 _MOST = 1000  # kept; nobody takes them
 _MESSAGES: dict[int, tuple[TrackerEventKind, str]] = {

@@ -15,8 +15,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.tracker.streaming.framing import encode_frame
-from drivers.tracker.streaming.messages import VERSION, Format, Type
+from truepath.drivers.tracker.streaming.framing import encode_frame
+from truepath.drivers.tracker.streaming.messages import VERSION, Format, Type
 
 _MEAS64 = np.dtype(
     [

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from drivers.tracker.streaming.framing import FrameReader, encode_frame
+from truepath.drivers.tracker.streaming.framing import FrameReader, encode_frame
 
 VERSION = 1
+VERBS_VERSION = 2  # a HELLO of it makes HOME to GET_AIR known; frames stay as they are
 
 
 class Type(IntEnum):
@@ -27,6 +28,12 @@ class Type(IntEnum):
     START = 0x21
     STOP = 0x22
     PING = 0x23
+    HOME = 0x24
+    AIM = 0x25
+    SEARCH = 0x26
+    SELECT = 0x27
+    SET_AIR = 0x28
+    GET_AIR = 0x29
     ACK = 0x30
     NAK = 0x31
 
@@ -47,6 +54,7 @@ class NakCode(IntEnum):
     BUSY = 4
     NOT_READY = 5
     VERSION_NOT_SPOKEN = 6
+    NO_TARGET = 7
 
 
 class DeviceState(IntEnum):
@@ -98,6 +106,63 @@ class Ping:
 
 
 @dataclass(frozen=True, slots=True)
+class Home:
+    """Host sends the beam to the instrument's own reference, to initialise there."""
+
+    transaction: int
+
+
+@dataclass(frozen=True, slots=True)
+class Aim:
+    """Host points the beam in the tracker's frame."""
+
+    transaction: int
+    azimuth_rad: float
+    elevation_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Host has the device find and lock a target near the beam."""
+
+    transaction: int
+
+
+@dataclass(frozen=True, slots=True)
+class Select:
+    """Host names the target to lock and to measure from now on."""
+
+    transaction: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetAir:
+    """Host hands over the air for the refraction; NaN where it is not known."""
+
+    transaction: int
+    temperature_degc: float
+    pressure_hpa: float
+    humidity_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class GetAir:
+    """Host asks for the air in use."""
+
+    transaction: int
+
+
+@dataclass(frozen=True, slots=True)
+class AirInUse:
+    """Detail of the ACK of a SET_AIR and of a GET_AIR."""
+
+    temperature_degc: float
+    pressure_hpa: float
+    humidity_percent: float
+
+
+@dataclass(frozen=True, slots=True)
 class DeviceInfo:
     """Detail of the ACK of a HELLO: who answers. Texts of at most 60 bytes of UTF-8."""
 
@@ -118,13 +183,16 @@ class StreamInfo:
     clock_us: int
 
 
+Detail = DeviceInfo | StreamInfo | AirInUse | None
+
+
 @dataclass(frozen=True, slots=True)
 class Ack:
     """Device has done the command of this transaction."""
 
     transaction: int
     command: int
-    detail: DeviceInfo | StreamInfo | None = None
+    detail: Detail = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,9 +224,10 @@ class Event:
     clock_us: int
 
 
-Command = Hello | Start | Stop | Ping
+Verb = Home | Aim | Search | Select | SetAir | GetAir
+Command = Hello | Start | Stop | Ping | Verb
 Reply = Ack | Nak
-Message = Hello | Start | Stop | Ping | Ack | Nak | Status | Event
+Message = Command | Reply | Status | Event
 
 _HEAD = struct.Struct("<BB")
 _HELLO = struct.Struct("<BB")
@@ -170,6 +239,9 @@ _INFO = struct.Struct("<BI")
 _STREAM = struct.Struct("<IHQ")
 _STATUS = struct.Struct("<BQIII")
 _EVENT = struct.Struct("<BQ")
+_AIM = struct.Struct("<Bdd")
+_SET_AIR = struct.Struct("<Bddd")
+_AIR = struct.Struct("<ddd")
 
 _LONGEST_TEXT = 60
 
@@ -187,10 +259,13 @@ def _fields(message: Message) -> tuple[Type, bytes]:
         case Start(transaction, rate_hz, measured):
             rate_mhz = round(rate_hz * 1000)
             return Type.START, _START.pack(transaction, rate_mhz, measured)
-        case Stop(transaction):
-            return Type.STOP, _TRANSACTION.pack(transaction)
-        case Ping(transaction):
-            return Type.PING, _TRANSACTION.pack(transaction)
+        case Aim(transaction, azimuth_rad, elevation_rad):
+            return Type.AIM, _AIM.pack(transaction, azimuth_rad, elevation_rad)
+        case Select(transaction, name):
+            return Type.SELECT, _TRANSACTION.pack(transaction) + _text(name)
+        case SetAir(transaction, temperature, pressure, humidity):
+            values = temperature, pressure, humidity
+            return Type.SET_AIR, _SET_AIR.pack(transaction, *values)
         case Ack(transaction, command, detail):
             return Type.ACK, _REPLY.pack(transaction, command) + _detail(detail)
         case Nak(transaction, command, code, text):
@@ -200,9 +275,11 @@ def _fields(message: Message) -> tuple[Type, bytes]:
             return Type.STATUS, _STATUS.pack(state, clock, sent, dropped, high_water)
         case Event(code, clock):
             return Type.EVENT, _EVENT.pack(code, clock)
+        case plain:
+            return _PLAIN[type(plain)], _TRANSACTION.pack(plain.transaction)
 
 
-def _detail(detail: DeviceInfo | StreamInfo | None) -> bytes:
+def _detail(detail: Detail) -> bytes:
     match detail:
         case DeviceInfo(maker, model, serial_number, firmware, max_rate_hz, version):
             texts = (maker, model, serial_number, firmware)
@@ -210,6 +287,8 @@ def _detail(detail: DeviceInfo | StreamInfo | None) -> bytes:
             return numbers + b"".join(map(_text, texts))
         case StreamInfo(rate_hz, sequence, clock):
             return _STREAM.pack(round(rate_hz * 1000), sequence, clock)
+        case AirInUse(temperature, pressure, humidity):
+            return _AIR.pack(temperature, pressure, humidity)
         case None:
             return b""
 
@@ -242,12 +321,14 @@ def _parse_start(fields: bytes) -> Start:
 def _parse_ack(fields: bytes) -> Ack:
     transaction, command = _REPLY.unpack_from(fields)
     rest = fields[_REPLY.size :]
-    detail: DeviceInfo | StreamInfo | None = None
+    detail: Detail = None
     if command == Type.HELLO:
         detail = _parse_info(rest)
     elif command == Type.START:
         rate_mhz, sequence, clock = _STREAM.unpack(rest)
         detail = StreamInfo(rate_mhz / 1000, sequence, clock)
+    elif command in (Type.SET_AIR, Type.GET_AIR):
+        detail = AirInUse(*_AIR.unpack(rest))
     return Ack(transaction, command, detail)
 
 
@@ -264,6 +345,11 @@ def _parse_nak(fields: bytes) -> Nak:
     return Nak(transaction, command, code, text)
 
 
+def _parse_select(fields: bytes) -> Select:
+    (name,) = _split_texts(fields[1:], 1)
+    return Select(fields[0], name)
+
+
 def _split_texts(fields: bytes, count: int) -> list[str]:
     texts: list[str] = []
     for _ in range(count):
@@ -276,11 +362,24 @@ def _split_texts(fields: bytes, count: int) -> list[str]:
     return texts
 
 
+_PLAIN: dict[type[Stop | Ping | Home | Search | GetAir], Type] = {
+    Stop: Type.STOP,
+    Ping: Type.PING,
+    Home: Type.HOME,
+    Search: Type.SEARCH,
+    GetAir: Type.GET_AIR,
+}
 _PARSERS: dict[int, Callable[[bytes], Message]] = {
     Type.HELLO: lambda fields: Hello(*_HELLO.unpack(fields)),
     Type.START: _parse_start,
     Type.STOP: lambda fields: Stop(*_TRANSACTION.unpack(fields)),
     Type.PING: lambda fields: Ping(*_TRANSACTION.unpack(fields)),
+    Type.HOME: lambda fields: Home(*_TRANSACTION.unpack(fields)),
+    Type.AIM: lambda fields: Aim(*_AIM.unpack(fields)),
+    Type.SEARCH: lambda fields: Search(*_TRANSACTION.unpack(fields)),
+    Type.SELECT: _parse_select,
+    Type.SET_AIR: lambda fields: SetAir(*_SET_AIR.unpack(fields)),
+    Type.GET_AIR: lambda fields: GetAir(*_TRANSACTION.unpack(fields)),
     Type.ACK: _parse_ack,
     Type.NAK: _parse_nak,
     Type.STATUS: lambda fields: Status(*_STATUS.unpack(fields)),

@@ -13,11 +13,17 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.tracker.streaming.framing import FrameReader
-from drivers.tracker.streaming.measurements import is_measurement
-from drivers.tracker.streaming.messages import Ack, Hello, Nak, Reply, parse_message
-from drivers.transport.byte_port import BytePort
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.measurements import is_measurement
+from truepath.drivers.tracker.streaming.messages import (
+    Ack,
+    Hello,
+    Nak,
+    Reply,
+    parse_message,
+)
+from truepath.drivers.transport.byte_port import BytePort
 
 log = logging.getLogger(__name__)
 

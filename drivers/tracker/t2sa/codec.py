@@ -79,4 +79,5 @@ def parse_place(text: str, name: str) -> NDArray[np.float64] | None:
         place = np.array([float(found[axis]) for axis in "xyz"])
     except ValueError:
         return None
-    return place if np.isfinite(place).all() else None
+    # The tracker sees nothing at its own centre: zeros are a point that failed.
+    return place if np.isfinite(place).all() and place.any() else None

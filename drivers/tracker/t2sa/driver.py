@@ -10,7 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
@@ -18,16 +18,16 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity
-from drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
-from drivers.interfaces.tracker_records import (
+from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
+from truepath.drivers.interfaces.tracker_records import (
     Clock,
     PointMeasurement,
     TrackerCapabilities,
     TrackerEvent,
     TrackerEventKind,
 )
-from drivers.tracker.t2sa.codec import (
+from truepath.drivers.tracker.t2sa.codec import (
     CONNECTED,
     LASER_OFF,
     LASER_ON,
@@ -37,8 +37,8 @@ from drivers.tracker.t2sa.codec import (
     parse_place,
     parse_reply,
 )
-from drivers.transport.line_link import LineLink
-from drivers.transport.tcp_port import TcpPort
+from truepath.drivers.transport.line_link import LineLink
+from truepath.drivers.transport.tcp_port import TcpPort
 
 log = logging.getLogger(__name__)
 

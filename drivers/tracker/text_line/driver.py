@@ -9,21 +9,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
-from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.interfaces.tracker import ByteLink, Tracker
-from drivers.interfaces.tracker_records import Clock, TrackerCapabilities
-from drivers.tracker.text_line.layout import LineBlock, LineLayout
-from drivers.transport.byte_port import BytePort
-from drivers.transport.serial_port import SerialPort
-from drivers.transport.tcp_port import TcpPort
-from drivers.transport.udp_port import UdpPort
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath.drivers.interfaces.tracker import ByteLink, Tracker
+from truepath.drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+from truepath.drivers.tracker.text_line.layout import LineBlock, LineLayout
+from truepath.drivers.tracker.text_line.pace import Pace
+from truepath.drivers.transport.byte_port import BytePort
+from truepath.drivers.transport.serial_port import SerialPort
+from truepath.drivers.transport.tcp_port import TcpPort
+from truepath.drivers.transport.udp_port import UdpPort
 
 _LONGEST_BYTES = 1 << 12  # of a line
 _KEPT_BYTES = 1 << 20
 _FIRST_LINE_S = 2.0
 _STEP_S = 0.05
 _RATE_TOLERANCE = 0.01
+_MOST_APART_S = 0.2  # counter and time of one line
 _LONGEST_GAP_S = 2.0  # of lost lines, but for a pause of the stream
 
 
@@ -169,14 +171,13 @@ class TextLineTracker(Tracker, ByteLink):
     def _begin(self) -> None:
         """Forget the connection before: its counter, its clock, half a line."""
         self._rest, self._in_step = b"", False
-        self._jumps, self._refused = True, 0
-        self._last_counter: float | None = None
-        self._last_unwrapped = 0.0
+        self._jumps, self._refused, self._pace = True, 0, Pace()
         self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
 
     def _drop_stale(self) -> None:
         """Drop what a sender without commands has sent since the stream before."""
         self._rest, self._in_step, self._jumps = b"", False, True
+        self._pace = Pace()
         while self._port.read(0.0):
             pass
 
@@ -189,14 +190,26 @@ class TextLineTracker(Tracker, ByteLink):
             self._port.write(command.encode() + b"\r\n")
 
     def _await_line(self) -> None:
+        """Wait for a line that can be read; the first may have begun before."""
         deadline_s = time.monotonic() + _FIRST_LINE_S
-        while b"\n" not in self._rest:
+        while True:
+            whole = self._rest.split(b"\n")[:-1]
+            problems = [self._layout.explain(line) for line in whole]
+            if "" in problems:
+                return
             if time.monotonic() > deadline_s:
-                raise DeviceTimeout(
-                    f"{self._port.name} sends no line within {_FIRST_LINE_S:g} s; "
-                    "start the stream at the tracker's software"
-                )
+                break
             self._take(_STEP_S)
+        if not problems:
+            raise DeviceTimeout(
+                f"{self._port.name} sends no line within {_FIRST_LINE_S:g} s; "
+                "start the stream at the tracker's software"
+            )
+        raise Refused(
+            f"{self._port.name}: none of {len(whole)} lines can be read; the last, "
+            f"{whole[-1][:60]!r}, {problems[-1]}: correct columns, delimiter or "
+            "decimal_comma, or the format of the sender"
+        )
 
     def _take(self, timeout_s: float) -> None:
         try:
@@ -229,55 +242,72 @@ class TextLineTracker(Tracker, ByteLink):
         """Return the samples with a rising sequence and clock; others are bad lines."""
         if not len(block):
             return TrackerSamples.empty()
-        if self._layout.has_counter:
-            steps = self._unwrap(block.counter)
-            time_s = block.time_s if self._layout.has_time else steps / self._rate_hz
-        elif self._layout.has_time:
-            if self._last_sequence < 0:
-                self._first_s = float(block.time_s[0])
-            time_s = block.time_s
-            steps = np.rint((time_s - self._first_s) * self._rate_hz)
-        else:
-            steps = self._last_sequence + 1.0 + np.arange(len(block))
-            time_s = self._spread(len(block))
-        good = np.array([self._accept(*row) for row in zip(steps, time_s, strict=True)])
+        if self._layout.has_time and self._last_sequence < 0:
+            self._first_s = float(block.time_s[0])
+        times_s = block.time_s if self._stamped else self._spread(len(block))
+        taken: list[tuple[int, float]] = []
+        good = np.zeros(len(block), bool)
+        for row, time_s in enumerate(times_s.tolist()):
+            step = self._count_step(float(block.counter[row]), time_s)
+            if not self._layout.has_time and self._stamped:
+                time_s = step / self._rate_hz
+            if self._accept(step, time_s):
+                taken.append((step, time_s))
+                good[row] = True
         self._count(crc_errors=int((~good).sum()))
-        position_mm, status = block.position_mm[good], block.status[good]
-        sequence = steps[good].astype(np.int64)
-        return TrackerSamples(sequence, time_s[good], position_mm, status)
+        if taken:
+            self._keep_pace(*taken[-1])
+        sequence = np.array([step for step, _ in taken], np.int64)
+        stamps_s = np.array([time_s for _, time_s in taken], np.float64)
+        return TrackerSamples(
+            sequence, stamps_s, block.position_mm[good], block.status[good]
+        )
 
-    def _accept(self, step: float, time_s: float) -> bool:
+    def _keep_pace(self, step: int, time_s: float) -> None:
+        """Refuse a stream whose rate or unit of time is not the one that is stated."""
+        found = self._pace.look(time_s if self._stamped else step / self._rate_hz)
+        if found is not None:
+            raise ConnectionLost(
+                f"{self._port.name}: its clock runs {found:.3g} times as fast as the "
+                f"one of this computer: correct rate_hz (now {self._rate_hz:g}), "
+                "time_unit or columns; or several instruments send here"
+            )
+
+    def _count_step(self, counter: float, time_s: float) -> int:
+        """Return the number of a line, counted on from the last one that was good."""
+        if not self._layout.has_counter:
+            if self._layout.has_time:
+                return round((time_s - self._first_s) * self._rate_hz)
+            return self._last_sequence + 1
+        if not self._wraps or self._last_sequence < 0:
+            return int(counter)
+        return self._last_sequence + int(counter - self._last_sequence) % self._wraps
+
+    def _accept(self, step: int, time_s: float) -> bool:
         """Tell whether a line follows the last one, and count what is missing between.
 
         A damaged digit of a counter or time must not end the stream: what is far ahead
         is refused as well, but at the start of a stream.
         """
         first = self._last_sequence < 0
-        missing = 0 if first else int(step) - self._last_sequence - 1
-        near = self._jumps or missing < _LONGEST_GAP_S * self._rate_hz
-        if missing < 0 or time_s <= self._last_time_s or not near:
+        missing = 0 if first else step - self._last_sequence - 1
+        gap_s = time_s - self._last_time_s
+        steps_s = (missing + 1) / self._rate_hz
+        near = max(steps_s, gap_s) < _LONGEST_GAP_S
+        agrees = abs(gap_s - steps_s) < _MOST_APART_S or not self._stamped
+        goes_on = self._jumps or (near and agrees)
+        if missing < 0 or gap_s <= 0.0 or not goes_on:
             self._refused += 1
             if self._refused > _LONGEST_GAP_S * self._rate_hz:
                 raise ConnectionLost(
                     f"{self._port.name}: counter or time has begun anew or jumped; "
-                    "connect again"
+                    "connect again; if the counter wraps, say counter_wraps"
                 )
             return False
         self._count(lost_samples=missing)
-        self._last_sequence, self._last_time_s = int(step), float(time_s)
+        self._last_sequence, self._last_time_s = step, time_s
         self._jumps, self._refused = False, 0
         return True
-
-    def _unwrap(self, counter: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not self._wraps:
-            return counter
-        if self._last_counter is None:
-            self._last_counter = self._last_unwrapped = float(counter[0])
-        step = np.mod(np.diff(counter, prepend=self._last_counter), self._wraps)
-        unwrapped = self._last_unwrapped + np.cumsum(step)
-        self._last_counter = float(counter[-1])
-        self._last_unwrapped = float(unwrapped[-1])
-        return unwrapped
 
     def _spread(self, count: int) -> NDArray[np.float64]:
         """Return times of lines that came at once, at the nominal rate up to now."""

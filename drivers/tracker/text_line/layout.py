@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.errors import Refused
 
 NOT_VALID, NO_POSITION = 0x01, 0x80
 _LENGTH_MM = {"mm": 1.0, "m": 1e3, "inch": 25.4}
@@ -85,32 +86,56 @@ class LineLayout:
         block = LineBlock(table[:, 0] * self._scale_s, table[:, 1], position_mm, status)
         return block, len(lines) - len(rows)
 
+    def explain(self, line: bytes) -> str:
+        """Return what keeps a line from being read; empty where it is good."""
+        try:
+            self._read_cells(line)
+        except ValueError as problem:
+            return str(problem)
+        return ""
+
     def _parse_line(self, line: bytes) -> tuple[float, ...] | None:
         try:
-            text = line.decode("ascii").strip()
-        except UnicodeDecodeError:
+            return self._read_cells(line)
+        except ValueError:
             return None
+
+    def _read_cells(self, line: bytes) -> tuple[float, ...]:
+        """Return time, counter, x, y, z, status. Raises ValueError with the cause."""
+        text = _decode(line)
         words = [word.strip() for word in text.split(self._delimiter)]
         if len(words) != len(self.fields):
-            return None
+            raise ValueError(f"has {len(words)} fields, columns {len(self.fields)}")
         if self._decimal_comma:
             words = [word.replace(",", ".") for word in words]
         cells = dict(zip(self.fields, words, strict=True))
+        values = [
+            _read_number(name, cells.get(name, "nan"))
+            for name in ("time", "counter", "x", "y", "z")
+        ]
+        for name, value in zip(("time", "counter"), values, strict=False):
+            if name in cells and not math.isfinite(value):
+                raise ValueError(f"{name} is {cells[name]!r}")
+        if "counter" in cells and not values[1].is_integer():
+            raise ValueError(f"counter is {cells['counter']!r}, no whole number")
         valid = "status" not in cells or cells["status"] in self._valid
-        values: list[float] = []
-        for name in ("time", "counter", "x", "y", "z"):
-            try:
-                value = float(cells.get(name, "nan"))
-            except ValueError:
-                return None
-            if name in ("time", "counter") and name in cells and not _is_stamp(value):
-                return None
-            values.append(value)
         return *values, 0.0 if valid else NOT_VALID
 
 
-def _is_stamp(value: float) -> bool:
-    return math.isfinite(value)
+def _decode(line: bytes) -> str:
+    if b"\0" in line:
+        raise ValueError("is not ASCII but UTF-16 or binary")
+    try:
+        return line.decode("ascii").strip()
+    except UnicodeDecodeError:
+        raise ValueError("is not ASCII") from None
+
+
+def _read_number(name: str, word: str) -> float:
+    if "_" not in word:
+        with suppress(ValueError):
+            return float(word)
+    raise ValueError(f"{name} is {word!r}, no number")
 
 
 def _choose(option: str, word: str, known: Collection[str]) -> str:

@@ -17,16 +17,16 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.conformance import motion
-from drivers.interfaces.errors import (
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.conformance import motion
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     MotionFault,
     OutOfTravel,
     WrongDevice,
 )
-from drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.records import MotionState, Path
 
 CHECKS = motion.MOTION_CHECKS
 SLOW = (motion.hold_and_resume_are_absolute,)
@@ -172,6 +172,7 @@ def test_the_driver_keeps_its_promises_on_it(check, tcp_server):
 
 
 @pytest.mark.parametrize("order", ["libmodbus", "badc", "cdab", "dcba"])
+@pytest.mark.fault_row(18)
 def test_what_libmodbus_calls_an_order_is_taken_or_told(program, order):
     """Its `abcd` swaps bytes on x86 in 3.1.6, and its `badc` does not."""
     with serve_tcp(program, order) as server:
@@ -262,6 +263,7 @@ def test_on_a_line_another_unit_is_silence(program, tmp_path):
             stranger.connect()
 
 
+@pytest.mark.fault_row(15)
 def test_over_tcp_the_reply_of_another_unit_is_not_taken(tcp_server, tcp_controller):
     tcp_controller.connect()
     tcp_server.tell("unit 9")

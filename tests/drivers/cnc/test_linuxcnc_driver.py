@@ -14,16 +14,21 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from app.motion.nc_programs.linuxcnc import LinuxCnc
-from drivers.cnc.linuxcnc.driver import LinuxCncController
-from drivers.cnc.linuxcnc.machine import parse_travel, read_ini
-from drivers.cnc.linuxcnc.program import write_program
-from drivers.conformance import motion
-from drivers.conformance.motion import MOTION_CHECKS
-from drivers.interfaces.errors import ConnectionLost, MotionFault, Refused, WrongDevice
-from drivers.interfaces.records import MotionState, Path
-from simulators.linuxcnc.files import LinuxCncMachine
-from simulators.linuxcnc.rig import LinuxCncRig, explain_absence
+from truepath.app.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath.drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath.drivers.cnc.linuxcnc.machine import parse_travel, read_ini
+from truepath.drivers.cnc.linuxcnc.program import write_program
+from truepath.drivers.conformance import motion
+from truepath.drivers.conformance.motion import MOTION_CHECKS
+from truepath.drivers.interfaces.errors import (
+    ConnectionLost,
+    MotionFault,
+    Refused,
+    WrongDevice,
+)
+from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.simulators.linuxcnc.files import LinuxCncMachine
+from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 ABSENT = explain_absence()
@@ -160,7 +165,7 @@ def test_held_is_told_only_when_it_stands(driver):
 @needs_linuxcnc
 def test_the_watchdog_holds_what_a_killed_host_has_begun(rig, driver):
     begin = (
-        "import sys, time; from drivers.cnc.linuxcnc.driver import *\n"
+        "import sys, time; from truepath.drivers.cnc.linuxcnc.driver import *\n"
         f"d = LinuxCncController(**{rig.motion_options!r}); d.connect()\n"
         "d.move_to((300, 10, -10), 1200); print('moves', flush=True)\n"
         "while True: d.send_heartbeat(); time.sleep(0.1)"
@@ -223,6 +228,7 @@ def test_what_linuxcnc_refuses_is_refused_in_its_words(rig, driver):
 
 @pytest.mark.long
 @needs_linuxcnc
+@pytest.mark.fault_row(21)
 def test_a_program_that_somebody_opened_meanwhile_is_not_run(rig, driver):
     strange = FilePath(rig.motion_options["program_folder"]) / "strange.ngc"
     strange.write_text("G21 G90 G94 F6000\nG53 G1 X200\nM2\n")
@@ -291,6 +297,30 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
             driver.move_to((10, 50, -30, -30, 45), 6000)
             status = driver.wait(10.0)
             assert status.position == pytest.approx((10, 50, -30, -30, 45), abs=1e-3)
+            driver.move_to((0, 0, 0, 0, 0), 6000)
+            driver.wait(10.0)
+        # With the table at zero, coordinates do not tell that the tip is followed.
+        for options in ({}, {"prologue": "G21"}):
+            there_and_back = Path(
+                tuple(travel),
+                np.array([goal, (0.0,) * 5]),
+                np.full(2, 3000.0),
+                np.zeros(2),
+            )
+            with LinuxCncController(**rig.motion_options, **options) as driver:
+                driver._session.enter_mode("mdi")
+                driver._session.demand("mdi M68 E3 Q1")
+                driver.load(there_and_back)
+                driver.start()
+                with pytest.raises(MotionFault, match="RTCP"):
+                    driver.wait(10.0)
+                stopped = driver.wait(10.0)
+                assert stopped.state is MotionState.ABORTED
+                assert 0 < stopped.position[3] < 9.9
+                driver._session.enter_mode("mdi")
+                driver._session.demand("mdi M68 E3 Q0")
+                driver.move_to((0, 0, 0, 0, 0), 6000)
+                driver.wait(10.0)
 
 
 def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():

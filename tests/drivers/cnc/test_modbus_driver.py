@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from drivers.cnc.modbus.driver import ModbusController
-from drivers.interfaces.errors import (
+from truepath.drivers.cnc.modbus.driver import ModbusController
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
@@ -18,8 +18,8 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity, MotionState, Path
-from simulators.bench import Bench
+from truepath.drivers.interfaces.records import Identity, MotionState, Path
+from truepath.simulators.bench import Bench
 
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 
@@ -64,6 +64,7 @@ def test_connect_sets_the_watchdog_and_reads_it_back(peer):
     assert peer.model.words[181] == 500
 
 
+@pytest.mark.fault_row(17)
 def test_a_device_that_keeps_another_watchdog_time_has_none(peer):
     with ModbusController(**peer.options, watchdog_s=0.5) as controller:
         controller.close()
@@ -269,6 +270,7 @@ def test_results_of_the_device_are_told_in_words(
         assert refusal.value.code == result
 
 
+@pytest.mark.fault_row(17)
 def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
     sent = peer.model.written
 
@@ -282,12 +284,14 @@ def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
         controller.load(zigzag(3))
 
 
+@pytest.mark.fault_row(17)
 def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
     peer.model.loses_rows = True
     with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
         controller.load(zigzag(3))
 
 
+@pytest.mark.fault_row(17)
 def test_a_command_that_is_never_taken_is_a_fault(tcp_peer):
     with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
         tcp_peer.model.takes_commands = False
@@ -295,6 +299,7 @@ def test_a_command_that_is_never_taken_is_a_fault(tcp_peer):
             controller.start()
 
 
+@pytest.mark.fault_row(14)
 def test_a_lost_reply_runs_the_command_once(peer, controller):
     lose = [True]
 
@@ -366,6 +371,7 @@ def test_numbers_go_on_where_the_device_is_and_skip_zero(peer):
 
 
 @pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
+@pytest.mark.fault_row(14)
 def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangled):
     noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
     peer.mangle = {
@@ -382,6 +388,7 @@ def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangle
     assert controller.status().state is MotionState.IDLE
 
 
+@pytest.mark.fault_row(14)
 def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
     with ModbusController(**rtu_peer.options) as controller:
         rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
@@ -391,6 +398,7 @@ def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
         assert controller.status().position == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.fault_row(15)
 def test_a_reply_to_an_older_transaction_is_not_taken(tcp_peer, tcp_controller):
     tcp_peer.mangle = lambda reply: b"\x7f\xff" + reply[2:]
     with pytest.raises(DeviceTimeout):
@@ -423,11 +431,13 @@ def test_a_long_silence_does_not_break_the_link(tcp_peer, tcp_controller):
         (2, Refused, "does not have these registers"),
         (3, Refused, "does not take this value"),
         (4, MotionFault, "the device has failed"),
+        (7, MotionFault, "the device has failed"),
         (8, MotionFault, "the device has failed"),
         (10, ConnectionLost, "the gateway does not reach"),
         (11, ConnectionLost, "the gateway does not reach"),
     ],
 )
+@pytest.mark.fault_row(13)
 def test_exceptions_of_modbus_have_their_families(peer, controller, code, family, text):
     for verb in (controller.status, controller.send_heartbeat):
         peer.exceptions = [code]
@@ -437,6 +447,7 @@ def test_exceptions_of_modbus_have_their_families(peer, controller, code, family
 
 
 @pytest.mark.parametrize("code", [5, 6])
+@pytest.mark.fault_row(13)
 def test_a_busy_device_is_asked_again(peer, controller, code):
     peer.exceptions = [code, code]
     assert controller.status().state is MotionState.IDLE
@@ -445,6 +456,7 @@ def test_a_busy_device_is_asked_again(peer, controller, code):
     assert peer.model.executed == [HOLD]
 
 
+@pytest.mark.fault_row(13)
 def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
     with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
         tcp_peer.exceptions = [6] * 1000
@@ -465,6 +477,7 @@ def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
         ({5: 7}, "7 axes"),
     ],
 )
+@pytest.mark.fault_row(18)
 def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text):
     for address, word in words.items():
         peer.model.words[address] = word
@@ -479,6 +492,7 @@ def test_a_device_without_the_map_is_the_wrong_one(peer, code):
         ModbusController(**peer.options).connect()
 
 
+@pytest.mark.fault_row(7)
 def test_another_serial_number_is_the_wrong_device(tcp_peer):
     with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
         ModbusController(serial_number="CNC-2", **tcp_peer.options).connect()
@@ -486,6 +500,7 @@ def test_another_serial_number_is_the_wrong_device(tcp_peer):
         assert controller.axes
 
 
+@pytest.mark.fault_row(15)
 def test_another_unit_does_not_answer(peer):
     peer.unit = 2
     with pytest.raises(DeviceTimeout, match="check power, unit number"):
@@ -507,6 +522,7 @@ def test_a_connection_that_breaks_is_opened_again_by_the_next_verb(
     assert tcp_peer.model.executed == {"hold": [HOLD], "start": [START]}.get(verb, [])
 
 
+@pytest.mark.fault_row(16)
 def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     tcp_peer.model.words[104] = 1
     for _ in range(3):
@@ -551,6 +567,7 @@ def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_control
 
 
 @pytest.mark.parametrize("is_busy", [False, True])
+@pytest.mark.fault_row(16)
 def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
     tcp_peer, tcp_controller, is_busy
 ):
@@ -722,3 +739,23 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
         until(lambda: controller.status().state is MotionState.IDLE)
         controller.move_to((1.0, 1.0, 1.0), 3000.0)
         assert controller.wait(5.0).state is MotionState.FINISHED
+
+
+def test_an_override_is_lowered_and_never_raised(until):
+    with Bench() as bench, ModbusController(**bench.motion_options) as controller:
+        bench.inject("cnc:override*1.2")
+        until(lambda: controller.status().override == 1.2)
+        for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):
+            controller.limit_override(largest)
+            assert controller.status().override == left
+
+
+@pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
+def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
+    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
+        tcp_peer.model.words[107] = 1200
+        tcp_peer.exceptions = exceptions
+        with pytest.raises(Refused, match="at the machine only"):
+            controller.limit_override(1.0)
+        tcp_peer.model.words[107] = 800
+        controller.limit_override(1.0)

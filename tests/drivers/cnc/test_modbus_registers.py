@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.cnc.modbus import registers as r
-from drivers.cnc.modbus.controller_map import parse_status
-from drivers.interfaces.errors import WrongDevice
-from drivers.interfaces.records import MotionState, Path
+from truepath.drivers.cnc.modbus import registers as r
+from truepath.drivers.cnc.modbus.controller_map import parse_status
+from truepath.drivers.interfaces.errors import WrongDevice
+from truepath.drivers.interfaces.records import MotionState, Path
 
-BLOCKS = [r.IDENTITY, r.STATUS, r.ALARM_TEXT, r.CONTROL, r.COMMAND]
+BLOCKS = [r.IDENTITY, r.STATUS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND]
 DOCS = File(__file__).parents[3] / "docs"
 
 

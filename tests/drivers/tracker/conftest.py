@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
     DeviceInfo,
     Format,
@@ -35,7 +35,7 @@ from drivers.tracker.streaming.messages import (
     Type,
     encode_message,
 )
-from simulators.tracker_head import to_spherical
+from truepath.simulators.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 

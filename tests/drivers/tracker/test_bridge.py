@@ -3,17 +3,18 @@
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import drivers.tracker.bridge as kit
-from drivers.conformance.tracker import TRACKER_CHECKS
-from drivers.interfaces.records import TrackerSamples
-from drivers.tracker.bridge import gst_bridge
-from drivers.tracker.streaming.driver import StreamingTracker
-from drivers.tracker.streaming.framing import check_frame, encode_frame
+import truepath.drivers.tracker.bridge as kit
+from truepath.drivers.conformance.tracker import TRACKER_CHECKS
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.drivers.tracker.bridge import gst_bridge
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.drivers.tracker.streaming.framing import check_frame, encode_frame
 
 FOLDER = Path(kit.__file__).parent
 
@@ -62,3 +63,39 @@ def test_frames_of_the_kit_are_those_of_the_driver(size, rng):
         frame = gst_bridge.encode_frame(body)
         assert check_frame(frame.strip(b"\0")) == body
         assert len(frame) <= len(encode_frame(body)) + 1
+
+
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-g"]
+SANE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "compiler", ["gcc -std=c99 -Wconversion", "clang -std=c99", "g++ -std=c++17 -x c++"]
+)
+def test_the_header_survives_random_bytes_and_odd_frames(compiler, tmp_path):
+    name, *flags = compiler.split()
+    if shutil.which(name) is None:
+        pytest.skip(f"no {name}")
+    source, program = Path(__file__).parent / "bridge_attack.c", tmp_path / "attack"
+    build = [name, *STRICT, *SANE, *flags, f"-I{FOLDER}", "-o", str(program)]
+    subprocess.run([*build, str(source), "-lm"], check=True)
+    found = subprocess.run([program], capture_output=True, text=True, check=True)
+    assert 240 < int(found.stdout) <= 1024
+
+
+@pytest.mark.long
+@pytest.mark.timeout(120)
+def test_a_minute_at_1_khz_loses_nothing(port):
+    with StreamingTracker(port, host="127.0.0.1") as tracker:
+        tracker.start(1000.0)
+        blocks, count = [], 0
+        while count < 60_000:
+            blocks.append(tracker.read(0.5))
+            count += len(blocks[-1])
+            time.sleep(0.02)
+        health = tracker.health
+    samples = TrackerSamples.join(blocks)
+    assert (np.diff(samples.sequence) == 1).all()
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.001, atol=1e-6)
+    assert (health.lost_samples, health.crc_errors, health.skipped_bytes) == (0, 0, 0)

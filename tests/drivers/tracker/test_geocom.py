@@ -13,24 +13,24 @@ import pytest
 from geocompy import Angle, GeoCom, open_serial, open_socket
 from geocompy.geo.gctypes import GeoComCode
 
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     BeamLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.tracker_records import Air, TrackerEventKind
-from drivers.tracker.geocom import codec
-from drivers.tracker.geocom.codec import (
+from truepath.drivers.interfaces.tracker_records import Air, TrackerEventKind
+from truepath.drivers.tracker.geocom import codec
+from truepath.drivers.tracker.geocom.codec import (
     Procedure,
     encode_request,
     parse_reply,
     to_cartesian_mm,
 )
-from drivers.tracker.geocom.driver import GeoComTracker
-from drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
-from simulators.bench import Bench
+from truepath.drivers.tracker.geocom.driver import GeoComTracker
+from truepath.drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
+from truepath.simulators.bench import Bench
 
 HURRIED = {"reply_timeout_s": 0.5, "shot_s": 0.5, "turn_s": 0.5}
 
@@ -285,3 +285,46 @@ def test_a_prism_that_is_far_off_the_beam_is_told_as_lost(tracker):
 def _angles(place_mm: np.ndarray) -> tuple[float, float]:
     x, y, z = place_mm
     return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+
+
+def test_a_comma_or_a_letter_beyond_ascii_in_a_name_is_part_of_it(instrument):
+    instrument.answers[5004] = '0,"TS60 I, R für 3D"'.encode()
+    with GeoComTracker(port=instrument.port, **HURRIED) as tracker:
+        assert tracker.connect().model == "TS60 I, R für 3D"
+
+
+@pytest.mark.parametrize("values", [b"", b",", b"1", b"1,", b',"a,b",', b'"",2'])
+def test_values_are_split_at_commas_outside_of_quotes(values):
+    reply = parse_reply(b"%R1P,0,4:0," + values)
+    assert b",".join(reply.values) == values
+    assert len(reply.values) == re.sub(rb'"[^"]*"', b"", values).count(b",") + 1
+
+
+def without(instrument, *unknown):
+    """Make the instrument one that does not know some procedures."""
+    say = instrument.say
+
+    def answer(number, body):
+        asked = re.match(rb"^\n*%R1Q,(\d+),", instrument.heard[-1])[1]
+        if int(asked) in unknown:
+            return b"%R1P,3081," + number + b":0\r\n"
+        return say(number, body)
+
+    instrument.say = answer
+
+
+def test_an_instrument_that_knows_lock_by_its_newer_procedures_follows(instrument):
+    without(instrument, 9018, 9020)
+    with GeoComTracker(port=instrument.port, **HURRIED):
+        heard = b" ".join(instrument.heard)
+    assert b"%R1Q,18005," in heard
+    assert b"%R1Q,18007," in heard
+
+
+def test_an_instrument_without_lock_says_what_to_set(instrument):
+    without(instrument, 9018, 9020, 18005, 18007)
+    tracker = GeoComTracker(port=instrument.port, **HURRIED)
+    with pytest.raises(Refused, match=r"does not know AUS_SET_USER_ATR.*follows"):
+        tracker.connect()
+    with GeoComTracker(port=instrument.port, follows=False, **HURRIED):
+        pass

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.tracker.streaming.framing import (
+from truepath.drivers.tracker.streaming.framing import (
     MAX_BODY,
     MAX_FRAME,
     FrameReader,
@@ -103,6 +103,7 @@ def test_any_split_gives_the_same_bodies(sent, data):
 
 
 @given(st.lists(bodies, min_size=2, max_size=6))
+@pytest.mark.fault_row(4)
 def test_one_byte_at_a_time_is_no_different(sent):
     reader = FrameReader()
     wire = b"".join(map(encode_frame, sent))
@@ -132,6 +133,7 @@ def test_a_damaged_byte_costs_at_most_one_frame(sent, data):
     st.lists(bodies, min_size=1, max_size=5),
     st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 7)), max_size=40),
 )
+@pytest.mark.fault_row(1)
 def test_flipped_bits_never_make_a_body_that_was_not_sent(sent, flips):
     wire = bytearray(b"".join(map(encode_frame, sent)))
     for place, bit in flips:
@@ -173,6 +175,7 @@ def test_a_frame_of_nothing_but_a_crc_is_no_frame():
     assert (reader.frames, reader.crc_errors) == (0, 1)
 
 
+@pytest.mark.fault_row(3)
 def test_a_megabyte_of_noise_without_a_delimiter_takes_no_memory():
     noise = np.random.default_rng(3).integers(1, 256, 1 << 20, np.uint8).tobytes()
     reader = FrameReader()

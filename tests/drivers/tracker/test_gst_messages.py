@@ -10,24 +10,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.framing import encode_frame
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.framing import encode_frame
+from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
     spherical_to_cartesian_mm,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
+    Aim,
+    AirInUse,
     DeviceInfo,
     Event,
     EventCode,
     Format,
+    GetAir,
     Hello,
+    Home,
     MessageReader,
     Nak,
     NakCode,
     Ping,
+    Search,
+    Select,
+    SetAir,
     Start,
     Status,
     Stop,
@@ -36,7 +43,7 @@ from drivers.tracker.streaming.messages import (
     encode_message,
     parse_message,
 )
-from simulators.tracker_head import to_spherical
+from truepath.simulators.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PAGE = Path(__file__).parents[3] / "docs" / "tracker-protocol.md"
@@ -47,11 +54,24 @@ u32 = st.integers(0, 0xFFFFFFFF)
 u64 = st.integers(0, 2**64 - 1)
 rates = st.integers(1, 10_000_000).map(lambda mhz: mhz / 1000)
 texts = st.text(max_size=15)
+angles = st.floats(-7.0, 7.0)
 infos = st.builds(DeviceInfo, texts, texts, texts, texts, rates, u8)
 messages = st.one_of(
     st.builds(Hello, u8, u8),
     st.builds(Start, u8, rates, st.sampled_from(Format)),
     st.builds(Stop, u8),
+    st.builds(Home, u8),
+    st.builds(Aim, u8, angles, angles),
+    st.builds(Search, u8),
+    st.builds(Select, u8, texts),
+    st.builds(SetAir, u8, angles, angles, angles),
+    st.builds(GetAir, u8),
+    st.builds(
+        Ack,
+        u8,
+        st.sampled_from([int(Type.SET_AIR), int(Type.GET_AIR)]),
+        st.builds(AirInUse, angles, angles, angles),
+    ),
     st.builds(Ping, u8),
     st.builds(Ack, u8, st.just(int(Type.HELLO)), infos),
     st.builds(

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.interfaces.records import TrackerSamples
-from drivers.interfaces.tracker_records import TrackerEventKind
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.event_log import EventLog
-from drivers.tracker.streaming.measurements import (
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.drivers.interfaces.tracker_records import TrackerEventKind
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.event_log import EventLog
+from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
     Event,
     EventCode,
@@ -23,7 +23,7 @@ from drivers.tracker.streaming.messages import (
     Type,
     encode_message,
 )
-from simulators.tracker_head import to_spherical
+from truepath.simulators.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PERIOD_US = 2000
@@ -101,6 +101,7 @@ def test_the_short_clock_starts_from_the_long_one_of_the_start():
     st.sampled_from(FORMATS),
 )
 @settings(max_examples=30)
+@pytest.mark.fault_row(2)
 def test_any_split_and_any_loss_gives_the_samples_sent(lost, cuts, measured):
     kept = np.setdiff1d(np.arange(300), lost)
     wire = started() + b"".join(stream(kept, measured=measured))
@@ -141,6 +142,7 @@ def test_without_a_rate_the_first_gap_is_told_by_the_number_alone():
     assert decoder.health.lost_samples == 78
 
 
+@pytest.mark.fault_row(2)
 def test_repeated_and_late_frames_are_left_out():
     frames = stream(np.arange(20))
     order = [0, 1, 2, 2, 3, 5, 4, 6, 6, 6, 7, 1, *range(8, 20)]
@@ -224,6 +226,7 @@ def test_damage_never_makes_a_wrong_sample(damage, deletions):
     assert len(samples) + decoder.health.lost_samples <= 120
 
 
+@pytest.mark.fault_row(3)
 def test_noise_bursts_cost_only_the_frames_they_hit():
     rng = np.random.default_rng(11)
     frames = stream(np.arange(2500))
@@ -244,6 +247,7 @@ def test_noise_bursts_cost_only_the_frames_they_hit():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["range_m", "azimuth_rad", "elevation_rad"])
+@pytest.mark.fault_row(12)
 def test_what_is_not_a_number_is_no_valid_sample(field, value):
     columns = {"range_m": 1.0, "azimuth_rad": 0.1, "elevation_rad": 0.1, field: value}
     raw = RawSamples(
@@ -280,6 +284,7 @@ def test_no_bytes_give_an_empty_block():
     assert decoder.health.frames == 0
 
 
+@pytest.mark.fault_row(10)
 def test_events_and_warnings_are_kept_for_whoever_asks():
     log = EventLog()
     log.note(Event(EventCode.BEAM_BROKEN, 1_500_000))

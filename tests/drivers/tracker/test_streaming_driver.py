@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.tracker.streaming import receiver
-from drivers.tracker.streaming.codec import StreamDecoder
-from drivers.tracker.streaming.driver import StreamingTracker
-from drivers.tracker.streaming.messages import (
+from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath.drivers.tracker.streaming import driver, receiver
+from truepath.drivers.tracker.streaming.codec import StreamDecoder
+from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.drivers.tracker.streaming.messages import (
     Ack,
     Event,
     EventCode,
@@ -112,6 +112,7 @@ def test_short_frames_are_asked_for_and_read(loopback_tracker):
     np.testing.assert_allclose(samples.position_mm, expected, atol=2e-5)
 
 
+@pytest.mark.fault_row(1)
 def test_damaged_frames_are_lost_and_never_wrong(loopback_tracker, running_tracker):
     rng = np.random.default_rng(1)
 
@@ -266,6 +267,7 @@ def test_a_loop_back_plug_is_told_from_a_tracker(wire, echo):
         StreamingTracker(**peer.options).connect()
 
 
+@pytest.mark.fault_row(7)
 def test_another_version_of_the_protocol_is_refused(loopback_tracker):
     loopback_tracker.info = replace(loopback_tracker.info, version=2)
     with pytest.raises(WrongDevice, match="does not speak GST/1"):
@@ -278,6 +280,7 @@ def test_a_device_that_refuses_the_version_is_the_wrong_one(loopback_tracker):
         StreamingTracker(**loopback_tracker.options).connect()
 
 
+@pytest.mark.fault_row(7)
 def test_another_serial_number_is_the_wrong_device(loopback_tracker):
     tracker = StreamingTracker(serial_number="LB-2", **loopback_tracker.options)
     with pytest.raises(WrongDevice, match="instrument LB-1 answers, LB-2"):
@@ -330,6 +333,7 @@ def test_events_and_status_are_no_samples(loopback_tracker, caplog):
     assert "event 3 at 6 µs" in caplog.text
 
 
+@pytest.mark.fault_row(6)
 def test_an_unplugged_port_is_a_lost_connection(loopback_tracker, running_tracker):
     read_for(running_tracker, 10)
     loopback_tracker.unplug()
@@ -459,3 +463,16 @@ def test_stop_on_a_port_lost_in_that_moment_is_quiet(
         patch.setattr(running_tracker._port, "write", gone)
         running_tracker.stop()
     assert "stop not sent: it hung up" in caplog.text
+
+
+def test_a_clock_that_falls_back_is_named_and_no_silence(
+    loopback_tracker, running_tracker, monkeypatch
+):
+    read_for(running_tracker, 50)
+    monkeypatch.setattr(driver, "_STALE_S", 0.2)
+    monkeypatch.setattr(
+        loopback_tracker, "_clock_us", lambda number: np.asarray(number) * 2000
+    )
+    with pytest.raises(ConnectionLost, match="clock has fallen back"):
+        read_for(running_tracker, 1000)
+    running_tracker.stop()

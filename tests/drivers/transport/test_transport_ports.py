@@ -9,9 +9,9 @@ import tty
 import pytest
 import serial
 
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.transport.serial_port import SerialPort
-from drivers.transport.tcp_port import TcpPort
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath.drivers.transport.serial_port import SerialPort
+from truepath.drivers.transport.tcp_port import TcpPort
 
 
 @pytest.fixture
@@ -113,6 +113,7 @@ def test_a_tcp_peer_that_closes_is_lost(tcp_port):
         port.read(0.5)
 
 
+@pytest.mark.fault_row(16)
 def test_a_tcp_peer_that_resets_is_lost(tcp_port):
     server, port = tcp_port
     port.open()

@@ -9,9 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from app.motion.default_points import default_points
-from app.motion.nc_programs.programs import write_program
-from app.planning.default_path import default_path
+from truepath.app.motion.default_points import default_points
+from truepath.app.motion.nc_programs.programs import write_program
+from truepath.app.planning.default_path import default_path
 
 pytestmark = pytest.mark.skipif(
     shutil.which("rs274") is None,

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.errors import PlanningError
-from app.motion.nc_programs.programs import read_program
+from truepath.app.errors import PlanningError
+from truepath.app.motion.nc_programs.programs import read_program
 
 SIEMENS = """\
 ; PROGRAM BY_HAND
@@ -173,6 +173,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("dialect", "old", "new", "message"), WRONG)
+@pytest.mark.fault_row(24)
 def test_what_a_measuring_path_must_not_have_is_refused_by_line(
     dialect, old, new, message
 ):

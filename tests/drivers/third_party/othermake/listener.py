@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 from collections import deque
 
-from drivers.interfaces.errors import ConnectionLost, DeviceError
-from drivers.interfaces.records import LinkHealth
-from drivers.transport.byte_port import BytePort
 from othermake.lines import MAX_LINE, Continuation, Sample, check
+from truepath.drivers.interfaces.errors import ConnectionLost, DeviceError
+from truepath.drivers.interfaces.records import LinkHealth
+from truepath.drivers.transport.byte_port import BytePort
 
 _LOOK_S = 0.1
 _SAMPLES = 30_000  # ten minutes at 50 Hz

@@ -7,18 +7,18 @@ import threading
 
 import numpy as np
 
-from drivers.interfaces.errors import (
+from othermake.lines import seal
+from othermake.listener import Listener
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.interfaces.tracker import ByteLink, Tracker
-from drivers.transport.tcp_port import TcpPort
-from othermake.lines import seal
-from othermake.listener import Listener
+from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath.drivers.interfaces.tracker import ByteLink, Tracker
+from truepath.drivers.transport.tcp_port import TcpPort
 
 log = logging.getLogger(__name__)
 

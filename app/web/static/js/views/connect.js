@@ -27,11 +27,13 @@ export function lead({ machine, busy, job }, { actions, go }) {
 export function mount(root, { store, actions }) {
   const tracker = device("tracker", t("connect.tracker"));
   const control = device("controller", t("connect.control"));
+  const thermometers = device("tracker", t("connect.thermometers"));
   const machineCard = h("section", { class: "card" });
   root.append(
     head(t("connect.title"), t("connect.text")),
     h("div", { class: "columns" },
       h("div", { class: "stack" }, tracker.element, control.element,
+        thermometers.element,
         card(t("connect.recorded"), dropZone(store, actions))),
       machineCard),
   );
@@ -40,6 +42,8 @@ export function mount(root, { store, actions }) {
     update({ machine }) {
       tracker.update(machine?.tracker, isConnected(machine));
       control.update(machine?.motion, isConnected(machine));
+      thermometers.update(machine?.thermometers, isConnected(machine));
+      thermometers.element.hidden = !machine?.thermometers;
       if (machine === described) return;
       described = machine;
       machineCard.replaceChildren(...describe(machine));

@@ -10,8 +10,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from drivers.cnc.modbus.registers import Block
-from drivers.interfaces.errors import (
+from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
@@ -59,10 +58,11 @@ class TcpAddress:
 
 @dataclass(frozen=True, slots=True)
 class SerialAddress:
-    """A Modbus RTU line, 8N1."""
+    """A Modbus RTU line of 8 bits; parity `N`, `E` or `O`."""
 
     path: str
     baudrate: int
+    parity: str = "N"
 
     def __str__(self) -> str:
         return self.path
@@ -70,12 +70,35 @@ class SerialAddress:
     def client(self) -> ModbusSerialClient:
         """Return a client that is not connected."""
         return ModbusSerialClient(
-            self.path, baudrate=self.baudrate, timeout=TIMEOUT_S, retries=RETRIES
+            self.path,
+            baudrate=self.baudrate,
+            parity=self.parity,
+            timeout=TIMEOUT_S,
+            retries=RETRIES,
         )
 
 
+def make_address(
+    host: str | None,
+    port: int,
+    serial_port: str | None,
+    baudrate: int,
+    parity: str = "N",
+) -> TcpAddress | SerialAddress:
+    """Return the address that options name. Raises ValueError unless it is one."""
+    if (host is None) == (serial_port is None):
+        raise ValueError("give either host (Modbus TCP) or serial_port (Modbus RTU)")
+    if parity not in ("N", "E", "O"):
+        raise ValueError(f"parity {parity!r} is none of N, E, O")
+    if host is not None:
+        return TcpAddress(host, port)
+    return SerialAddress(str(serial_port), baudrate, parity)
+
+
 class ModbusLink:
-    """Holding registers of one unit. For one thread at a time: the driver has the lock.
+    """Registers of units on one line. For one thread at a time: drivers lock.
+
+    unit : that is asked where a request names no other
 
     A connection that broke stays broken until `open`: the library would take it up
     again by itself, and another device may answer by then. A connection that is only
@@ -115,20 +138,29 @@ class ModbusLink:
         if client is not None:
             client.close()
 
-    def read(self, block: Block) -> list[int]:
-        """Return the words of a block. Harmless, so it may be repeated."""
+    def read(
+        self,
+        address: int,
+        count: int,
+        *,
+        unit: int | None = None,
+        are_inputs: bool = False,
+    ) -> list[int]:
+        """Return holding or input registers. Harmless, so it may be repeated."""
         client = self._require_connected()
+        read = (
+            client.read_input_registers if are_inputs else client.read_holding_registers
+        )
+        asked = self._unit if unit is None else unit
         try:
-            reply = client.read_holding_registers(
-                block.address, count=block.count, device_id=self._unit
-            )
+            reply = read(address, count=count, device_id=asked)
         except (ModbusException, OSError) as error:
-            raise self._failure(error) from error
-        self._check(reply, f"reading {block.count} registers at {block.address}")
-        if len(reply.registers) != block.count:
+            raise self._failure(error, asked) from error
+        self._check(reply, asked, f"reading {count} registers at {address}")
+        if len(reply.registers) != count:
             raise DeviceTimeout(
-                f"{self.name}: {len(reply.registers)} registers came, not "
-                f"{block.count}; the reply is not to this request"
+                f"{self._address} unit {asked}: {len(reply.registers)} registers came, "
+                f"not {count}; the reply is not to this request"
             )
         return list(reply.registers)
 
@@ -138,31 +170,31 @@ class ModbusLink:
         try:
             reply = client.write_registers(address, list(words), device_id=self._unit)
         except (ModbusException, OSError) as error:
-            raise self._failure(error) from error
-        self._check(reply, f"writing {len(words)} registers at {address}")
+            raise self._failure(error, self._unit) from error
+        self._check(reply, self._unit, f"writing {len(words)} registers at {address}")
 
     def _require_connected(self) -> ModbusTcpClient | ModbusSerialClient:
         if self._client is None or not self._client.connected:
             raise ConnectionLost(f"{self._address} is not connected; connect first")
         return self._client
 
-    def _failure(self, error: Exception) -> DeviceError:
+    def _failure(self, error: Exception, unit: int) -> DeviceError:
         if isinstance(error, ConnectionException | OSError):
             self.close()
             return ConnectionLost(
                 f"{self._address} is gone; check cable and power, then connect again"
             )
         return DeviceTimeout(
-            f"{self.name}: no valid reply in {TIMEOUT_S:g} s; check "
+            f"{self._address} unit {unit}: no valid reply in {TIMEOUT_S:g} s; check "
             "power, unit number, baud rate and shielding"
         )
 
-    def _check(self, reply: ModbusPDU, doing: str) -> None:
+    def _check(self, reply: ModbusPDU, unit: int, doing: str) -> None:
         """Turn an exception reply into the error of its family."""
         if not reply.isError():
             return
         code = reply.exception_code
-        place = f"{self.name}, {doing}"
+        place = f"{self._address} unit {unit}, {doing}"
         if code in _CONFIGURATION:
             raise Refused(
                 f"{place}: the device {_CONFIGURATION[code]} (exception {code}); "

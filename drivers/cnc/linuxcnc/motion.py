@@ -1,0 +1,120 @@
+"""A motion of LinuxCNC from its begin to its end, and what is watched on the way."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import replace
+
+from truepath.drivers.cnc.linuxcnc.memory import MotionMemory
+from truepath.drivers.cnc.linuxcnc.program import Program
+from truepath.drivers.cnc.linuxcnc.session import TIP_IS_FOLLOWED, LinuxCncSession
+from truepath.drivers.cnc.priority_lock import PriorityLock
+from truepath.drivers.interfaces.errors import MotionFault, Refused
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+
+log = logging.getLogger(__name__)
+
+_BEGIN_S = 0.3  # in which a motion shows, or is refused
+_BEGIN_LOOK_S = 0.01
+
+
+class LinuxCncMotion:
+    """The one motion that is under way, or the last one. The caller locks.
+
+    aborts : counts those asked for, by any thread
+    """
+
+    def __init__(self, session: LinuxCncSession, lock: PriorityLock) -> None:
+        self._session, self._lock = session, lock
+        self._memory = MotionMemory()
+        self.aborts = 0
+
+    @property
+    def loaded(self) -> Program | None:
+        """The path that `begin` may run."""
+        return self._memory.loaded
+
+    def take(self, program: Program) -> None:
+        """Know that a path is loaded."""
+        self._memory = MotionMemory(loaded=program, ended=MotionState.READY)
+
+    def look(self) -> MotionStatus:
+        """Read the machine, and draw what it means for our motion.
+
+        Raises MotionFault, and aborts, where a motion does not do what its rows say.
+        """
+        look = self._session.look()
+        was_under_way = self._memory.is_under_way
+        status = self._memory.judge(look)
+        if was_under_way and look.follows_tip and self._memory.has_moved(look):
+            self.abort()
+            raise MotionFault(f"{self._session.name}: {TIP_IS_FOLLOWED}")
+        if was_under_way and not self._memory.is_under_way:
+            self._session.disarm()
+            errors = self._session.take_errors()
+            self._memory.text = "; ".join(errors)
+            for error in errors:
+                log.warning("%s: %s", self._session.name, error)
+            status = replace(status, alarm=status.alarm or self._memory.text)
+        return status
+
+    def prepare(self, mode: str) -> None:
+        """Make ready for a motion in a mode."""
+        status = self.look()
+        self.require_able(status)
+        if status.state in (MotionState.RUNNING, MotionState.HELD):
+            raise Refused(f"{self._session.name}: not in state {status.state}")
+        self._session.take_errors()
+        self._session.enter_mode(mode)
+
+    def begin(self, what: str, program: Program, aborts: int) -> None:
+        """Have a motion begin, and see that it does or has ended already. Locks."""
+        with self._lock.hold():
+            if self.aborts != aborts:
+                raise Refused("aborted before it began")
+            before = self._session.look().position
+            self._session.arm()
+            try:
+                self._session.demand(what)
+            except Refused:
+                self._session.disarm()
+                raise
+            self._memory = self._memory.begin(program, before)
+        deadline_s = time.monotonic() + _BEGIN_S
+        while self.aborts == aborts and time.monotonic() < deadline_s:
+            with self._lock.hold():
+                look, errors = self._session.look(), self._session.take_errors()
+                if errors and self.aborts == aborts:
+                    self._memory = self._memory.end_refused()
+                    self._session.disarm()
+                    raise Refused(f"{self._session.name}: {'; '.join(errors)}")
+                if self._memory.has_moved(look) or look.has_ended:
+                    return
+            time.sleep(_BEGIN_LOOK_S)
+
+    def hold(self) -> None:
+        """Feed hold."""
+        if self._session.is_running():
+            self._memory.is_held_by_us = True
+            self._session.insist("pause")
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+        if self.look().state is not MotionState.HELD:
+            return
+        self._session.arm()
+        self._memory.is_held_by_us = False
+        if not self._session.is_running():  # after the watchdog alone it does
+            self._session.demand("resume")
+
+    def abort(self) -> None:
+        """Stop and forget the path."""
+        self._session.insist("abort")
+        self._memory = MotionMemory(ended=MotionState.ABORTED)
+        self._session.disarm()
+
+    def require_able(self, status: MotionStatus) -> None:
+        """Raise MotionFault where the machine cannot be driven."""
+        if status.state in UNABLE:
+            raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")

@@ -1,0 +1,1 @@
+"""Thermometers and sensors of the air, one folder a kind of link."""

@@ -1,0 +1,1 @@
+"""Sensors behind Modbus TCP or RTU, by a list of registers."""

@@ -1,0 +1,129 @@
+"""What a file leaves is stated as it is, and nothing unmeasured is sold as measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.compensation.error_map import map_errors
+from truepath.app.compensation.export import export_result
+from truepath.app.compensation.format import Correction
+from truepath.app.compensation.isg_csv import IsgCsv
+from truepath.app.compensation.linuxcnc import LinuxCnc
+from truepath.app.compensation.unmeasured import Unmeasured
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.conditions import make_standstill
+
+FORMATS = {"isg-csv": IsgCsv, "linuxcnc": LinuxCnc}
+
+
+@pytest.fixture(scope="module")
+def source(loaded):
+    return map_errors(loaded)
+
+
+@pytest.fixture(scope="module")
+def half_measured(source):
+    """The same result, X measured up to 50 of its 300 mm."""
+    measured = {"X": (-200.0, 50.0), "Y": (10.0, 400.0), "Z": (0.0, 310.0)}
+    return replace(source, result=replace(source.result, measured=measured))
+
+
+def read_back(errors, name, **choice) -> Correction:
+    files = export_result(errors, name, "comp", **choice).files
+    return FORMATS[name]().read(files, errors.machine)
+
+
+def along_x(errors, at):
+    place = np.tile(errors.middle_mm, (len(at), 1))
+    place[:, 0] = at
+    return place
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
+    """Machines drawn from the covariance of the result, at places of the test's own."""
+    export = export_result(source, name, "comp")
+    stated = export.account["volumetric_error_um"]["after"]
+    correction = FORMATS[name]().read(export.files, source.machine)
+    rng = np.random.default_rng(77)
+    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
+    place = np.vstack([rng.uniform(low, high, (900, 3)), corners])
+    jacobian = source.volumetric_map.jacobian(make_standstill(source.machine, place))
+    sigma = np.sqrt(np.diag(source.result.covariance))
+    held = 0
+    for _ in range(40):
+        theta = source.result.theta + sigma * rng.standard_normal(len(sigma))
+        left = jacobian @ theta + correction(place, 1.0)
+        left -= left.mean(axis=0)
+        mean_um = 1e3 * np.linalg.norm(left, axis=1).mean()
+        spread = 2.0 * stated["mean_uncertainty"] + 0.08 * stated["mean"]
+        held += abs(mean_um - stated["mean"]) < spread
+    assert held >= 36
+
+
+def test_what_is_left_comes_by_its_reasons(source):
+    account = export_result(source, "isg-csv", "comp").account
+    left, stated = account["left_um"], account["volumetric_error_um"]["after"]
+    parts = ("not_carried", "between_rows", "rounding", "unmeasured_range")
+    assert np.hypot.reduce([left[part] for part in parts]) >= left["map"] * 0.999
+    total = np.hypot(left["map"], left["not_known_by_the_measurement"])
+    assert stated["mean"] == pytest.approx(total, rel=0.25)
+
+
+def test_beyond_the_measured_range_the_last_value_holds(half_measured, source):
+    inside, beyond = (along_x(source, np.array([x])) for x in (50.0, 275.0))
+    held = read_back(half_measured, "linuxcnc")
+    assert held(beyond, 1.0) == pytest.approx(held(inside, 1.0), abs=1e-6)
+    free = read_back(source, "linuxcnc")
+    assert abs(free(beyond, 1.0) - free(inside, 1.0)).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_or_it_fades_to_nothing_at_the_end_of_the_travel(half_measured, name):
+    faded = read_back(half_measured, name, unmeasured=Unmeasured.FADE)
+    held = read_back(half_measured, name)
+    at = along_x(half_measured, np.array([50.0, 175.0, 300.0]))
+    whole, part = held(at, 1.0)[:, 0], faded(at, 1.0)[:, 0]
+    if name == "linuxcnc":  # the volume's other axes add nothing in X
+        assert part == pytest.approx(whole * [1.0, 0.5, 0.0], abs=2e-6)
+    assert part[0] == pytest.approx(whole[0], abs=1e-6)
+    assert abs(part[2] - whole[2]) > 1e-3
+
+
+def test_or_the_file_is_refused_with_the_range(half_measured):
+    with pytest.raises(BadInput, match="X not measured from 50 to 300 mm"):
+        export_result(half_measured, "isg-csv", "c", unmeasured=Unmeasured.REFUSE)
+
+
+@pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
+def test_account_and_file_say_what_was_not_measured(half_measured, choice):
+    export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
+    (said,) = export.account["unmeasured"]
+    assert said.startswith("X not measured from 50 to 300 mm")
+    (text,) = export.files.values()
+    assert f"// {said}" in text.splitlines()
+    assert export.account["tables"]["X"]["measured_to_mm"] == 50.0
+    left = export.account["volumetric_error_um"]
+    assert left["after_where_measured"]["mean"] < 0.5 * left["after"]["mean"]
+    assert export.account["left_um"]["unmeasured_range"] > 1.0
+
+
+def test_a_result_measured_everywhere_says_nothing_of_it(source):
+    account = export_result(source, "isg-csv", "c").account
+    assert account["unmeasured"] == []
+    assert account["left_um"]["unmeasured_range"] == 0.0
+
+
+def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
+    """Lost motion of 8 µm: an axis that is referenced upwards stands right there."""
+    half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
+    result = replace(source.result, half_difference_um={"X": half_um})
+    errors = replace(source, result=result)
+    correction = read_back(errors, "linuxcnc")
+    zero = along_x(errors, np.array([0.0]))
+    assert correction(zero, 1.0)[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert correction(zero, -1.0)[0, 0] == pytest.approx(0.008, abs=1e-6)

@@ -1,0 +1,164 @@
+"""Several targets on one machine: the tracker chooses, and each point is checked."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.kinematics.machine import Target
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
+    CellVerb,
+    FaultReported,
+    MeasurementOrder,
+    RunClosed,
+)
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.errors import BeamLost, NotOffered, Refused
+from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.tracker import PolledTracker, TargetChoice
+from truepath.drivers.interfaces.tracker_records import (
+    Clock,
+    PointMeasurement,
+    TrackerCapabilities,
+)
+
+QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
+PLACE_MM = np.array([2000.0, 300.0, 50.0])
+OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}
+TURNS = ("T1", "T2", "T2", "T1")
+
+
+class ChoosingTracker(PolledTracker, TargetChoice):
+    """Measures the target that it was told, unless a test makes it do otherwise."""
+
+    def __init__(self, motion) -> None:
+        self.motion, self.asked, self.on = motion, list[str](), "T1"
+        self.failures = list[Exception]()
+        self.goes_to: dict[str, str] = {}
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        return TrackerCapabilities(streams=False, clock=Clock.HOST)
+
+    def connect(self) -> Identity:
+        return Identity("Us", "choosing tracker", "C1", "0")
+
+    def close(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def select_target(self, name: str) -> None:
+        self.asked.append(name)
+        if self.failures:
+            raise self.failures.pop(0)
+        self.on = self.goes_to.get(name, name)
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        place = PLACE_MM + self.motion.here + OFFSET_MM[self.on]
+        return PointMeasurement.average(np.array([0.0]), place[None])
+
+
+@pytest.fixture
+def tracker(motion) -> ChoosingTracker:
+    motion.speed = 2000.0
+    return ChoosingTracker(motion)
+
+
+@pytest.fixture
+def order(mill, tmp_path) -> MeasurementOrder:
+    targets = tuple(Target(name, "tool", at) for name, at in OFFSET_MM.items())
+    machine = replace(mill, targets=targets)
+    position = np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (4, 3))
+    points = Configurations(("X", "Y", "Z"), position, np.full(4, 0.03), TURNS)
+    file = str(tmp_path / "points.sqlite")
+    return MeasurementOrder("points", file, machine, points, reserve_bytes=0)
+
+
+@pytest.fixture
+def measure(tracker, motion, order, journal):
+    """Measure to the end, resuming once the tracker is mended by `mend`."""
+
+    def made(mend=lambda: None):
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        measurement = Measurement(
+            order, tracker, motion, devices, journal.report, QUICK
+        )
+        thread = threading.Thread(target=measurement.run)
+        thread.start()
+        while thread.is_alive():
+            if journal.states and journal.states[-1] == "paused":
+                mend()
+                measurement.obey(CellVerb.RESUME)
+            thread.join(0.05)
+        run = open_run(journal.of(RunClosed)[-1].run_file)
+        at = order.commanded.position[: len(run.tracker.position_mm)]
+        places = run.tracker.position_mm - PLACE_MM - at
+        return journal.states[-1], places
+
+    return made
+
+
+def codes(journal) -> list[str]:
+    return [fault.code for fault in journal.of(FaultReported)]
+
+
+def expected() -> np.ndarray:
+    return np.array([OFFSET_MM[name] for name in TURNS])
+
+
+def test_it_is_told_each_target_once_it_changes(measure, tracker, journal):
+    state, places = measure()
+    assert state == "finished"
+    assert tracker.asked == ["T1", "T2", "T1"]
+    assert codes(journal) == []
+    np.testing.assert_allclose(places, expected(), atol=1e-6)
+
+
+def test_a_wrong_target_holds_and_is_never_recorded(measure, tracker, journal):
+    tracker.goes_to = {"T2": "T1"}
+
+    def aim_by_hand():
+        tracker.on = "T2"
+
+    state, places = measure(aim_by_hand)
+    assert state == "finished"
+    assert codes(journal) == ["wrong-target"]
+    np.testing.assert_allclose(places, expected(), atol=1e-6)
+
+
+def test_one_that_cannot_choose_asks_for_another_target(measure, tracker, journal):
+    tracker.failures = [NotOffered("speaks version 1")]
+    hands = iter(("T2", "T1"))
+
+    def aim_by_hand():
+        tracker.on = next(hands)
+
+    state, places = measure(aim_by_hand)
+    assert state == "finished"
+    assert tracker.asked == ["T1"]
+    assert codes(journal) == ["wrong-target"] * 2
+    np.testing.assert_allclose(places, expected(), atol=1e-6)
+
+
+def test_a_target_that_is_not_seen_holds_and_is_chosen_again(measure, tracker, journal):
+    tracker.failures = [BeamLost("no target near the beam")]
+    state, places = measure()
+    assert state == "finished"
+    assert tracker.asked == ["T1", "T1", "T2", "T1"]
+    assert codes(journal) == ["beam-lost"]
+    np.testing.assert_allclose(places, expected(), atol=1e-6)
+
+
+def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
+    tracker.failures = [Refused("knows T5, T6")]
+    state, places = measure()
+    assert state == "failed"
+    assert not len(places)
