@@ -13,6 +13,7 @@ import typer
 from truepath.app.cli import (
     analysis_commands,
     driver_commands,
+    format_commands,
     import_command,
     planning_commands,
     result_commands,
@@ -68,6 +69,7 @@ def truepath(
 app.command()(service_commands.serve)
 app.command()(service_commands.demo)
 app.command()(driver_commands.drivers)
+app.command()(format_commands.formats)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
     context_settings={

@@ -61,7 +61,7 @@ def compare(
 def export(
     result: ResultFile,
     format: Annotated[
-        str, typer.Option(metavar="F", help="Of the controller; another word lists.")
+        str, typer.Option(metavar="F", help="Of the controller; `formats` lists them.")
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")

@@ -9,21 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
-from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
-from truepath.app.compensation.format import (
-    AxisTable,
-    CompensationFormat,
-    CompensationTables,
-    Correction,
-)
+from truepath.app.compensation.error_map import ErrorMap, map_errors
+from truepath.app.compensation.format import AxisTable, CompensationFormat
+from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.remaining_error import (
     GRID,
     RANDOM,
     RemainingError,
     evaluate_effects,
     find_remaining,
+)
+from truepath.app.compensation.tabulation import (
+    Tabulation,
+    find_interpolation_losses_mm,
 )
 from truepath.app.compensation.unmeasured import (
     MeasuredRange,
@@ -36,9 +35,7 @@ from truepath.app.files.result_file import read_result
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
 from truepath.app.files.whole_files import replace_file
-from truepath.app.plugins import load
 
-GROUP = "truepath.compensation_formats"
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"
 _BETTER = 0.999  # of the error before: files that leave more are refused
@@ -75,23 +72,25 @@ def export_files(
     Raises BundleError with the place in the result, BadInput as `export_result`,
     NotUsable where the result is not to be used.
     """
-    suffix, place = _load_format(name).suffix, Path(output)
+    suffix, place = load_format(name).suffix, Path(output)
     loaded = read_result(result)
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
     errors = map_errors(loaded)
+    has_suffix = place.name.endswith(suffix)
+    stem = place.name.removesuffix(suffix) if has_suffix else place.stem
     export = export_result(
-        errors, name, place.stem, spacing_mm=spacing_mm, unmeasured=unmeasured
+        errors, name, stem, spacing_mm=spacing_mm, unmeasured=unmeasured
     )
     place.parent.mkdir(parents=True, exist_ok=True)
-    alone = len(export.files) == 1 and place.suffix not in ("", suffix)
+    beside = place.parent / f"{stem}.json"
+    alone = len(export.files) == 1 and place.suffix != "" and place != beside
     written: list[str] = []
     for file, text in export.files.items():
         target = place if alone else place.parent / file
         replace_file(target, text.encode("ascii"))
         written.append(str(target))
     account = {**export.account, "files": written}
-    beside = place.parent / f"{place.stem}.json"
     replace_file(beside, encode_json(account, indent=1))
     return account
 
@@ -114,54 +113,49 @@ def export_result(
     and is to be refused, or if the files, read back by the rule of the controller, do
     not make the error smaller.
     """
-    kind, found = _load_format(name), errors.result.measured
-    measured = find_measured_ranges(errors.machine, found, unmeasured)
+    kind = load_format(name)
+    measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     gaps = [one.describe() for one in measured.values() if one.missing]
     stamp = _write_stamp(errors, name, gaps)
-
-    def tabulate(
-        of: ErrorMap, among: Mapping[str, MeasuredRange] = measured
-    ) -> CompensationTables:
-        tables = tuple(
-            tabulate_axis(of, among[axis.name], spacing_mm, kind.most_points)
-            for axis in of.axes
-        )
-        return CompensationTables(stem, of.machine, tables, stamp)
-
-    def read_back(among: Mapping[str, MeasuredRange]) -> Correction:
-        return kind.read(kind.write(tabulate(errors, among)), errors.machine)
-
-    content = tabulate(errors)
+    made = Tabulation(kind, stem, stamp, spacing_mm, measured)
+    content = made.tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
     before = find_remaining(errors, measured)
     after = find_remaining(errors, measured, correction)
     _require_gain(kind, before, after)
-    beyond_um = 0.0
-    if gaps:
-        every = find_measured_ranges(errors.machine, found, None)
-        all_of_it = find_remaining(errors, every, read_back(every))
-        beyond_um = after.find_difference_um(all_of_it)
+    beyond_um = _find_beyond_um(errors, made, after) if gaps else 0.0
     account = {
         "schema": SCHEMA,
         "format": name,
         "control": kind.control,
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
-        "volumetric_error_um": {
-            "before": before.state_map(),
-            "after": after.state(),
-            "after_where_measured": after.state(measured=True),
-            "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
-            "travel, coming up and coming down, without the rigid motion of the whole; "
-            "after: as the controller reads the files back, of errors that the "
-            "measurement allows, drawn from its covariance; uncertainty k = 1",
-        },
+        "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
-        "effects": list(evaluate_effects(errors, kind, tabulate, correction)),
+        "effects": list(evaluate_effects(errors, made, correction)),
     }
     return Export(files, account)
+
+
+def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any]:
+    return {
+        "before": before.state_map(),
+        "after": after.state(),
+        "after_where_measured": after.state(measured=True),
+        "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
+        "travel, coming up and coming down, without the rigid motion of the whole; "
+        "after: as the controller reads the files back, of errors that the "
+        "measurement allows, drawn from its covariance; uncertainty k = 1",
+    }
+
+
+def _find_beyond_um(errors: ErrorMap, made: Tabulation, after: RemainingError) -> float:
+    """Return what the choice for unmeasured ranges leaves, root mean square."""
+    every = made.extrapolate(errors)
+    whole = find_remaining(errors, every.measured, every.read_back(errors))
+    return after.find_difference_um(whole)
 
 
 def _split_left(
@@ -175,7 +169,7 @@ def _split_left(
 
     Squares of what files leave of the map add up to the square of `map`.
     """
-    losses = _find_interpolation_losses_mm(errors, tables)
+    losses = find_interpolation_losses_mm(errors, tables)
     squares = sum(3.0 * float(np.mean(np.square(lost))) for lost in losses)
     between_um = UM_PER_MM * math.sqrt(squares)
     rounding_um = kind.resolution_um * float(np.sqrt(len(tables) / 12.0))
@@ -204,26 +198,6 @@ def _require_gain(
         )
 
 
-def _load_format(name: str) -> CompensationFormat:
-    return load(GROUP, name)()
-
-
-def _find_interpolation_losses_mm(
-    errors: ErrorMap, tables: tuple[AxisTable, ...]
-) -> list[Float64[np.ndarray, "n 3"]]:
-    """Return the error of straight lines between rows, along the middle, by axis."""
-    lost: list[Float64[np.ndarray, "n 3"]] = []
-    for table in tables:
-        at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
-        low, high = errors.result.measured.get(table.axis.name, (-np.inf, np.inf))
-        kept = (table.position_mm[:-1] >= low) & (table.position_mm[1:] <= high)
-        error = errors.error_mm(errors.move_axis(table.axis, at, errors.middle_mm))
-        between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
-        left = (error - between)[kept]
-        lost.append(left - left.mean(axis=0) if len(left) else left.reshape(0, 3))
-    return [left for left in lost if len(left)]
-
-
 def _write_stamp(errors: ErrorMap, name: str, gaps: Sequence[str]) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
@@ -249,7 +223,7 @@ def _describe_content(
     measured: Mapping[str, MeasuredRange],
 ) -> dict[str, Any]:
     machine = errors.machine
-    losses = _find_interpolation_losses_mm(errors, tables)
+    losses = find_interpolation_losses_mm(errors, tables)
     rotary = [axis.name for axis in machine.rotary_axes]
     return {
         "machine": machine.name,

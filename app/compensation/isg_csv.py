@@ -22,6 +22,10 @@ from truepath.app.compensation.format import (
     CompensationTables,
     Correction,
 )
+from truepath.app.compensation.motion_correction import (
+    correct_by_motions,
+    interpolate_rows,
+)
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR, is_turn, list_error_motions
@@ -57,25 +61,17 @@ class IsgCsv(CompensationFormat):
         (text,) = files.values()
         blocks = dict(_read_blocks(text))
 
-        def correction(
-            position_mm: Float64[np.ndarray, "n a"], direction: float
-        ) -> Float64[np.ndarray, "n 3"]:
-            added = np.zeros((len(position_mm), 3))
-            lever = np.zeros((len(position_mm), 3))
-            # From the tool to the workpiece: later axes are the lever of earlier ones.
-            for axis in reversed([name for name in machine.order if name in LINEAR]):
-                at = position_mm[:, machine.axis_names.index(axis)]
-                if axis in blocks:
-                    by, rows = blocks[axis]
-                    motion = _interpolate(rows, at)
-                    if by:
-                        other = position_mm[:, machine.axis_names.index(by)]
-                        motion = _interpolate_grid(rows, other, at)
-                    added -= motion[:, :3] + np.cross(motion[:, 3:], lever)
-                lever[:, LINEAR.index(axis)] += at
-            return added
+        def find_motion(
+            axis: str, position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 6"]:
+            at = position_mm[:, machine.axis_names.index(axis)]
+            by, rows = blocks[axis]
+            if not by:
+                return interpolate_rows(rows, at)
+            other = position_mm[:, machine.axis_names.index(by)]
+            return _interpolate_grid(rows, other, at)
 
-        return correction
+        return correct_by_motions(machine, blocks, find_motion)
 
 
 def _write_block(table: AxisTable) -> Iterator[str]:
@@ -99,13 +95,6 @@ def _write_rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterat
         yield "  ".join([f"{at:.6f}", *numbers])
 
 
-def _interpolate(
-    table: Float64[np.ndarray, "m 7"], at_mm: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, "n 6"]:
-    columns = [np.interp(at_mm, table[:, 0], table[:, k]) for k in range(1, 7)]
-    return np.stack(columns, axis=1)
-
-
 def _interpolate_grid(
     table: Float64[np.ndarray, "r 8"],
     by_mm: Float64[np.ndarray, " n"],
@@ -113,7 +102,9 @@ def _interpolate_grid(
 ) -> Float64[np.ndarray, "n 6"]:
     """Return the motions between the four neighbours on the grid."""
     places = np.unique(table[:, 0])
-    lines = [_interpolate(table[table[:, 0] == place, 1:], at_mm) for place in places]
+    lines = [
+        interpolate_rows(table[table[:, 0] == place, 1:], at_mm) for place in places
+    ]
     high = np.clip(np.searchsorted(places, by_mm), 1, len(places) - 1)
     share = (by_mm - places[high - 1]) / (places[high] - places[high - 1])
     share = np.clip(share, 0.0, 1.0)[:, None]

@@ -8,7 +8,7 @@ with lost motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,11 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.app.compensation.error_map import ErrorMap
-from truepath.app.compensation.format import (
-    CompensationFormat,
-    CompensationTables,
-    Correction,
-)
+from truepath.app.compensation.format import Correction
+from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import MeasuredRange
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
@@ -143,14 +140,11 @@ def find_remaining(
 
 
 def evaluate_effects(
-    errors: ErrorMap,
-    kind: CompensationFormat,
-    tabulate: Callable[[ErrorMap], CompensationTables],
-    correction: Correction,
+    errors: ErrorMap, made: Tabulation, correction: Correction
 ) -> Iterator[dict[str, Any]]:
     """Yield what remains of each effect of the model, as the account states it.
 
-    tabulate : makes the tables that the format writes; correction : of its files
+    made : the tables that the format writes; correction : of its files
 
     The root mean square is that over both directions without rigid motion; it is 0
     where the effect depends on speed, temperature or the distance since a reversal.
@@ -158,7 +152,7 @@ def evaluate_effects(
     position = _sample_positions(errors)
     for effect in errors.result.model.catalogue_effects:
         other = _remove_effect(errors, effect)
-        reread = kind.read(kind.write(tabulate(other)), errors.machine)
+        reread = made.read_back(other)
         own = [
             errors.error_mm(position, s) - other.error_mm(position, s) for s in _SIDES
         ]

@@ -12,13 +12,17 @@ from __future__ import annotations
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
     AxisTable,
+    CompensationFormat,
     CompensationTables,
+    Correction,
     InterpolatedTable,
     TableFormat,
 )
@@ -116,6 +120,46 @@ class SiemensCec(Siemens):
             yield f"$AN_CEC_DIRECTION[{number}]=0"
             yield f"$AN_CEC_MULT_BY_TABLE[{number}]=0"
             yield f"$AN_CEC_IS_MODULO[{number}]=0"
+
+
+class SiemensOrder(CompensationFormat):
+    """Both kinds of tables, as one order: what each lacks the other has."""
+
+    control = "Siemens 840D sl, leadscrew and cross error compensation"
+    suffix = ".ini"
+    most_points = SiemensCec.most_points
+    carries = "positioning (mean of both directions), straightness and squareness"
+    not_carried = "backlash (MD32450 has it), angular errors away from the middle"
+    sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
+    sign_is_verified = False
+    note = f"STEM-lec: {SiemensLec.note}. STEM-cec: {SiemensCec.note}"
+    parts: ClassVar[Mapping[str, Siemens]] = {"lec": SiemensLec(), "cec": SiemensCec()}
+
+    def write(self, content: CompensationTables) -> dict[str, str]:
+        """Return `STEM-lec.ini` and `STEM-cec.ini`."""
+        files: dict[str, str] = {}
+        for word, part in self.parts.items():
+            files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
+        return files
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return the sum of both."""
+        corrections = [
+            part.read(_select(files, f"-{word}{self.suffix}"), machine)
+            for word, part in self.parts.items()
+        ]
+
+        def correction(
+            position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 3"]:
+            added = [one(position_mm, direction) for one in corrections]
+            return np.sum(added, axis=0)
+
+        return correction
+
+
+def _select(files: Mapping[str, str], end: str) -> dict[str, str]:
+    return {name: text for name, text in files.items() if name.endswith(end)}
 
 
 _SETTING = re.compile(

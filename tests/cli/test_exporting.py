@@ -31,6 +31,30 @@ def test_a_format_of_one_file_keeps_another_suffix(analysed, tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {"axes.arc", "axes.json"}
 
 
+@pytest.mark.parametrize("output", ["c.json", "c.tables.json", "c"])
+def test_tables_and_their_account_are_two_files_where_both_are_json(
+    analysed, tmp_path, output
+):
+    assert exported(analysed, "json", tmp_path / output) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"c.tables.json", "c.json"}
+    assert json.loads((tmp_path / "c.json").read_text())["format"] == "json"
+    tables = json.loads((tmp_path / "c.tables.json").read_text())
+    assert tables["schema"] == "compensation-tables/1"
+
+
+def test_formats_are_listed_with_what_each_carries(capsys, summary):
+    assert run(["formats"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "siemens-lec: Siemens 840D, leadscrew error compensation, 1000 rows\n" in said
+    )
+    assert "isg-csv: ISG kernel, Beckhoff TF5280, 1000 rows; the sign is to be" in said
+    assert "carries      positioning of each axis, forward and reverse" in said
+    assert run(["formats", "--json"]) == 0
+    names = [one["name"] for one in summary()["formats"]]
+    assert names == sorted(names)
+
+
 def test_a_format_of_a_file_an_axis_begins_their_names(analysed, tmp_path, summary):
     assert exported(analysed, "linuxcnc", tmp_path / "new" / "comp.tbl", "--json") == 0
     said = summary()
@@ -81,7 +105,7 @@ def test_an_axis_table_takes_the_true_positioning_away(analysed, record, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--format", "vcs"], "installed: fanuc, heidenhain"),
+        (["--format", "vcs"], "installed: csv, fanuc, heidenhain"),
         (["--format", "fanuc", "--spacing", "0"], "spacing"),
     ],
 )

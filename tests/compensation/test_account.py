@@ -66,12 +66,24 @@ def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
 
 
 def test_what_is_left_comes_by_its_reasons(source):
-    account = export_result(source, "isg-csv", "comp").account
-    left, stated = account["left_um"], account["volumetric_error_um"]["after"]
-    parts = ("not_carried", "between_rows", "rounding", "unmeasured_range")
-    assert np.hypot.reduce([left[part] for part in parts]) >= left["map"] * 0.999
-    total = np.hypot(left["map"], left["not_known_by_the_measurement"])
-    assert stated["mean"] == pytest.approx(total, rel=0.25)
+    def left_um(name, spacing_mm=5.0):
+        return export_result(source, name, "c", spacing_mm=spacing_mm).account[
+            "left_um"
+        ]
+
+    whole, wide = left_um("isg-csv"), left_um("isg-csv", 90.0)
+    assert wide["between_rows"] > 20.0 * whole["between_rows"]
+    assert wide["map"] > 3.0 * whole["map"]
+    pitch, lec = left_um("fanuc"), left_um("siemens-lec")
+    # Whole micrometres of three axes, each even over one: 3 / 12.
+    assert pitch["rounding"] == pytest.approx(0.5)
+    assert lec["rounding"] < 0.001
+    # Straightness and angles are most of it: neither carries them, the volume's does.
+    for one in (pitch, lec):
+        assert one["not_carried"] > 0.9 * one["map"] > 10.0 * whole["map"]
+    assert whole["not_carried"] < 0.1
+    unknown = {one["not_known_by_the_measurement"] for one in (whole, wide, pitch, lec)}
+    assert len(unknown) == 1
 
 
 def test_beyond_the_measured_range_the_last_value_holds(half_measured, source):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +10,20 @@ import pytest
 from pyLSV2 import NCTable
 
 from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import GROUP, export_result
+from truepath.app.compensation.export import export_result
 from truepath.app.compensation.fanuc import Fanuc
+from truepath.app.compensation.generic import GenericCsv, GenericJson
 from truepath.app.compensation.heidenhain import Heidenhain
+from truepath.app.compensation.installed import list_formats
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
 from truepath.app.compensation.siemens import SiemensCec, SiemensLec
 from truepath.app.errors import BadInput
-from truepath.app.plugins import find_plugins
 
-OURS = ("fanuc", "heidenhain", "isg-csv", "linuxcnc", "siemens-cec", "siemens-lec")
+SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
+PLAIN = ("csv", "json")
+OURS = (*PLAIN, "fanuc", "heidenhain", "isg-csv", "linuxcnc", *SIEMENS)
+SETTLED = (*PLAIN, "linuxcnc", "siemens-lec")
 every_format = pytest.mark.parametrize("name", OURS)
 
 
@@ -49,7 +54,7 @@ def flat(values):
 
 
 def test_our_formats_are_installed():
-    assert set(OURS) <= set(find_plugins(GROUP))
+    assert set(OURS) <= set(list_formats())
 
 
 @every_format
@@ -59,7 +64,7 @@ def test_what_is_left_is_stated_and_less_than_before(source, name):
     assert 0.0 < stated["after"]["mean"] < stated["before"]["mean"]
     assert stated["after"]["largest"] < 1.05 * stated["before"]["largest"]
     assert account["interpolation_loss_um"] < 0.5
-    assert account["sign"]["verified"] == (name in ("linuxcnc", "siemens-lec"))
+    assert account["sign"]["verified"] == (name in SETTLED)
     assert account["unobservable"] == list(source.result.unobservable)
     assert account["target_offset_mm"]
     held = account["holds_for"]
@@ -67,13 +72,13 @@ def test_what_is_left_is_stated_and_less_than_before(source, name):
     assert held["confounded"] == sorted(source.result.model.confounded)
 
 
-def test_only_the_format_with_all_motions_corrects_the_whole_volume(source):
+def test_only_formats_with_all_motions_correct_the_whole_volume(source):
     accounts = {name: export_result(source, name, "c").account for name in OURS}
     share = {
         name: one["left_um"]["map"] / one["volumetric_error_um"]["before"]["mean"]
         for name, one in accounts.items()
     }
-    assert share["isg-csv"] < 0.01
+    assert max(share["isg-csv"], share["csv"], share["json"]) < 0.01
     assert (
         share["isg-csv"]
         < share["heidenhain"]
@@ -106,8 +111,23 @@ def test_tables_are_zero_at_the_reference_point(source):
             assert abs(added[0, "XYZ".index(axis.name)]) < 6e-5
 
 
+def test_both_siemens_tables_in_one_order_leave_less_than_either(source):
+    left = {
+        name: export_result(source, name, "c").account["volumetric_error_um"]["after"]
+        for name in SIEMENS
+    }
+    alone = min(left["siemens-lec"]["mean"], left["siemens-cec"]["mean"])
+    assert left["siemens"]["mean"] < 0.8 * alone
+
+
 @pytest.mark.parametrize(
-    ("name", "kind"), [("linuxcnc", LinuxCnc), ("heidenhain", Heidenhain)]
+    ("name", "kind"),
+    [
+        ("linuxcnc", LinuxCnc),
+        ("heidenhain", Heidenhain),
+        ("csv", GenericCsv),
+        ("json", GenericJson),
+    ],
 )
 def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
     files = export_result(with_backlash, name, "comp").files
@@ -128,7 +148,7 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
 def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
     files = export_result(source, name, "comp").files
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
-    commented = name in ("isg-csv", "siemens-lec", "siemens-cec")
+    commented = name in ("isg-csv", *SIEMENS, *PLAIN)
     said = all("target offset" in text for text in files.values())
     assert said == commented
 
@@ -136,7 +156,8 @@ def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
 @every_format
 def test_rows_fit_into_the_controller(source, name):
     account = export_result(source, name, "comp", spacing_mm=0.1).account
-    most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300, "siemens-cec": 500}
+    most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300}
+    most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
     for table in account["tables"].values():
         assert table["points"] <= most.get(name, 1000)
 
@@ -148,7 +169,7 @@ def test_a_machine_without_errors_worth_a_table_gets_none(source):
 
 
 def test_an_unknown_format_is_answered_with_those_that_are_installed(source):
-    with pytest.raises(BadInput, match="installed: fanuc, heidenhain, isg-csv"):
+    with pytest.raises(BadInput, match="installed: csv, fanuc, heidenhain"):
         export_result(source, "vcs", "comp")
 
 
@@ -272,6 +293,40 @@ X  EXX  EYX  EZX  EAX  EBX  ECX
     np.testing.assert_allclose(added, [[-0.01 + 0.0001 * arm, -0.02, 0.0]], atol=1e-12)
     with pytest.raises(BadInput, match="six motions"):
         IsgCsv().read({"c.csv": text.replace("EYX", "EYY")}, machine)
+
+
+CSV = """# by hand
+axis,direction,position_mm,x_um,y_um,z_um,a_urad,b_urad,c_urad
+X,+,0,0,0,0,0,0,0
+X,+,100,10,20,0,0,0,100
+X,-,0,6,0,0,0,0,0
+X,-,100,16,20,0,0,0,100
+"""
+
+
+def test_a_row_of_the_plain_table_is_the_error_by_direction(source):
+    machine = source.machine
+    position = np.array([[50.0, 30.0, 0.0]])
+    read = GenericCsv().read({"c.csv": CSV}, machine)
+    later = machine.order[machine.order.index("X") + 1 :]
+    arm = 50e-6 * 30.0 if "Y" in later else 0.0
+    up, down = [-0.005 + arm, -0.01, 0.0], [-0.011 + arm, -0.01, 0.0]
+    np.testing.assert_allclose(read(position, 1.0), [up], atol=1e-12)
+    np.testing.assert_allclose(read(position, -1.0), [down], atol=1e-12)
+    with pytest.raises(BadInput, match="the columns are to be axis, direction"):
+        GenericCsv().read({"c.csv": CSV.replace("x_um", "x_mm")}, machine)
+
+
+def test_csv_and_json_say_the_same(source):
+    (table,) = export_result(source, "csv", "c").files.values()
+    (document,) = export_result(source, "json", "c").files.values()
+    content = json.loads(document)
+    lines = [line for line in table.splitlines() if not line.startswith("#")]
+    assert lines[0].split(",") == content["columns"]
+    for line, row in zip(lines[1:], content["rows"], strict=True):
+        axis, side, *numbers = line.split(",")
+        assert [axis, side] == row[:2]
+        np.testing.assert_allclose([float(n) for n in numbers], row[2:], atol=1e-6)
 
 
 def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(source, tmp_path):

@@ -1,0 +1,157 @@
+"""Plain tables of all error motions for software of one's own: CSV and JSON.
+
+A row is an axis, the direction it moves in, its position, and its six error motions
+there. Squareness is in the straightness and the target's offset in the displacements,
+so that the error at positions p of the axes is, over the axes of the chain,
+
+    δ = Σ E(p) + ω(p) × R,
+
+R the positions of the axes nearer to the tool; the correction is −δ. Tables are
+interpolated straight and hold their end values.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
+from truepath.app.compensation.motion_correction import (
+    correct_by_motions,
+    interpolate_rows,
+)
+from truepath.app.errors import BadInput
+from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.app.kinematics.machine import Machine
+
+_MOTIONS = ("x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad")
+_COLUMNS = ("axis", "direction", "position_mm", *_MOTIONS)
+_UNITS = np.array([UM_PER_MM] * 3 + [URAD_PER_RAD] * 3)
+_SIDES = {"+": 1.0, "-": -1.0}
+
+Row = tuple[str, str, float, list[float]]
+"""Axis, direction, position in mm, six motions in µm and µrad."""
+
+
+class GenericTables(CompensationFormat):
+    """All error motions of each straight axis, in both directions."""
+
+    control: ClassVar[str] = "software of one's own"
+    most_points = 10_000
+    carries = (
+        "all error motions and squareness, with their lever arms in the whole volume; "
+        "positioning in both directions"
+    )
+    not_carried = "what an axis does with another one, as sag"
+    sign = "the rows are the errors: actual less nominal; the correction is minus that"
+    sign_is_verified = True
+    note = (
+        "error = sum over the axes of (x, y, z) + (a, b, c) x R, R the positions of "
+        "the axes nearer to the tool; straight between rows, end values hold"
+    )
+
+    @abstractmethod
+    def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
+        """Return the text of the file."""
+
+    @abstractmethod
+    def read_rows(self, name: str, text: str) -> Iterator[Row]:
+        """Yield the rows of the file. Raises BadInput."""
+
+    def write(self, content: CompensationTables) -> dict[str, str]:
+        """Return one file for all axes."""
+        rows = [row for table in content.tables for row in _list_rows(table)]
+        return {f"{content.stem}{self.suffix}": self.write_rows(content, rows)}
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return minus the error that the chain makes of the motions."""
+        ((name, text),) = files.items()
+        found: dict[tuple[str, float], list[list[float]]] = {}
+        for axis, side, at_mm, motions in self.read_rows(name, text):
+            found.setdefault((axis, _SIDES[side]), []).append([at_mm, *motions])
+        tables = {key: np.array(rows) for key, rows in found.items()}
+        for table in tables.values():
+            table[:, 1:] /= _UNITS
+
+        def find_motion(
+            axis: str, position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 6"]:
+            at = position_mm[:, machine.axis_names.index(axis)]
+            return interpolate_rows(tables[axis, direction], at)
+
+        return correct_by_motions(machine, {axis for axis, _ in tables}, find_motion)
+
+
+class GenericCsv(GenericTables):
+    """Rows of comma-separated values below comments that begin with #."""
+
+    suffix = ".csv"
+
+    def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
+        """Return comments, names of columns, rows."""
+        text = io.StringIO()
+        text.writelines(f"# {line}\n" for line in content.stamp)
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for axis, side, at_mm, motions in rows:
+            numbers = [f"{value:z.4f}" for value in motions]
+            writer.writerow([axis, side, f"{at_mm:.6f}", *numbers])
+        return text.getvalue()
+
+    def read_rows(self, name: str, text: str) -> Iterator[Row]:
+        """Yield the rows below the names of the columns."""
+        lines = [line for line in text.splitlines() if not line.startswith("#")]
+        header, *rows = csv.reader(lines)
+        if tuple(header) != _COLUMNS:
+            raise BadInput(f"{name}: the columns are to be {', '.join(_COLUMNS)}")
+        for axis, side, at_mm, *motions in rows:
+            yield axis, side, float(at_mm), [float(value) for value in motions]
+
+
+class GenericJson(GenericTables):
+    """One document: what the tables are of, and rows by axis and direction."""
+
+    suffix = ".tables.json"  # STEM.json is the account
+
+    def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
+        """Return the document, a row of motions a line."""
+        document: dict[str, Any] = {
+            "schema": "compensation-tables/1",
+            "stamp": list(content.stamp),
+            "kinematic_chain": content.machine.chain,
+            "columns": list(_COLUMNS),
+            "rows": [[axis, side, at, *motions] for axis, side, at, motions in rows],
+        }
+        return json.dumps(document, indent=1) + "\n"
+
+    def read_rows(self, name: str, text: str) -> Iterator[Row]:
+        """Yield the rows of the document."""
+        document = json.loads(text)
+        if document.get("columns") != list(_COLUMNS):
+            raise BadInput(f"{name}: the columns are to be {', '.join(_COLUMNS)}")
+        for axis, side, at_mm, *motions in document["rows"]:
+            yield axis, side, at_mm, motions
+
+
+def _list_rows(table: AxisTable) -> Iterator[Row]:
+    """Yield both directions; 0 where the reference is come to in + direction."""
+    half, own = np.zeros_like(table.forward_mm), table.own
+    half[:, own] = 0.5 * (table.forward_mm - table.backward_mm)[:, own]
+    for side, sign in _SIDES.items():
+        shift = sign * half - half[table.reference]
+        moved = np.hstack([table.translation_mm + shift, table.rotation_rad])
+        rounded = np.round(moved * _UNITS, 4)
+        for at_mm, motions in zip(table.position_mm, rounded, strict=True):
+            yield table.axis.name, side, float(at_mm), (motions + 0.0).tolist()

@@ -1,0 +1,74 @@
+"""The tables of a result as a format wants them, and what it makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.compensation.error_map import ErrorMap, tabulate_axis
+from truepath.app.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
+from truepath.app.compensation.unmeasured import MeasuredRange, find_measured_ranges
+
+
+@dataclass(frozen=True, slots=True)
+class Tabulation:
+    """How errors become the tables of a format.
+
+    stem : of the files' names; stamp : lines for their comments
+    spacing_mm : of the rows, or the smallest that the controller's number of rows gives
+    measured : range of each axis, and what its table has beyond
+    """
+
+    kind: CompensationFormat
+    stem: str
+    stamp: tuple[str, ...]
+    spacing_mm: float
+    measured: Mapping[str, MeasuredRange]
+
+    def tabulate(self, errors: ErrorMap) -> CompensationTables:
+        """Return the content of the files."""
+        tables = tuple(
+            tabulate_axis(
+                errors, self.measured[axis.name], self.spacing_mm, self.kind.most_points
+            )
+            for axis in errors.axes
+        )
+        return CompensationTables(self.stem, errors.machine, tables, self.stamp)
+
+    def write(self, errors: ErrorMap) -> dict[str, str]:
+        """Return the files by name."""
+        return self.kind.write(self.tabulate(errors))
+
+    def read_back(self, errors: ErrorMap) -> Correction:
+        """Return what the controller adds once it has read the files."""
+        return self.kind.read(self.write(errors), errors.machine)
+
+    def extrapolate(self, errors: ErrorMap) -> Tabulation:
+        """Return the same with what the model says where nothing was measured."""
+        measured = errors.result.measured
+        every = find_measured_ranges(errors.machine, measured, None)
+        return replace(self, measured=every)
+
+
+def find_interpolation_losses_mm(
+    errors: ErrorMap, tables: tuple[AxisTable, ...]
+) -> list[Float64[np.ndarray, "n 3"]]:
+    """Return the error of straight lines between rows, along the middle, by axis."""
+    lost: list[Float64[np.ndarray, "n 3"]] = []
+    for table in tables:
+        at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
+        low, high = errors.result.measured.get(table.axis.name, (-np.inf, np.inf))
+        kept = (table.position_mm[:-1] >= low) & (table.position_mm[1:] <= high)
+        error = errors.error_mm(errors.move_axis(table.axis, at, errors.middle_mm))
+        between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
+        left = (error - between)[kept]
+        lost.append(left - left.mean(axis=0) if len(left) else left.reshape(0, 3))
+    return [left for left in lost if len(left)]
