@@ -20,6 +20,7 @@ from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from truepath.app.api import (
+    compensations,
     events,
     jobs,
     machine,
@@ -57,6 +58,7 @@ _TAGS = [
         "description": "What to measure, and what that will tell.",
     },
     {"name": "results", "description": "Error tables, report."},
+    {"name": "compensation", "description": "Files that a controller corrects by."},
     {"name": "models", "description": "Models of the machine, and how they grew."},
     {"name": "runs", "description": "What was recorded, as measurement bundles."},
     {"name": "machines", "description": "The machine and its devices."},
@@ -117,6 +119,7 @@ def _api() -> APIRouter:
         results.router,
         jobs.stop,
         plans.of_jobs,
+        compensations.router,
         models_of_machine.router,
         plans.router,
         runs.router,

@@ -28,6 +28,8 @@ from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.planning.default_path import default_path
+from truepath.app.reporting.analysis_files import render_analysis, write_analysis
+from truepath.app.results.analysis import analyse
 from truepath.simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
@@ -254,6 +256,15 @@ def finished(armed, make_cell, until):
     """A job with a result."""
     make_cell.cell.end()
     return until(armed, "succeeded")
+
+
+@pytest.fixture(scope="session")
+def analysed(record, tmp_path_factory):
+    """The files of a real result; not to be changed."""
+    folder = tmp_path_factory.mktemp("analysed")
+    run_of_truth, _ = record(1, rows=24)
+    write_analysis(render_analysis(analyse(run_of_truth)), folder)
+    return folder
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -228,6 +229,26 @@ def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path
         follow("succeeded")
     job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
     assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
+
+
+def test_a_result_is_taken_to_the_controller(
+    curl, follow, service, bundle, analysed, tmp_path
+):
+    (tmp_path / "run.zip").write_bytes(bundle())
+    upload, create, *_ = section("Analyse a measurement from elsewhere")
+    curl.names["RUN"] = curl(upload).json()["id"]
+    curl.take(curl(create).json())
+    follow("succeeded")
+    result = service.results / curl.names["JOB"] / "result.json"
+    shutil.copyfile(analysed / "result.json", result)
+    formats, make, look, *downloads = section("Correct the controller")
+    assert curl(formats).status_code == 200
+    made = curl(make)
+    assert made.status_code == 201
+    assert curl(look).json() == made.json()
+    for words in downloads:
+        assert curl(words).status_code == 200, words
+    assert {"comp-x.tbl", "comp.zip"} <= {file.name for file in tmp_path.iterdir()}
 
 
 def test_a_discovery_and_its_model_are_taken_away(curl, follow, bundle, tmp_path):

@@ -1,0 +1,138 @@
+"""Compensation files: what is asked for, what each format carries, what files leave."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from truepath.app.api.models.base import Links, RequestBody
+from truepath.app.files.verdict import State as VerdictState
+
+
+class SignOut(BaseModel):
+    """How a value of the file moves the axis."""
+
+    rule: str
+    verified: bool = Field(
+        description="From the maker's manual or source; else one deliberate value has "
+        "to settle it at the machine before first use."
+    )
+
+
+class FormatOut(BaseModel):
+    """A format of a controller."""
+
+    name: str = Field(examples=["linuxcnc"])
+    control: str = Field(examples=["LinuxCNC"])
+    carries: str = Field(examples=["positioning of each axis, forward and reverse"])
+    not_carried: str
+    most_rows: int = Field(description="Of a table.")
+    resolution_um: float
+    sign: SignOut
+    note: str = Field(description="What to do with the files at the control.")
+
+
+class FormatList(BaseModel):
+    """Every installed format, by name."""
+
+    items: list[FormatOut]
+
+
+class CompensationRequest(RequestBody):
+    """Which files to make of a result."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"format": "linuxcnc"}]}
+    )
+
+    format: str = Field(description="Name of an installed format.", max_length=50)
+    spacing_mm: float = Field(
+        10.0,
+        ge=0.1,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Of the rows, or the smallest that the controller has room for.",
+    )
+    unmeasured: Literal["hold", "fade", "refuse"] = Field(
+        "hold", description="What tables have where an axis was not measured."
+    )
+    accept_verdict: bool = Field(
+        False, description="Make files of a result that is not to be used."
+    )
+
+
+class MapErrorOut(BaseModel):
+    """Volumetric error of the machine as it was found, µm."""
+
+    mean: float
+    largest: float
+
+
+class LeftErrorOut(MapErrorOut):
+    """Volumetric error that the files leave, of errors that the measurement allows."""
+
+    mean_uncertainty: float = Field(description="Standard uncertainty of the mean.")
+
+
+class VolumetricErrorOut(BaseModel):
+    """Before and with the files, as their controller reads them."""
+
+    before: MapErrorOut
+    after: LeftErrorOut
+    after_where_measured: LeftErrorOut | None = Field(
+        description="Where every axis was measured; null if there is no such place."
+    )
+    on: str = Field(description="Where it was computed, in words.")
+
+
+class LeftByReason(BaseModel):
+    """What is left by its reasons, µm: root mean squares over the travel."""
+
+    map: float = Field(description="Of the errors as they were found.")
+    not_carried: float
+    between_rows: float
+    rounding: float
+    unmeasured_range: float
+    not_known_by_the_measurement: float
+
+
+class CompensationLinks(Links):
+    """Where the files are."""
+
+    self: Annotated[str, "/jobs/{job}/compensations/{id}"]
+    archive: Annotated[str, "/jobs/{job}/compensations/{id}/archive"]
+    job: Annotated[str, "/jobs/{job}"]
+
+
+class CompensationOut(BaseModel):
+    """Files of a format and what they leave: the account that stands beside them."""
+
+    id: str = Field(examples=["linuxcnc-10-hold"])
+    format: str = Field(examples=["linuxcnc"])
+    control: str
+    files: list[str] = Field(examples=[["compensation-X.tbl", "compensation-Y.tbl"]])
+    machine: str
+    verdict: VerdictState = Field(description="Of the result they were made of.")
+    carries: str
+    not_carried: str
+    sign: SignOut
+    holds_for: dict[str, Any] = Field(description="Target and tool offset, mm.")
+    tables: dict[str, dict[str, Any]] = Field(
+        description="By axis: rows, spacing, travel, measured range, zero."
+    )
+    unmeasured: list[str] = Field(description="Ranges without a measurement, in words.")
+    unobservable: list[str] = Field(description="What the data cannot tell.")
+    volumetric_error_um: VolumetricErrorOut
+    left_um: LeftByReason
+    effects: list[dict[str, Any]] = Field(
+        description="What remains of each effect of a model."
+    )
+    note: str
+    links: CompensationLinks
+
+
+class CompensationList(BaseModel):
+    """All files that were made of a result."""
+
+    items: list[CompensationOut]

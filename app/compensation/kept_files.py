@@ -1,0 +1,92 @@
+"""Compensation files that are kept with the result they were made of."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from truepath.app.compensation.export import SPACING_MM, export_files
+from truepath.app.compensation.unmeasured import Unmeasured
+from truepath.app.errors import NotFound
+
+_STEM = "compensation"
+_ACCOUNT = f"{_STEM}.json"  # written last: who has it has all files
+
+
+@dataclass(frozen=True, slots=True)
+class CompensationOrder:
+    """What files are asked for.
+
+    format : name of an installed one; spacing_mm : of the rows
+    unmeasured : what tables have where an axis was not measured
+    """
+
+    format: str
+    spacing_mm: float = SPACING_MM
+    unmeasured: Unmeasured = Unmeasured.HOLD
+
+    @property
+    def name(self) -> str:
+        """Names them among those of a result: the same order makes the same files."""
+        return f"{self.format}-{self.spacing_mm:g}-{self.unmeasured.value}"
+
+
+def keep_files(
+    source: Path, folder: Path, order: CompensationOrder, *, accept_verdict: bool
+) -> dict[str, Any]:
+    """Write the files below `folder`, unless they are there; return their account.
+
+    source : a result or model file
+
+    Raises what `export_files` raises.
+    """
+    export_files(
+        source,
+        order.format,
+        folder / order.name / _STEM,
+        spacing_mm=order.spacing_mm,
+        unmeasured=order.unmeasured,
+        accept_verdict=accept_verdict,
+    )
+    return read_account(folder, order.name)
+
+
+def read_account(folder: Path, name: str) -> dict[str, Any]:
+    """Return the account of kept files, `files` as names. Raises NotFound."""
+    place = _find_kept(folder).get(name)
+    if place is None:
+        raise NotFound(f"no compensation {name!r} is kept here")
+    account = json.loads((place / _ACCOUNT).read_text(encoding="utf-8"))
+    return {**account, "files": [Path(file).name for file in account["files"]]}
+
+
+def list_accounts(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and account of all that is kept, in the order of their names."""
+    for name in sorted(_find_kept(folder)):
+        yield name, read_account(folder, name)
+
+
+def find_file(folder: Path, name: str, file: str) -> Path:
+    """Return the place of one of the files, or of their account. Raises NotFound."""
+    if file not in (*read_account(folder, name)["files"], _ACCOUNT):
+        raise NotFound(f"compensation {name!r} has no file {file!r}")
+    return folder / name / file
+
+
+def pack_files(folder: Path, name: str) -> bytes:
+    """Return all files and their account as a ZIP archive. Raises NotFound."""
+    names = (*read_account(folder, name)["files"], _ACCOUNT)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in names:
+            archive.write(folder / name / file, file)
+    return packed.getvalue()
+
+
+def _find_kept(folder: Path) -> dict[str, Path]:
+    return {place.parent.name: place.parent for place in folder.glob(f"*/{_ACCOUNT}")}
