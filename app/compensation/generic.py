@@ -17,7 +17,7 @@ import io
 import json
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -48,7 +48,6 @@ Row = tuple[str, str, float, list[float]]
 class GenericTables(CompensationFormat):
     """All error motions of each straight axis, in both directions."""
 
-    control: ClassVar[str] = "software of one's own"
     most_points = 10_000
     carries = (
         "all error motions and squareness, with their lever arms in the whole volume; "
@@ -97,6 +96,7 @@ class GenericTables(CompensationFormat):
 class GenericCsv(GenericTables):
     """Rows of comma-separated values below comments that begin with #."""
 
+    control = "software of one's own, CSV"
     suffix = ".csv"
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
@@ -123,6 +123,7 @@ class GenericCsv(GenericTables):
 class GenericJson(GenericTables):
     """One document: what the tables are of, and rows by axis and direction."""
 
+    control = "software of one's own, JSON"
     suffix = ".tables.json"  # STEM.json is the account
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:

@@ -7,7 +7,14 @@ from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, UploadFile
 from fastapi.responses import JSONResponse, Response, StreamingResponse
-from scripted_data import MACHINE, MOTION, TRACKER, TRACKER_NOISE
+from scripted_data import (
+    FORMATS,
+    MACHINE,
+    MOTION,
+    TRACKER,
+    TRACKER_NOISE,
+    compensation,
+)
 from scripted_service import ScriptedService
 
 from truepath.app.api.security import Guard
@@ -95,6 +102,23 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         if job_id not in service.jobs:
             return problem(404, "not-found", "No such job", job_id, "")
         return service.jobs[job_id]
+
+    @app.get(f"{API}/compensation-formats")
+    def formats() -> Any:
+        return {"items": FORMATS}
+
+    @app.post(f"{API}/jobs/{{job_id}}/compensations", status_code=201)
+    async def compensate(job_id: str, request: Request) -> Any:
+        order = await request.json()
+        if order["unmeasured"] == "refuse":
+            said = "X not measured from 450 to 500 mm; measure there"
+            return problem(422, "bad-input", "The input cannot be used", said, "")
+        return compensation(job_id, order["format"], order["unmeasured"])
+
+    @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
+    def archive(job_id: str, name: str) -> Response:
+        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
+        return Response(b"PK", media_type="application/zip", headers=headers)
 
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     def act(job_id: str, verb: str, request: Request) -> Any:

@@ -278,3 +278,37 @@ def turntable_estimate(done: int) -> dict[str, Any]:
         "AOC": {"value_urad": -8.0, "uncertainty_urad": 1.0},
     }
     return found
+
+
+FORMATS = [
+    {
+        "name": "heidenhain",
+        "control": "Heidenhain TNC",
+        "carries": "positioning with backlash, straightness and squareness",
+    },
+    {
+        "name": "linuxcnc",
+        "control": "LinuxCNC",
+        "carries": "positioning of each axis, forward and reverse",
+    },
+]
+
+
+def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
+    """What the service says of files of a format."""
+    settled = name == "linuxcnc"
+    address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
+    after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
+    return {
+        "format": name,
+        "not_carried": "straightness, angular errors, squareness",
+        "sign": {"rule": "the value is the error", "verified": settled},
+        "unmeasured": [] if settled else ["X not measured from 450 to 500 mm: holds"],
+        "volumetric_error_um": {
+            "before": {"mean": 15.32, "largest": 30.0},
+            "after": after,
+            "after_where_measured": {**after, "mean": 2.9},
+        },
+        "note": "name each file as COMP_FILE of its [JOINT_n]",
+        "links": {"archive": f"{address}/archive"},
+    }

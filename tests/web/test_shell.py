@@ -13,6 +13,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from truepath.app.api.security import Guard
+from truepath.app.compensation.installed import list_formats
 from truepath.app.kinematics.effects.catalogue import list_families
 from truepath.app.web.pages import (
     LANGUAGE_COOKIE,
@@ -36,9 +37,13 @@ OURS = [
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
 BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.")
 BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
+BUILT_KEYS += ("export.unmeasured_",)
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
 # Told by the service in English, and so translated into the other languages only.
-TOLD = re.compile(r"effect\.[\w-]+\.(cause|looks_like|remedy)")
+TOLD = re.compile(
+    r"effect\.[\w-]+\.(cause|looks_like|remedy)"
+    r"|format\.[\w-]+\.(carries|not_carried|note)"
+)
 
 
 @pytest.fixture
@@ -118,9 +123,11 @@ def test_catalogues_have_the_same_keys_and_the_same_blanks():
             assert blanks(other[key]) == blanks(text), key
 
 
-def test_every_effect_has_a_name_in_each_language_and_words_in_the_others():
+def test_effects_and_formats_have_words_in_the_languages_the_service_does_not_speak():
     names = {f"effect.{family.name}" for family in list_families()}
     words = {f"{n}.{w}" for n in names for w in ("cause", "looks_like", "remedy")}
+    formats = {f"format.{name}" for name in list_formats()}
+    words |= {f"{n}.{w}" for n in formats for w in ("carries", "not_carried", "note")}
     for language in LANGUAGES:
         known = catalogue(language)
         assert names <= known.keys(), language

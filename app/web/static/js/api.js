@@ -81,6 +81,11 @@ export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
 export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
+export const formats = async () => items(await call("GET", "/compensation-formats"));
+/** Have compensation files made; answers what they leave. */
+export const createCompensation = (id, order) =>
+  call("POST", `/jobs/${id}/compensations`, { json: order, patience_ms: 60000 });
+
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>

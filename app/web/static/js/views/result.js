@@ -7,6 +7,7 @@ import { prefer, preference } from "../preferences.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
+import { exportCard } from "./export-card.js";
 import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
@@ -38,7 +39,7 @@ export function mount(root, { actions, go }) {
     root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), summary(runs.find((run) => run.id === job.run_id) ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
-    body.append(...[trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[exportCard(job, result), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));

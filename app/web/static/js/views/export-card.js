@@ -1,0 +1,77 @@
+/* The files that a controller corrects by: what they leave is seen before they are taken. */
+import * as api from "../api.js";
+import { h } from "../dom.js";
+import { card, linkButton, notice, pairs, segments } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { known, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+/** A card with a choice of controllers; null where the result is not to be used. */
+export function exportCard(job, result) {
+  if (result.verdict?.state === "not-usable") return null;
+  const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.title") });
+  const said = h("div", { class: "stack", "aria-live": "polite" });
+  let order = { format: null, unmeasured: "hold" };
+
+  /** Have the files made and say what they leave; a later choice makes an earlier one void. */
+  async function choose(change) {
+    const asked = { ...order, ...change };
+    order = asked;
+    if (!asked.format) return;
+    said.replaceChildren(h("p", { class: "quiet" }, t("export.computing")));
+    const made = await api.createCompensation(job.id, asked).then(account, refusal);
+    if (order === asked) said.replaceChildren(...made);
+  }
+
+  const beyond = segments(t("export.unmeasured"),
+    ["hold", "fade", "refuse"].map((choice) => [choice, t(`export.unmeasured_${choice}`)]), order.unmeasured,
+    (unmeasured) => choose({ unmeasured }));
+  const element = card(t("export.title"), h("p", { class: "quiet" }, t("export.text")), choices,
+    h("div", { class: "choice-beside" }, h("span", {}, t("export.unmeasured")), beyond), said);
+  element.hidden = true;
+  element.dataset.card = "export";
+  // Without the list there is no card: the result stands all the same.
+  api.formats().then((formats) => {
+    choices.append(...formats.map((format) => choice(format, () => choose({ format: format.name }))));
+    element.hidden = false;
+  }, () => {});
+  return element;
+}
+
+function choice({ name, control, carries }, chosen) {
+  return h("label", { class: "choice" },
+    h("input", { type: "radio", name: "format", value: name, onchange: chosen }),
+    h("span", {}, h("strong", {}, control), h("small", {}, worded(name, "carries", carries))));
+}
+
+const worded = (name, what, text) => known(`format.${name}.${what}`, text);
+
+/** What the files leave, what they lack, what to do with them, and the way to take them. */
+function account(made) {
+  const { before, after, after_where_measured: inside } = made.volumetric_error_um;
+  const rows = [
+    [t("export.before"), quantity(before.mean, "gap")],
+    [t("export.after"), left(after)],
+    made.unmeasured.length && inside && [t("export.inside"), left(inside)],
+    [t("export.not_carried"), worded(made.format, "not_carried", made.not_carried)],
+  ].filter(Boolean);
+  return [
+    pairs(rows),
+    !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
+    made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, text))),
+    h("p", { class: "quiet" }, worded(made.format, "note", made.note)),
+    h("div", { class: "downloads", role: "group", "aria-label": t("export.title") },
+      linkButton(made.links.archive, "download", t("export.take"), { download: "" })),
+  ].filter(Boolean);
+}
+
+const left = ({ mean, mean_uncertainty: u }) =>
+  t("export.left", { value: quantity(mean, "gap"), u: quantity(COVERAGE * u, "gap"), k: COVERAGE });
+
+function refusal(error) {
+  if (!(error instanceof api.Problem)) throw error;
+  if (error.code === "unreachable") {
+    return [notice("fault", t("problem.unreachable"), "", t("problem.unreachable_action"))];
+  }
+  return [notice("fault", error.title || t("problem.refused"), error.detail, error.action)];
+}

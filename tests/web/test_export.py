@@ -1,0 +1,90 @@
+"""The files for the controller: seen for what they leave before they are taken."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+from scripted_service import ScriptedService
+
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
+
+FILES = "/api/v1/jobs/job-1/compensations/{}/archive"
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+
+def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    service.finish(job["id"])
+    page = panel.open(f"#/result/{job['id']}", **more)
+    return page, page.locator("[data-card=export]")
+
+
+def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
+    page, card = show(panel, service)
+    expect(card.get_by_role("radio")).to_have_count(2)
+    expect(card.get_by_role("link")).to_have_count(0)
+    card.get_by_text("LinuxCNC").click()
+    expect(card).to_contain_text("15.32 µm")
+    expect(card).to_contain_text("3.21 µm ± 0.09 µm (k = 2)")
+    expect(card).to_contain_text("straightness, angular errors, squareness")
+    expect(card).not_to_contain_text("sign is not settled")
+    with page.expect_download() as taken:
+        card.get_by_role("link", name="Files (ZIP)").click()
+    assert taken.value.suggested_filename == "linuxcnc-10-hold.zip"
+
+
+def test_an_unsettled_sign_and_ranges_without_measurement_are_said(
+    panel, service, witness
+):
+    witness.expect("status of 422")
+    _, card = show(panel, service)
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card.locator(".notice")).to_contain_text("sign is not settled")
+    expect(card).to_contain_text("X not measured from 450 to 500 mm")
+    expect(card).to_contain_text("2.90 µm ± 0.09 µm (k = 2)")
+    card.get_by_role("button", name="Fade to 0").click()
+    expect(card.get_by_role("link")).to_have_attribute(
+        "href", FILES.format("heidenhain-10-fade")
+    )
+    card.get_by_role("button", name="Refuse").click()
+    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
+    expect(card.get_by_role("link")).to_have_count(0)
+
+
+def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
+    page, card = show(panel, service)
+    held: list = []
+
+    def hold(route):
+        if json.loads(route.request.post_data)["format"] == "heidenhain":
+            held.append(route)
+        else:
+            route.continue_()
+
+    page.route("**/compensations", hold)
+    with page.expect_request("**/compensations"):
+        card.get_by_text("Heidenhain TNC").click()
+    card.get_by_text("LinuxCNC").click()
+    link = card.get_by_role("link", name="Files (ZIP)")
+    expect(link).to_be_visible()
+    with page.expect_response("**/compensations"):
+        held[0].continue_()
+    page.evaluate("() => new Promise(requestAnimationFrame)")
+    expect(link).to_have_attribute("href", FILES.format("linuxcnc-10-hold"))
+
+
+def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
+    reason = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1})
+    service.result["verdict"] = verdict_json(Verdict((reason,)))
+    page, card = show(panel, service)
+    expect(page.locator("[data-symbol=EXX]")).to_be_visible()
+    expect(card).to_have_count(0)
+
+
+def test_formats_are_told_in_german(panel, service):
+    _, card = show(panel, service, language="de")
+    expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
