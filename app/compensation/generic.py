@@ -96,7 +96,7 @@ class GenericTables(CompensationFormat):
 class GenericCsv(GenericTables):
     """Rows of comma-separated values below comments that begin with #."""
 
-    control = "software of one's own, CSV"
+    control = "Plain table, CSV"
     suffix = ".csv"
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
@@ -123,7 +123,7 @@ class GenericCsv(GenericTables):
 class GenericJson(GenericTables):
     """One document: what the tables are of, and rows by axis and direction."""
 
-    control = "software of one's own, JSON"
+    control = "Plain table, JSON"
     suffix = ".tables.json"  # STEM.json is the account
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:

@@ -38,10 +38,14 @@ export function exportCard(job, result) {
   return element;
 }
 
+/** One of the choices; they are radio buttons of one group. */
 function choice({ name, control, carries }, chosen) {
-  return h("label", { class: "choice" },
-    h("input", { type: "radio", name: "format", value: name, onchange: chosen }),
-    h("span", {}, h("strong", {}, control), h("small", {}, worded(name, "carries", carries))));
+  const button = h("button", { class: "choice", type: "button", role: "radio", "aria-checked": "false",
+    "data-format": name, onclick: () => {
+      for (const other of button.parentElement.children) other.setAttribute("aria-checked", String(other === button));
+      chosen();
+    } }, h("strong", {}, control), h("span", {}, worded(name, "carries", carries)));
+  return button;
 }
 
 const worded = (name, what, text) => known(`format.${name}.${what}`, text);
