@@ -54,11 +54,12 @@ def reduce_points(
         if off > matching.reach_mm:
             left_out.append(LeftOut("astray", row, time_s, time_s, count, off))
         else:
-            parts.append(_reduce_point(run, points, sample))
+            parts.append(reduce_point(run, points, sample))
     return parts, left_out
 
 
-def _reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
+def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
+    """Return the cell of one measured point."""
     row, tracker_mm = int(points.row[sample]), run.tracker.position_mm[[sample]]
     frame = beam_frame(tracker_mm)[0]
     square = np.diag(frame @ points.covariance_mm2[sample] @ frame.T)

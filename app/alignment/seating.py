@@ -23,6 +23,7 @@ from truepath.drivers.interfaces.records import Path
 MOST_SIGMAS = 6.0  # that a target may sit off
 _LARGE_MM = 0.3  # below it levers and curves are as good as stated
 _SAME_TURN = 1e-9
+_SETTLED = 6  # standstills of a target: then it is known where it sits
 _ROUGH_MM = 0.1  # machine errors, of which nothing is known yet
 
 Seats = Mapping[str, Float64[np.ndarray, "3"]]
@@ -46,7 +47,23 @@ class Seating:
         """How far off the target at each place may be."""
         return MOST_SIGMAS * self.sigma_mm[self.target]
 
-    def select(self, places: slice) -> Seating:
+    def list_settled(self, seen: Int64[np.ndarray, " k"]) -> frozenset[str]:
+        """Return the targets that have been seen often enough, or for the last time.
+
+        seen : places so far, in order
+        """
+        count = len(self.names)
+        often = np.bincount(self.target[seen], minlength=count)
+        of_all = np.bincount(self.target, minlength=count)
+        last = (
+            len(self.target)
+            - 1
+            - np.array([np.argmax(self.target[::-1] == k) for k in range(count)])
+        )
+        enough = (often >= np.minimum(_SETTLED, of_all)) | (last < seen[-1])
+        return frozenset(n for n, e in zip(self.names, enough, strict=True) if e)
+
+    def select(self, places: slice | Int64[np.ndarray, " k"]) -> Seating:
         """Return it at some places."""
         return replace(self, target=self.target[places], frame=self.frame[places])
 

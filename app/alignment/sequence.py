@@ -25,6 +25,7 @@ _CLEAR = 0.9  # of the standstills: so many in a row are no chance
 _SPREAD = 4.0  # of the median of what the pose leaves
 _BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
 _FEW = 3  # lost standstills of a target: by chance
+_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
 _ROUNDS = 3  # pose and seats of targets in turn
 
 
@@ -100,6 +101,15 @@ def seat_places(
         seat_mm = seating.fit(waypoint, waypoint_mm[waypoint], rest)
     seat_mm = seating.drop_small(seat_mm)
     return seating.move(waypoint_mm, seat_mm), seating.name(seat_mm)
+
+
+def is_wide(
+    points_mm: Float64[np.ndarray, "k 3"], volume_mm: Float64[np.ndarray, "w 3"]
+) -> bool:
+    """Tell whether points fix a pose for the whole volume, not for a line only."""
+    spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    reach = float(np.linalg.norm(np.ptp(volume_mm, axis=0)))
+    return bool(spread[1] > _WIDE * reach)
 
 
 def fit_rigid(

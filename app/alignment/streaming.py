@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from truepath.app.alignment.cell_blocks import (
     CellBlock,
@@ -23,12 +23,13 @@ from truepath.app.alignment.cleaning import find_valid_samples
 from truepath.app.alignment.left_out import LeftOut, describe_unusable
 from truepath.app.alignment.nominal_path import compute_nominal_path
 from truepath.app.alignment.observations import Observations, Pass
-from truepath.app.alignment.seating import Seating, Seats, find_seating, seat_targets
+from truepath.app.alignment.seating import Seats, find_seating, seat_targets
 from truepath.app.alignment.segmentation import Stream, cut_into_passes
 from truepath.app.alignment.sequence import (
     TOLERANCE_MM,
     Matching,
     fit_rigid,
+    is_wide,
     match_stops,
     seat_places,
 )
@@ -42,10 +43,8 @@ from truepath.app.numerics.rigid import RigidTransform
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
-_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
 _TRIES = 30  # standstills among which the first matching is sought
 _MOST_KEPT_S = 600.0  # of one line
-_SETTLED = 6  # standstills of a target: then it is known where it sits
 
 
 class StreamingAlignment:
@@ -165,16 +164,10 @@ class StreamingAlignment:
             )
         except AlignmentError:
             return  # too little so far, or another path: the batch will say
-        if self._is_wide(nominal_mm[found.waypoint]):
+        if is_wide(nominal_mm[found.waypoint], self._place_mm):
             pairs = zip(found.stop.tolist(), found.waypoint.tolist(), strict=True)
             self._matched, self.pose = list(pairs), found.pose
             self._refine_pose()
-
-    def _is_wide(self, points_mm: np.ndarray) -> bool:
-        """Tell whether points fix a pose for the whole volume, not a line only."""
-        spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
-        volume = float(np.linalg.norm(np.ptp(self._place_mm, axis=0)))
-        return bool(spread[1] > _WIDE * volume)
 
     def _match_by_place(self, index: int) -> None:
         assert self.pose is not None  # noqa: S101 (the caller has asked)
@@ -212,29 +205,13 @@ class StreamingAlignment:
             self._seated_mm, found = seat_places(
                 places, self._place_mm, waypoints, self._seating
             )
-            settled = self._list_settled(self._seating, waypoints)
+            settled = self._seating.list_settled(waypoints)
             if settled != self._settled:
                 # All anew with each target: the estimate is linear in the rest.
                 self._settled = settled
                 self._seats = {n: found[n] for n in found if n in settled}
                 self._seat_path()
         self.pose = fit_rigid(self._seated_mm[waypoints], places)
-
-    @staticmethod
-    def _list_settled(
-        seating: Seating, waypoints: Int64[np.ndarray, " k"]
-    ) -> frozenset[str]:
-        """Return the targets that have been seen often enough, or for the last time."""
-        count = len(seating.names)
-        seen = np.bincount(seating.target[waypoints], minlength=count)
-        of_all = np.bincount(seating.target, minlength=count)
-        last = (
-            len(seating.target)
-            - 1
-            - np.array([np.argmax(seating.target[::-1] == k) for k in range(count)])
-        )
-        enough = (seen >= np.minimum(_SETTLED, of_all)) | (last < waypoints[-1])
-        return frozenset(n for n, e in zip(seating.names, enough, strict=True) if e)
 
     def _seat_path(self) -> None:
         if self._seats:

@@ -22,6 +22,7 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.cell_blocks import CellBlock
 from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.point_alignment import PointAlignment
 from truepath.app.alignment.streaming import StreamingAlignment
 from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import Unidentifiable
@@ -43,6 +44,7 @@ from truepath.app.estimation.normal_equations import RecursiveEstimator
 from truepath.app.estimation.notices import ChangeWatch, Notice
 from truepath.app.estimation.prior import widen_by_unknown_precision
 from truepath.app.estimation.runs import RunInput
+from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.coarse_model import (
     add_bends,
     add_half_widths,
@@ -106,7 +108,7 @@ class LiveFindings:
 
 
 class LiveEstimator:
-    """Takes blocks of samples and answers with the estimate so far. One thread.
+    """Takes samples or points in blocks, answers with the estimate so far. One thread.
 
     known : effects known from an earlier measurement, to be estimated beside; what
         depends on temperatures waits for the analysis of the Run, which has them
@@ -120,7 +122,9 @@ class LiveEstimator:
         perpendicular_only: bool = False,
         known: KnownEffects | None = None,
     ) -> None:
-        self._commanded, self._known = commanded, known or KnownEffects()
+        self._machine, self._commanded = machine, commanded
+        self._known = known or KnownEffects()
+        self._alignment: StreamingAlignment | PointAlignment
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
         targets = [machine.target(name) for name in commanded.target or ("",)]
@@ -166,8 +170,17 @@ class LiveEstimator:
         precision = self._prior.told.precision
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
-    def take(self, block: TrackerSamples) -> bool:
-        """Take the next samples; tell whether they have finished anything."""
+    def take(self, block: TrackerSamples | PointBlock) -> bool:
+        """Take the next samples or points; tell whether they have finished anything.
+
+        All blocks of a measurement are of one kind.
+        """
+        if isinstance(block, TrackerSamples):
+            assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
+            return self._add(self._alignment.add(block))
+        if not isinstance(self._alignment, PointAlignment):
+            self._alignment = PointAlignment(self._machine, self._commanded)
+            self._seats = self._alignment.seats
         return self._add(self._alignment.add(block))
 
     def finish(self) -> bool:

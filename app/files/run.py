@@ -69,6 +69,23 @@ class PointRows:
     count: np.ndarray
     covariance_mm2: np.ndarray
 
+    @classmethod
+    def join(cls, parts: Sequence[PointRows]) -> PointRows:
+        """Return all of them, in order; one part at least."""
+        return cls(
+            np.concatenate([part.row for part in parts]),
+            np.concatenate([part.count for part in parts]),
+            np.concatenate([part.covariance_mm2 for part in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PointBlock:
+    """Some measured points of a Run under way, one sample each."""
+
+    samples: TrackerSamples
+    points: PointRows
+
 
 @dataclass(frozen=True, slots=True)
 class RunEvent:

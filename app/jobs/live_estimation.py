@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from truepath.app.child_process import BACKGROUND_NICENESS, ChildProcess
+from truepath.app.files.run import PointBlock
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.live_process import (
     Estimated,
@@ -69,7 +70,7 @@ class LiveEstimation:
         self._process = ChildProcess(
             "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
         )
-        self._queue: queue.Queue[TrackerSamples | LiveCommand | Commanded]
+        self._queue: queue.Queue[TrackerSamples | PointBlock | LiveCommand | Commanded]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
         self._show, self._ended = show, threading.Event()
@@ -86,10 +87,10 @@ class LiveEstimation:
         for thread in self._threads:
             thread.start()
 
-    def offer(self, samples: TrackerSamples) -> None:
+    def offer(self, block: TrackerSamples | PointBlock) -> None:
         """Hand over a committed block. Never waits: what has no room is dropped."""
         try:
-            self._queue.put_nowait(samples)
+            self._queue.put_nowait(block)
         except queue.Full:
             self.dropped_blocks += 1
 
@@ -196,8 +197,8 @@ class LiveSteering:
     def handle(self, event: CellEvent) -> None:
         """Pass recorded blocks on; ask for the part that the machine waits for."""
         match event:
-            case BlockRecorded(samples):
-                self.live.offer(samples)
+            case BlockRecorded(block):
+                self.live.offer(block)
             case LinesDamaged(_, again) if again is not None:
                 self.live.extend(again)
             case LinesDamaged(row) if self.planned is not None:

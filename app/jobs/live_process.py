@@ -14,6 +14,7 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
+from truepath.app.files.run import PointBlock
 from truepath.app.files.verdict import verdict_json
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, Configurations, append_part
@@ -76,7 +77,8 @@ class EstimateFailed:
 def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
     """Estimate until the last block or the end of the parent. Body of the process.
 
-    link : TrackerSamples come in order, between them CHOOSE_PART, at last END
+    link : TrackerSamples or PointBlocks come in order, between them CHOOSE_PART, at
+        last END
     """
     try:
         _estimate(link, order)
@@ -181,7 +183,7 @@ class _Stream:
         parts, self._parts = self._parts, []
         return parts
 
-    def gather(self) -> list[TrackerSamples]:
+    def gather(self) -> list[TrackerSamples | PointBlock]:
         """Return the blocks of a moment; waits for the first one."""
         blocks = self._receive()
         until_s = time.monotonic() + _GATHER_S
@@ -192,7 +194,7 @@ class _Stream:
                 blocks += self._receive()
         return blocks
 
-    def _receive(self) -> list[TrackerSamples]:
+    def _receive(self) -> list[TrackerSamples | PointBlock]:
         match self._link.recv():
             case LiveCommand.CHOOSE_PART:
                 self.is_asked = True
@@ -201,10 +203,14 @@ class _Stream:
             case Path() | Configurations() as part:
                 self._parts.append(part)
             case block:
-                if self.begun_s is None and len(block):
-                    self.begun_s = float(block.device_time_s[0])
+                self._note_begin(block)
                 return [block]
         return []
+
+    def _note_begin(self, block: TrackerSamples | PointBlock) -> None:
+        samples = block.samples if isinstance(block, PointBlock) else block
+        if self.begun_s is None and len(samples):
+            self.begun_s = float(samples.device_time_s[0])
 
 
 def estimate_json(now: Any) -> dict[str, Any]:

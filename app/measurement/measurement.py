@@ -47,7 +47,7 @@ from truepath.drivers.interfaces.errors import DeviceError, Refused
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import UNABLE, Identity, MotionState
 from truepath.drivers.interfaces.thermometers import Thermometers
-from truepath.drivers.interfaces.tracker import AnyTracker, PolledTracker
+from truepath.drivers.interfaces.tracker import AnyTracker
 
 log = logging.getLogger(__name__)
 
@@ -150,8 +150,6 @@ class Measurement:
         self._motion.abort()  # what an earlier order has left there must not go on
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
-        # The live estimate recognises standstills in a stream; single points are none.
-        is_live = order.live and not isinstance(self._tracker, PolledTracker)
         header = RunHeader(
             order.run_name,
             order.machine,
@@ -164,7 +162,7 @@ class Measurement:
         )
         view = LiveView(
             self._report,
-            reports_blocks=is_live,
+            reports_blocks=order.live,
             range_scale=guess_scale(header.refraction, header.channels),
         )
         self._recorder = Recorder(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, Configurations
 from truepath.drivers.interfaces.records import Identity, Path, TrackerSamples
@@ -176,9 +177,12 @@ class LivePoints:
 
 @dataclass(frozen=True, slots=True)
 class BlockRecorded:
-    """Event: a block that is on disk, for the live estimate; only if asked for."""
+    """Event: a block that is on disk, for the live estimate; only if asked for.
 
-    samples: TrackerSamples
+    block : of the stream, or points of a tracker that is polled
+    """
+
+    block: TrackerSamples | PointBlock
 
 
 @dataclass(frozen=True, slots=True)

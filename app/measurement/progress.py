@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.app.files.run import PointBlock
 from truepath.app.measurement.messages import (
     BlockRecorded,
     LivePoints,
@@ -158,8 +159,9 @@ class LiveView:
         self._last_slot = -np.inf
         self.axes: tuple[float, ...] = ()
 
-    def show(self, samples: TrackerSamples) -> None:
+    def show(self, block: TrackerSamples | PointBlock) -> None:
         """Report a block that has been written."""
+        samples = block.samples if isinstance(block, PointBlock) else block
         time_s = samples.device_time_s
         slot = np.floor(time_s / SPACING_S)
         valid = samples.status == 0
@@ -172,4 +174,8 @@ class LiveView:
             self._report(LivePoints(points, list(self.axes), float(time_s[-1])))
         if self._reports_blocks:
             scaled_mm = self._range_scale * samples.position_mm
-            self._report(BlockRecorded(replace(samples, position_mm=scaled_mm)))
+            scaled = replace(samples, position_mm=scaled_mm)
+            if isinstance(block, PointBlock):
+                self._report(BlockRecorded(replace(block, samples=scaled)))
+            else:
+                self._report(BlockRecorded(scaled))

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from truepath.app.errors import MeasurementFailed
+from truepath.app.files.run import PointBlock, PointRows
 from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.measurement.messages import RunClosed
 from truepath.app.measurement.run_file import (
@@ -61,7 +62,7 @@ PUT_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 60.0
 SPACE_CHECK_S = 1.0
 
-OnRecorded = Callable[[TrackerSamples], None]
+OnRecorded = Callable[[TrackerSamples | PointBlock], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,7 @@ class _Item:
 
     batches: tuple[Batch, ...] = ()
     events: tuple[tuple[int, int, str, str], ...] = ()
-    samples: TrackerSamples | None = None
+    recorded: TrackerSamples | PointBlock | None = None
     manifest: dict[str, str] = field(default_factory=dict)
 
 
@@ -127,32 +128,26 @@ class Recorder:
         the device's counter went back.
         """
         with self._lock:
-            batches: list[Batch] = []
-            if len(samples):
-                first = self._count_samples(samples)
-                packed = pack_samples(samples)
-                batches.append(
-                    _stamp_batch(TRACKER_STREAM, first, len(samples), packed)
-                )
-            if link:
-                seq0, self._link_bytes = self._link_bytes, self._link_bytes + len(link)
-                batches.append(_stamp_batch(LINK_STREAM, seq0, len(link), link))
+            batches = self._pack_tracker(samples, link)
             if batches:
-                self._put(_Item(batches=tuple(batches), samples=samples))
+                self._put(_Item(batches=batches, recorded=samples))
 
     def put_point(self, row: int, point: PointMeasurement, link: bytes = b"") -> None:
         """Hand over the mean of a standstill point and the commanded row it is of."""
         with self._lock:
             number = self.samples
-            record = pack_point(row, point)
-            self._put(_Item((_stamp_batch(POINT_STREAM, number, 1, record),)))
-        sample = TrackerSamples(
-            np.array([number]),
-            np.array([point.time_s]),
-            point.position_mm[None],
-            np.zeros(1, np.int64),
-        )
-        self.put_tracker(sample, link)
+            sample = TrackerSamples(
+                np.array([number]),
+                np.array([point.time_s]),
+                point.position_mm[None],
+                np.zeros(1, np.int64),
+            )
+            about = PointRows(
+                np.array([row]), np.array([point.count]), point.covariance_mm2[None]
+            )
+            batch = _stamp_batch(POINT_STREAM, number, 1, pack_point(row, point))
+            batches = (batch, *self._pack_tracker(sample, link))
+            self._put(_Item(batches, recorded=PointBlock(sample, about)))
 
     def put_axes(self, samples: AxisSamples) -> None:
         """Hand over controller positions."""
@@ -227,6 +222,18 @@ class Recorder:
             ) from error
         return database
 
+    def _pack_tracker(self, samples: TrackerSamples, link: bytes) -> tuple[Batch, ...]:
+        """Count samples and bytes, and return their batches."""
+        batches: list[Batch] = []
+        if len(samples):
+            first = self._count_samples(samples)
+            packed = pack_samples(samples)
+            batches.append(_stamp_batch(TRACKER_STREAM, first, len(samples), packed))
+        if link:
+            seq0, self._link_bytes = self._link_bytes, self._link_bytes + len(link)
+            batches.append(_stamp_batch(LINK_STREAM, seq0, len(link), link))
+        return tuple(batches)
+
     def _count_samples(self, samples: TrackerSamples) -> int:
         """Count samples, and those missing before them; return their first number."""
         sequence = samples.sequence
@@ -264,15 +271,15 @@ class Recorder:
             except (sqlite3.Error, OSError) as error:
                 self.failure = _describe_storage_error(self.file, error)
                 continue
-            if item.samples is not None and self._on_recorded is not None:
-                self._report_recorded(self._on_recorded, item.samples)
+            if item.recorded is not None and self._on_recorded is not None:
+                self._report_recorded(self._on_recorded, item.recorded)
 
     def _report_recorded(
-        self, on_recorded: OnRecorded, samples: TrackerSamples
+        self, on_recorded: OnRecorded, block: TrackerSamples | PointBlock
     ) -> None:
         """Pass recorded samples on. A failure there must not end the recording."""
         try:
-            on_recorded(samples)
+            on_recorded(block)
         except Exception:
             if not self._has_callback_failed:
                 log.exception("recorded samples cannot be shown; recording goes on")

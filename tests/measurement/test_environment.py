@@ -377,7 +377,7 @@ def test_the_live_estimate_sees_ranges_in_usual_air(
         live, tracker, motion, devices, journal.report, settings, sensors
     )
     measurement.run()
-    shown_mm = journal.of(BlockRecorded)[0].samples.position_mm[0]
+    shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
     kept_mm = open_run(order.run_file).tracker.position_mm[0]
     np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)
     assert shown_mm[2] < 3.0 * (1.0 - 200e-6)

@@ -157,7 +157,7 @@ def test_a_bundle_keeps_rows_shots_and_covariances(measure, tmp_path):
     assert first.scatter == pytest.approx(second.scatter)
 
 
-def test_the_machine_stands_meanwhile_and_nothing_goes_to_the_live_estimate(
+def test_the_machine_stands_meanwhile_and_each_point_goes_to_the_live_estimate(
     measure, order, polled, motion, journal
 ):
     moved = []
@@ -166,9 +166,12 @@ def test_the_machine_stands_meanwhile_and_nothing_goes_to_the_live_estimate(
         moved.append(motion.status().state == "running")
 
     polled.before = look
-    measure(replace(order, live=True))
+    _, run = measure(replace(order, live=True))
     assert moved == [False] * 4
-    assert not journal.of(BlockRecorded)
+    blocks = [event.block for event in journal.of(BlockRecorded)]
+    assert [block.points.row.tolist() for block in blocks] == [[0], [1], [2], [3]]
+    told = [block.samples.position_mm[0].tolist() for block in blocks]
+    assert told == run.tracker.position_mm.tolist()
     assert sum(len(event.tracker_mm) for event in journal.of(LivePoints)) == 4
 
 

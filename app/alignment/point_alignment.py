@@ -1,0 +1,186 @@
+"""Points of a tracker that is polled, one by one while they are measured.
+
+Each says which commanded row it is of. Where they belong together the pose is known;
+from then on a point is where its row is, or astray.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int64
+
+from truepath.app.alignment.cell_blocks import CellBlock
+from truepath.app.alignment.cell_observations import join_blocks
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.measured_points import (
+    find_measured,
+    list_as_stops,
+    reduce_point,
+)
+from truepath.app.alignment.nominal_path import compute_nominal_path
+from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.seating import Seats, find_seating
+from truepath.app.alignment.sequence import (
+    TOLERANCE_MM,
+    fit_rigid,
+    is_wide,
+    match_stops,
+    seat_places,
+)
+from truepath.app.errors import AlignmentError
+from truepath.app.files.run import PointBlock, PointRows, Run
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Configurations
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+
+_FEWEST, _TRIES = 4, 30  # points among which the first pose is sought
+
+
+class PointAlignment:
+    """Holds measured points against their rows while they come in. One thread.
+
+    pose : workpiece to tracker from the points so far, None before it is known
+    seats : targets that sit far off their places, and by how much, as known so far
+    """
+
+    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+        nothing = PointRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3, 3)))
+        self._run = Run("live", machine, commanded, TrackerSamples.empty())
+        self._points = nothing
+        self._near: list[int] = []  # points that are where their rows are
+        self._waiting: list[int] = []  # of these, whose targets' seats are not known
+        self._astray: list[LeftOut] = []
+        self._settled: frozenset[str] = frozenset()
+        self._reach_mm = TOLERANCE_MM
+        self._is_over = False
+        self.pose: RigidTransform | None = None
+        self.seats: Seats = {}
+        self._know_rows()
+
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Know of further rows; the earlier ones are among them as they were."""
+        self._run = replace(self._run, commanded=commanded)
+        self._know_rows()
+
+    def _know_rows(self) -> None:
+        machine, commanded = self._run.machine, self._run.commanded
+        nominal = compute_nominal_path(machine, commanded)
+        self._first = nominal.first
+        self._place_mm = self._seated_mm = nominal.place_mm
+        self._seating = find_seating(machine, commanded, nominal.first)
+        if self._near:
+            self._refine_pose()
+
+    def add(self, block: PointBlock) -> list[CellBlock]:
+        """Take the next points; return those that are where their rows are."""
+        before = len(self._run.tracker)
+        tracker = TrackerSamples.join([self._run.tracker, block.samples])
+        self._run = replace(self._run, tracker=tracker)
+        self._points = PointRows.join([self._points, block.points])
+        if self.pose is None:
+            self._match_first()
+        else:
+            new = find_measured(tracker)
+            self._sort_by_place(new[new >= before])
+        return self._deliver()
+
+    def finish(self) -> list[CellBlock]:
+        """Nothing follows: return what was waiting for more."""
+        self._is_over = True
+        return self._deliver()
+
+    def observations(self, parts: Sequence[CellBlock]) -> Observations:
+        """Return points as one block, about the pose as it is now."""
+        if self.pose is None:
+            raise AlignmentError("the points so far do not tell the pose")
+        begin_s = min(float(part.cells.time_s[0]) for part in parts)
+        end_s = max(float(part.cells.time_s[-1]) for part in parts)
+        said = [x for x in self._astray if begin_s <= x.begin_s <= end_s]
+        return join_blocks(self._run, list(parts), self.pose, (), self.seats, said)
+
+    def _match_first(self) -> None:
+        measured = find_measured(self._run.tracker)
+        if not _FEWEST <= len(measured) <= _TRIES:
+            return
+        places, waypoints = self._places_of(measured), self._waypoints_of(measured)
+        seating = self._seating.select(waypoints) if self._seating else None
+        try:
+            found = match_stops(
+                list_as_stops(places),
+                self._place_mm[waypoints],
+                ordered_by="points.csv",
+                seating=seating,
+            )
+        except AlignmentError:
+            return  # too little so far: more points may tell
+        same = found.stop[found.stop == found.waypoint]
+        if len(same) >= _FEWEST and is_wide(
+            self._place_mm[waypoints[same]], self._place_mm
+        ):
+            self.pose, self._reach_mm = found.pose, found.reach_mm
+            self._sort_by_place(measured)
+
+    def _sort_by_place(self, measured: Int64[np.ndarray, " m"]) -> None:
+        """Keep the points that are where their rows are; say what of the others."""
+        for sample in measured.tolist():
+            assert self.pose is not None  # noqa: S101 (the callers have asked)
+            (waypoint,) = self._waypoints_of(np.array([sample]))
+            expected_mm = self.pose.apply(self._seated_mm[[waypoint]])[0]
+            place_mm = self._run.tracker.position_mm[sample]
+            off_mm = float(np.linalg.norm(place_mm - expected_mm))
+            if off_mm > self._find_reach_mm(int(waypoint)):
+                row, count = self._points.row[sample], self._points.count[sample]
+                time_s = float(self._run.tracker.device_time_s[sample])
+                self._astray.append(
+                    LeftOut("astray", int(row), time_s, time_s, int(count), off_mm)
+                )
+                continue
+            self._near.append(sample)
+            self._waiting.append(sample)
+            self._refine_pose()
+
+    def _refine_pose(self) -> None:
+        near = np.array(self._near)
+        places, waypoints = self._places_of(near), self._waypoints_of(near)
+        if self._seating is not None:
+            self._seated_mm, found = seat_places(
+                places, self._place_mm, waypoints, self._seating
+            )
+            settled = self._seating.list_settled(waypoints)
+            if settled != self._settled:
+                # All anew with each target: the estimate is linear in the rest.
+                self._settled = settled
+                self.seats = {n: found[n] for n in found if n in settled}
+        if len(near) >= _FEWEST:
+            self.pose = fit_rigid(self._seated_mm[waypoints], places)
+
+    def _deliver(self) -> list[CellBlock]:
+        ready = [s for s in self._waiting if self._is_settled(s)]
+        self._waiting = [s for s in self._waiting if s not in ready]
+        return [reduce_point(self._run, self._points, sample) for sample in ready]
+
+    def _is_settled(self, sample: int) -> bool:
+        (waypoint,) = self._waypoints_of(np.array([sample]))
+        return self._is_over or self._is_seat_known(int(waypoint))
+
+    def _is_seat_known(self, waypoint: int) -> bool:
+        if self._seating is None:
+            return True
+        return self._seating.names[self._seating.target[waypoint]] in self._settled
+
+    def _find_reach_mm(self, waypoint: int) -> float:
+        """Return how far off its place a point may be."""
+        if self._seating is None or self._is_seat_known(waypoint):
+            return self._reach_mm
+        return self._reach_mm + float(self._seating.reach_mm[waypoint])
+
+    def _places_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
+        return self._run.tracker.position_mm[samples]
+
+    def _waypoints_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
+        rows = self._points.row[samples]
+        return np.searchsorted(self._first, rows, side="right") - 1
