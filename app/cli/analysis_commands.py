@@ -39,7 +39,7 @@ def analyse(
         list[Path],
         typer.Argument(
             metavar="BUNDLE...",
-            help="Measurements of one machine, each a folder or a .zip.",
+            help="Measurements of one machine, each a folder, a .zip or a Run file.",
         ),
     ],
     output: OutputFolder,
@@ -68,7 +68,7 @@ def analyse(
     """Measurements to error tables with their uncertainty, and a report."""
     collect_seldom()
     from truepath.app.estimation.prior_model import read_prior_model
-    from truepath.app.files.bundle import read_bundle
+    from truepath.app.measurement.run_reading import open_recorded
     from truepath.app.numerics.adaptive_trials import TrialPlan
     from truepath.app.reporting.analysis_files import (
         read_runs,
@@ -83,7 +83,7 @@ def analyse(
         on_progress(0.0, "reading")
         earlier = None if model is None else read_prior_model(model)
         findings = analyse(
-            *read_runs(bundles, read_bundle),
+            *read_runs(bundles, open_recorded),
             model=earlier,
             perpendicular_only=perpendicular_only,
             monte_carlo=TrialPlan(seed=seed, interval=interval)
@@ -107,8 +107,8 @@ def discover(
         list[Path],
         typer.Argument(
             metavar="BUNDLE...",
-            help="Measurements of one machine, each a folder or a .zip: the first, and "
-            "further lines that it asked for.",
+            help="Measurements of one machine, each a folder, a .zip or a Run file: "
+            "the first, and further lines that it asked for.",
         ),
     ],
     output: OutputFolder,
@@ -125,7 +125,7 @@ def discover(
     """Find what the model of a measurement lacks, and what to drive to be sure."""
     collect_seldom()
     from truepath.app.estimation.prior_model import read_prior_model
-    from truepath.app.files.bundle import read_bundle
+    from truepath.app.measurement.run_reading import open_recorded
     from truepath.app.reporting.analysis_files import read_runs
     from truepath.app.reporting.discovery_report import write_discovery
     from truepath.app.results.discovery import discover_runs
@@ -134,7 +134,7 @@ def discover(
     with show_progress("discover") as on_progress:
         on_progress(0.0, "reading")
         parent = None if model is None else read_prior_model(model)
-        runs = read_runs(bundles, read_bundle)
+        runs = read_runs(bundles, open_recorded)
         discovered = discover_runs(runs, parent, on_progress)
         on_progress(1.0, "writing")
         write_discovery(discovered, output)

@@ -61,7 +61,7 @@ def trend(
 ) -> None:
     """The machine over time: tables at each measurement, later, when to repeat."""
     collect_seldom()
-    from truepath.app.files.bundle import read_bundle
+    from truepath.app.measurement.run_reading import open_recorded
     from truepath.app.reporting.analysis_files import read_runs
     from truepath.app.reporting.trend_report import write_trend
     from truepath.app.results.trend import HOUR_S, Question, follow_machine
@@ -69,7 +69,7 @@ def trend(
     require_folder(output, "the trend")
     with show_progress("trend") as on_progress:
         on_progress(0.0, "reading")
-        runs = read_runs(bundles, read_bundle)
+        runs = read_runs(bundles, open_recorded)
         times = None if at is None else _parse_times(at, HOUR_S)
         ahead = [HOUR_S * hours for hours in (horizon, *(later or ()))]
         question = Question(

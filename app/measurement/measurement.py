@@ -159,6 +159,7 @@ class Measurement:
             self._motion.axes,
             name_channels(self._groups),
             choose_refraction(self._tracker.capabilities, self._settings.light),
+            order.job_id,
         )
         view = LiveView(
             self._report,

@@ -86,6 +86,7 @@ class MeasurementOrder:
     live : report recorded blocks, for an estimate on the way
     grows : after the last row request a further part, and stand until there is one or
         the measurement is concluded
+    job_id : of the job that measures, for the Run to name
     """
 
     run_name: str
@@ -97,6 +98,7 @@ class MeasurementOrder:
     reserve_bytes: int = 500 << 20
     live: bool = False
     grows: bool = False
+    job_id: str = ""
 
 
 class CellVerb(StrEnum):

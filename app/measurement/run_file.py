@@ -49,6 +49,7 @@ from truepath.drivers.interfaces.tracker_records import Air, PointMeasurement
 
 SCHEMA = "run/1"
 CLOSED = "closed"  # key of the manifest that is written at the end
+BUSY_TIMEOUT_MS = 5000
 _CRC = "crc32"
 TABLES = """
 CREATE TABLE manifest (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -107,6 +108,7 @@ class RunHeader:
 
     channels : names of thermometers and sensors of the air
     refraction : who corrects the ranges for the air, as it is before anything is done
+    job_id : of the job that measures; empty without a service
     """
 
     name: str
@@ -117,6 +119,7 @@ class RunHeader:
     axes: tuple[str, ...]
     channels: tuple[str, ...] = ()
     refraction: Refraction = field(default_factory=Refraction)
+    job_id: str = ""
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -124,6 +127,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
     content = {
         "schema": SCHEMA,
         "name": header.name,
+        "job": header.job_id,
         "started": started,
         "machine": machine_to_json(header.machine),
         "commanded": _encode_commanded(header.commanded),
@@ -176,6 +180,7 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         axes=tuple(content["axes"]),
         channels=tuple(content.get("channels", ())),
         refraction=refraction_from_json(content.get("refraction")),
+        job_id=content.get("job", ""),
     )
 
 
@@ -242,7 +247,7 @@ def connect(file: Path) -> sqlite3.Connection:
     """Open a Run file to write, every commit synced to the disk."""
     database = sqlite3.connect(file, isolation_level=None, check_same_thread=False)
     try:
-        database.execute("PRAGMA busy_timeout = 5000")
+        database.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
         database.execute("PRAGMA journal_mode = WAL")
         database.execute("PRAGMA synchronous = FULL")
     except sqlite3.Error:

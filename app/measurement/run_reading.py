@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.app.errors import BundleError
+from truepath.app.files.bundle import read_bundle
 from truepath.app.files.environment import Series, tabulate_channels
 from truepath.app.files.refraction import correct_refraction
 from truepath.app.files.run import PointRows, Run, RunEvent
@@ -52,6 +53,7 @@ from truepath.drivers.interfaces.records import (
     TrackerSamples,
 )
 
+_SQLITE = b"SQLite format 3\0"
 _LEAST_ROW_BYTES = 64  # no row of the file is smaller
 _NAMED_PROBLEMS = 100  # beyond them nobody reads on
 _ROWS = "row", "count", "covariance_mm2"
@@ -126,6 +128,28 @@ def open_run(file: str | Path) -> Run:
     )
 
 
+def open_recorded(place: str | Path) -> Run:
+    """Return the Run of a Run file, or of a bundle: a folder or a .zip.
+
+    Raises BundleError.
+    """
+    place = Path(place)
+    if place.suffix == ".sqlite" and not place.is_dir():
+        return open_run(place)
+    return open_run(place) if _is_sqlite(place) else read_bundle(place)
+
+
+def read_job_id(file: str | Path) -> str:
+    """Return the job that recorded a Run, empty where its file does not say."""
+    try:
+        with _open_database(Path(file)) as database:
+            query = "SELECT value FROM manifest WHERE key = 'job'"
+            row = database.execute(query).fetchone()
+            return str(json.loads(row[0])) if row else ""
+    except (sqlite3.Error, OSError, ValueError, TypeError):
+        return ""
+
+
 def repair_run(file: str | Path) -> RunClosed:
     """Make one closed file of a Run whose writer was killed.
 
@@ -149,6 +173,13 @@ def repair_run(file: str | Path) -> RunClosed:
             put_manifest(database, {CLOSED: json.dumps(end)})
         sha256 = seal(database, place)
     return RunClosed(str(place), "", len(tracker), lost, sha256, failure)
+
+
+def _is_sqlite(place: Path) -> bool:
+    if not place.is_file():
+        return False
+    with place.open("rb") as source:
+        return source.read(len(_SQLITE)) == _SQLITE
 
 
 def _read(file: Path) -> _Content:

@@ -9,6 +9,8 @@ import pytest
 
 from truepath.app.cli.command import run
 from truepath.app.files.bundle import write_bundle, zip_bundle
+from truepath.app.measurement.recorder import Recorder
+from truepath.app.measurement.run_file import RunHeader
 from truepath.app.numerics.adaptive_trials import TrialPlan
 
 
@@ -150,3 +152,35 @@ def test_points_beyond_the_travel_are_noted_and_predicted(analysed, tmp_path, ca
     result, out = str(analysed / "result.json"), str(tmp_path / "out.csv")
     assert run(["predict", result, "--points", str(file), "-o", out]) == 0
     assert "note: 1 of 1 points lie beyond the travel" in capsys.readouterr().err
+
+
+@pytest.fixture
+def run_file(record, tmp_path):
+    """The recording as the cell leaves it, not yet a bundle."""
+    truth, _ = record(1, rows=24)
+    header = RunHeader("r", truth.machine, truth.commanded, 500.0, {}, ())
+    recorder = Recorder(tmp_path / "r.sqlite", header, reserve_bytes=0)
+    recorder.put_tracker(truth.tracker)
+    recorder.close("finished")
+    return recorder.file
+
+
+def _read_tables(folder):
+    return json.loads((folder / "result.json").read_text())["error_tables"]
+
+
+def test_a_run_file_is_analysed_as_its_bundle_is(run_file, analysed, tmp_path):
+    again = tmp_path / "again"
+    assert run(["analyse", str(run_file), "-o", str(again)]) == 0
+    tables = [_read_tables(folder) for folder in (again, analysed)]
+    for name in ("EXX", "EYX", "EZZ"):
+        ours, expected = (table[name]["value_um"] for table in tables)
+        np.testing.assert_allclose(ours, expected, atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["r.sqlite", "odd.run"])
+def test_a_file_that_is_no_run_is_bad_input(name, tmp_path, capsys):
+    (tmp_path / name).write_bytes(b"SQLite format 3\0" + b"garbage" * 999)
+    folder = str(tmp_path / "out")
+    assert run(["analyse", str(tmp_path / name), "-o", folder]) == 2
+    assert f"{name}: is not a Run file" in capsys.readouterr().err
