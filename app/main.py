@@ -36,6 +36,7 @@ from truepath.app.jobs.errors import InUse
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.jobs.live_estimation import LiveEstimation
+from truepath.app.jobs.reconciliation import Reconciliation
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded, prepare
 from truepath.app.jobs.store import Store
@@ -92,6 +93,9 @@ def open_service(settings: Settings) -> Iterator[Service]:
         dispatcher = Dispatcher(context, event_bus)
         stack.callback(dispatcher.close)
         dispatcher.interrupt_unfinished_jobs()
+        reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
+        stack.callback(reconciliation.close)
+        reconciliation.start()
         if context.cell is not None:
             context.cell.start()
         service = Service(

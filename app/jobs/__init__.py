@@ -19,8 +19,10 @@ Threads and processes:
 - *worker processes* (`executor.py`) compute, niced below the cell process;
 - request threads of `api` call the verbs of `dispatcher.py`, which wait for no motion.
 
-After a restart nothing moves: every job that had not ended becomes `interrupted`, and
-what its Run had recorded is added to the catalogue.
+After a restart nothing moves: every measurement that had not ended becomes
+`interrupted`, and what its Run had recorded is added to the catalogue
+(`reconciliation.py`, which goes on looking for Runs that no row names). Jobs that only
+compute are queued again (`restart.py`).
 
 RFC 9110 (conditional requests), section 13; draft-ietf-httpapi-idempotency-key-header.
 """

@@ -15,6 +15,7 @@ from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import Computation
 from truepath.app.jobs.job import Failure, Health, Job, JobEvent, Json, Progress, Stage
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State, Verb, apply_verb, may_follow
 
@@ -145,6 +146,7 @@ class ActiveJob:
                 stage=stage,
                 progress=self._progress,
                 health=self._health,
+                attempts=job.attempts + (job.state is State.QUEUED),
             )
 
         if stage is not self._stage:
@@ -183,6 +185,10 @@ class ActiveJob:
             )
 
         return self._change(change)
+
+    def put_back(self) -> None:
+        """Let the job be begun again at the next start of the service."""
+        self._change(lambda job: put_back(job, in_order=True))
 
     def store_values(self, **values: Any) -> None:
         """Store fields of the job, unless it has ended."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import structlog
 
-from truepath.app.errors import IllegalTransition, NotFound
+from truepath.app.errors import IllegalTransition
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import (
@@ -22,7 +22,9 @@ from truepath.app.jobs.errors import (
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.job import Failure, Job, Stage
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
+from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.store import IdempotencyKey
 from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
@@ -46,13 +48,26 @@ class Dispatcher:
         self._closing = False
 
     def interrupt_unfinished_jobs(self) -> None:
-        """Mark jobs that an earlier service left unfinished. Moves nothing."""
-        for job in self._context.store.list_unfinished():
-            self._interrupt(job)
-        for run_id in self._context.runs.add_left_behind():
-            self._join_run(run_id)
+        """Mark measurements that an earlier service left unfinished. Moves nothing.
+
+        Jobs that only compute are queued again, in their order.
+        """
+        unfinished = self._context.store.list_unfinished()
+        for job in unfinished:
+            if job.kind.measures:
+                self._interrupt(job)
+        for run_id, why in reconcile(self._context).items():
+            log.warning("a Run on disk cannot be catalogued", run_id=run_id, why=why)
         self._context.runs.remove_uploads()
         self._context.store.prune()
+        for job in unfinished:
+            if not job.kind.measures:
+                self._begin_again(job)
+
+    @property
+    def is_measuring(self) -> bool:
+        """Whether a job under way measures, or is about to."""
+        return any(active.kind.measures for active in list(self._active.values()))
 
     def create(
         self, request: RequestedJob, key: IdempotencyKey | None = None
@@ -184,8 +199,17 @@ class Dispatcher:
         """Body of a job's thread."""
         try:
             run_job(job, active, self._context)
+            if job.kind.measures:
+                self._name_runs(job)
         finally:
             del self._active[job.id]
+
+    def _name_runs(self, job: Job) -> None:
+        """Name Runs that were catalogued while the job could not be written."""
+        try:
+            store_runs(job.id, self._context)
+        except StorageUnavailable as error:
+            log.warning("the Runs are not named yet", job_id=job.id, reason=str(error))
 
     def _find_active(self, job_id: str, verb: Verb) -> ActiveJob:
         active = self._active.get(job_id)
@@ -195,30 +219,22 @@ class Dispatcher:
         apply_verb(verb, job.state)
         raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
 
-    def _join_run(self, run_id: str) -> None:
-        """Name a Run in the job that measured it, where the job names none."""
-
-        def change(job: Job) -> Job:
-            return job if job.run_id is not None else replace(job, run_id=run_id)
-
-        with suppress(NotFound):  # a Run of a further station, or of another catalogue
-            self._context.store.change(run_id, change)
+    def _begin_again(self, job: Job) -> None:
+        """Queue a job that computes again; what it had begun is begun anew."""
+        queued = self._context.store.change(job.id, put_back, version=job.version)
+        log.info("job found unfinished", job_id=job.id, was=str(job.state))
+        if not queued.is_final:
+            self._begin(queued)
 
     def _interrupt(self, job: Job) -> None:
-        runs = self._context.runs
-        record = runs.add_measured(job.id) if job.kind.measures else None
-        further = job.further_run_ids
-        plan = self._context.store.read_plan(job.id) or {}
-        if job.kind.measures and "stations" in plan:
-            for run_id in (*list_run_ids(plan), *list_run_ids(plan, "points_id")):
-                runs.add_measured(run_id)
-            further = tuple(runs.find(list_run_ids(plan))[1:])
+        runs, plan = self._context.runs, self._context.store.read_plan(job.id) or {}
+        stations = (*list_run_ids(plan), *list_run_ids(plan, "points_id"))
+        for run_id in dict.fromkeys((job.id, *stations)):
+            runs.add_measured(run_id)
         text = f"the service ended while the job was {job.state}"
         after = replace(
-            job,
+            name_runs(job, self._context),
             state=State.INTERRUPTED,
-            run_id=record.id if record is not None else job.run_id,
-            further_run_ids=further,
             failure=Failure(Interrupted.__name__, text),
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)

@@ -101,6 +101,7 @@ class DrivingSteps:
             rate_hz=machine.tracker.rate_hz,
             live=steering is not None,
             grows=grows,
+            job_id=self.job.id,
         )
         CellMeasurement(
             self.active,

@@ -70,6 +70,10 @@ class Interrupted(TruepathError):
     """The service is ending and the job with it."""
 
 
+class GivenUp(TruepathError):
+    """The service ended each time that the job computed; it is not begun again."""
+
+
 class WorkerDied(TruepathError):
     """A computing process ended without an answer: killed, or out of memory."""
 

@@ -166,6 +166,7 @@ class Job:
     station : of a measurement from several places of the tracker
     on_notice : what is done where its live estimate notices a change
     notices : what it has noticed
+    attempts : how often it was begun, restarts of the service in between
     """
 
     kind: JobKind
@@ -191,6 +192,7 @@ class Job:
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None
+    attempts: int = 0
 
     @property
     def run_ids(self) -> tuple[str, ...]:

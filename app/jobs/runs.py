@@ -29,7 +29,12 @@ from truepath.app.jobs.database import Database
 from truepath.app.jobs.job import format_utc_now, make_id
 from truepath.app.jobs.schema import runs
 from truepath.app.measurement.run_file import hash_file
-from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.measurement.run_reading import (
+    open_recorded,
+    open_run,
+    read_job_id,
+    repair_run,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -77,26 +82,40 @@ class RunCatalogue:
         Nobody may be writing to it: what a killed writer has left is repaired first.
         Raises nothing: how a measurement ended matters more than its file.
         """
-        file = self.name_run_file(run_id)
-        if not file.is_file():
+        if not self.name_run_file(run_id).is_file():
             return None
         try:
-            with suppress(NotFound):
-                return self.get(run_id)
-            repair_run(file)
-            run = open_run(file)
-            complete = run.provenance.get("outcome") == "finished"
-            own = {"id": run_id, "origin": "measured", "complete": complete}
-            return self._insert(run, file, run.name, **own)
+            return self.read_measured(run_id)
         except Exception:
             log.exception("the Run cannot be read; its file is kept")
             return None
 
-    def add_left_behind(self) -> list[str]:
-        """Catalogue recorded files that no row names; return their Runs."""
+    def read_measured(self, run_id: str) -> RunRecord:
+        """Catalogue what the cell has recorded, as `add_measured`.
+
+        Raises BundleError, OSError, sqlite3.Error or StorageUnavailable where it cannot
+        be read, repaired or catalogued, now or ever.
+        """
+        file = self.name_run_file(run_id)
+        with suppress(NotFound):
+            return self.get(run_id)
+        repair_run(file)
+        run = open_run(file)
+        complete = run.provenance.get("outcome") == "finished"
+        own = {"id": run_id, "origin": "measured", "complete": complete}
+        return self._insert(run, file, run.name, **own)
+
+    def list_left_behind(self) -> list[str]:
+        """Return the Runs of recorded files that no row names, the oldest first."""
+        query = select(runs.c.id).where(runs.c.origin == "measured")
+        with self._database.read() as connection:
+            known = set(connection.execute(query).scalars())
         recorded = sorted(file.stem for file in self._folder.glob("*.sqlite"))
-        known = set(self.find(recorded))
-        return [i for i in recorded if i not in known and self.add_measured(i)]
+        return [run_id for run_id in recorded if run_id not in known]
+
+    def read_job_id(self, run_id: str) -> str:
+        """Return the job that has recorded a Run: the file says it, else its name."""
+        return read_job_id(self.name_run_file(run_id)) or run_id
 
     def add_uploaded(self, bundle: Path, name: str) -> RunRecord:
         """Check a zipped bundle, keep it and catalogue it. Raises BundleError.
@@ -187,8 +206,3 @@ class RunCatalogue:
         )
         self._database.write(lambda connection: connection.execute(query).rowcount)
         return self.get(own["id"])
-
-
-def open_recorded(file: Path) -> Run:
-    """Open the file of a Run, whichever form it has."""
-    return read_bundle(file) if file.suffix == ".zip" else open_run(file)

@@ -15,8 +15,8 @@ from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import State
 from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.jobs.job import Json
-from truepath.app.jobs.runs import open_recorded
 from truepath.app.jobs.workers import Workers, open_workers
+from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.app.progress import Progress
 

@@ -168,6 +168,7 @@ class StationSteps:
             machine=machine,
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,
+            job_id=self.job.id,
         )
         self.active.enter(State.RUNNING, Stage.MEASURING)
         try:

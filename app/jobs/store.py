@@ -13,9 +13,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import (
+    Connection,
+    Select,
+    delete,
+    exists,
+    func,
+    insert,
+    select,
+    update,
+)
 
-from truepath.app.errors import NotFound
+from truepath.app.errors import IllegalTransition, NotFound
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from truepath.app.jobs.job import (
@@ -31,7 +40,7 @@ from truepath.app.jobs.job import (
     format_utc_now,
     make_id,
 )
-from truepath.app.jobs.schema import events, idempotency_keys, jobs
+from truepath.app.jobs.schema import events, idempotency_keys, jobs, runs
 from truepath.app.jobs.transitions import FINAL, State, check_transition
 
 KEEP_KEYS_S = 24 * 3600
@@ -133,6 +142,13 @@ class Store:
         """Return the jobs that have not ended, the oldest first."""
         return self._read(_UNFINISHED)
 
+    def list_without_run(self) -> list[Job]:
+        """Return the measurements that have ended and name no Run, but have one."""
+        has_run = exists().where(runs.c.id == jobs.c.id)
+        measures = jobs.c.kind.like("measure-%") & jobs.c.run_id.is_(None)
+        ended = jobs.c.state.not_in(_OPEN)
+        return self._read(_JOBS.where(measures & ended & has_run).order_by(jobs.c.seq))
+
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
     ) -> Job:
@@ -150,6 +166,7 @@ class Store:
                 return before, None
             if after.state is not before.state:
                 check_transition(before.state, after.state)
+                _refuse_to_measure_again(after)
             after = _stamp_times(before, replace(after, version=before.version + 1))
             _update_job(connection, before, after)
             return after, _insert_event(connection, after)
@@ -208,6 +225,11 @@ class Store:
         event = outcome[1]
         if event is not None:
             self._listener(event)
+
+
+def _refuse_to_measure_again(job: Job) -> None:
+    if job.kind.measures and job.state is State.QUEUED:
+        raise IllegalTransition(f"job {job.id} measures; it is not begun again")
 
 
 def _stamp_times(before: Job, after: Job) -> Job:

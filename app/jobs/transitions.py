@@ -47,7 +47,8 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     _P: frozenset({_R, _ABG}) | _ENDS_BADLY,
     _R: frozenset({_RUN, _ABG}) | _ENDS_BADLY,
     # A hold or a cycle start at the machine's own panel skips pausing and resuming.
-    _RUN: frozenset({_PSG, _PSD, _AWAIT, _ABG, State.SUCCEEDED}) | _ENDS_BADLY,
+    # Computing is begun again after a restart of the service; a measurement never is.
+    _RUN: frozenset({_PSG, _PSD, _AWAIT, _ABG, _Q, State.SUCCEEDED}) | _ENDS_BADLY,
     _AWAIT: frozenset({_RUN, _ABG}) | _ENDS_BADLY,
     # The path may end while the hold is on its way.
     _PSG: frozenset({_PSD, _RUN, _AWAIT, _ABG}) | _ENDS_BADLY,

@@ -49,6 +49,11 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         state, failure = State.SUCCEEDED, None
         try:
             _JobSteps(job, active, context).run()
+        except Interrupted as error:
+            if not job.kind.measures:
+                _put_back(active)
+                return
+            state, failure = classify_error(error)
         except Exception as error:
             state, failure = classify_error(error)
         _store_end(active, state, failure)
@@ -71,6 +76,13 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
     if not isinstance(error, TruepathError | DeviceError):
         log.error("job failed unexpectedly", exc_info=error)
     return State.FAILED, Failure(family, text)
+
+
+def _put_back(active: ActiveJob) -> None:
+    try:
+        active.put_back()
+    except StorageUnavailable as error:  # the next start of the service will find it
+        log.warning("the job cannot be queued again yet", reason=str(error))
 
 
 def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:
@@ -107,6 +119,8 @@ class _JobSteps:
         chooses = job.kind.measures or job.kind is JobKind.PLAN
         if chooses and context.store.read_plan(job.id) is None:
             self._plan()
+        elif job.kind is JobKind.PLAN:  # planned before the service ended
+            self.active.enter(State.RUNNING, Stage.PLANNING)
         if job.kind.measures:
             made = self._measure_all(self._wait_until_armed())
             run_ids = tuple(dict.fromkeys((*run_ids, *made)))

@@ -95,6 +95,7 @@ class ScriptedCell:
             order.rate_hz,
             DEVICES,
             order.machine.axis_names,
+            job_id=order.job_id,
         )
         self._recorder = Recorder(
             FilePath(order.run_file),

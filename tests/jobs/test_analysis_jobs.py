@@ -16,8 +16,8 @@ from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import Aborted, QueueFull
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.runs import open_recorded
 from truepath.app.jobs.workers import Workers
+from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.motion.configurations import Configurations
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.drivers.interfaces.records import TrackerSamples
@@ -164,12 +164,13 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place(
     assert failure.detail == "tracker.csv, row 7, column x_mm: is NaN"
 
 
-def test_closing_interrupts_an_analysis(analysing, context, run, science):
+def test_closing_queues_an_analysis_again(analysing, context, run, science):
     science.hold = threading.Event()
     job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: science.calls)
     analysing.close()
-    assert context.store.get(job.id).state == "interrupted"
+    queued = context.store.get(job.id)
+    assert (queued.state, queued.attempts) == ("queued", 0)
 
 
 def test_an_executor_that_ends_ends_the_job(analysing, context, run, science):

@@ -82,7 +82,7 @@ def test_it_tells_its_stage_and_can_be_aborted(context, run, discovering, explor
     assert not (context.results / job.id).exists()
 
 
-def test_after_a_restart_it_is_interrupted(
+def test_after_a_restart_it_is_done_again(
     context, event_bus, run, discovering, explorer
 ):
     explorer.hold = threading.Event()
@@ -90,9 +90,11 @@ def test_after_a_restart_it_is_interrupted(
     wait_until(lambda: explorer.calls)
     discovering.close()
     explorer.hold = None
-    later = Dispatcher(replace(context, machine=None, cell=None), event_bus)
+    bare = replace(context, machine=None, cell=None, discoverer=explorer)
+    later = Dispatcher(bare, event_bus)
     later.interrupt_unfinished_jobs()
-    assert context.store.get(job.id).state is State.INTERRUPTED
+    assert ended(context, job).has_discovery
+    assert len(explorer.calls) == 2
     later.close()
 
 

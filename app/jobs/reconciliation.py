@@ -1,0 +1,153 @@
+"""Keeps files and catalogue together: Runs that no row names, jobs that name no Run.
+
+After a full disk, or where a killed cell had its Run open still, a Run file may stand
+without its row, and its job without its Run. Both are looked for at the start of the
+service, when a measurement has ended, and every `EVERY_S` while none is under way.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+
+import structlog
+
+from truepath.app.errors import NotFound
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.job import Job
+from truepath.app.jobs.station_steps import list_run_ids
+
+log = structlog.get_logger(__name__)
+
+EVERY_S = 30.0
+LONGEST_PAUSE_S = 600.0
+MOST_RUNS = 4  # that are read in one pass
+
+
+def name_runs(job: Job, context: JobContext) -> Job:
+    """Return the job with the Runs that the catalogue has of it; else the same."""
+    plan = context.store.read_plan(job.id) or {}
+    if "stations" in plan:
+        known = context.runs.find(list_run_ids(plan))
+        if not known or job.run_ids == tuple(known):
+            return job
+        return replace(job, run_id=known[0], further_run_ids=tuple(known[1:]))
+    if job.run_id is not None or not context.runs.find([job.id]):
+        return job
+    return replace(job, run_id=job.id)
+
+
+def store_runs(job_id: str, context: JobContext) -> None:
+    """Name in a job that measured the Runs that are catalogued. Raises NotFound."""
+    named = name_runs(context.store.get(job_id), context)
+
+    def change(job: Job) -> Job:
+        runs = named.run_id, named.further_run_ids
+        if runs == (job.run_id, job.further_run_ids):
+            return job
+        return replace(job, run_id=runs[0], further_run_ids=runs[1])
+
+    context.store.change(job_id, change)
+
+
+def reconcile(
+    context: JobContext, *, skip: Collection[str] = (), most: int | None = None
+) -> dict[str, str]:
+    """Catalogue Runs that no row names, and name Runs in their jobs.
+
+    No measurement may be under way. Returns why a Run cannot be catalogued, by its
+    identifier. Raises StorageUnavailable.
+
+    skip : Runs that are left alone; most : Runs that are read
+    """
+    failed: dict[str, str] = {}
+    left = [i for i in context.runs.list_left_behind() if i not in skip]
+    for run_id in left[:most]:
+        try:
+            context.runs.read_measured(run_id)
+        except StorageUnavailable:
+            raise
+        except Exception as error:  # any file may lie in the folder
+            failed[run_id] = str(error) or type(error).__name__
+        else:
+            log.info("a Run on disk is catalogued", run_id=run_id)
+            _join_job(run_id, context)
+    for job in context.store.list_without_run():
+        store_runs(job.id, context)
+    return failed
+
+
+def _join_job(run_id: str, context: JobContext) -> None:
+    try:
+        store_runs(context.runs.read_job_id(run_id), context)
+    except NotFound:
+        log.warning("no job has recorded this Run", run_id=run_id)
+
+
+@dataclass(slots=True)
+class _Retry:
+    """When a Run that could not be catalogued is tried again."""
+
+    pause_s: float
+    at_s: float
+
+
+class Reconciliation:
+    """Reconciles every so often, in a thread of its own.
+
+    is_measuring : whether a Run is being written, or soon may be
+    """
+
+    def __init__(
+        self,
+        context: JobContext,
+        is_measuring: Callable[[], bool],
+        *,
+        every_s: float = EVERY_S,
+    ) -> None:
+        self._context, self._is_measuring = context, is_measuring
+        self._every_s, self._retries = every_s, dict[str, _Retry]()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="reconciliation")
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End; a Run that is being read is read to its end."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def look(self) -> None:
+        """Reconcile now, but for what has failed a moment ago. Raises nothing."""
+        if self._is_measuring():
+            return
+        now_s = time.monotonic()
+        waiting = {i for i, retry in self._retries.items() if retry.at_s > now_s}
+        try:
+            failed = reconcile(self._context, skip=waiting, most=MOST_RUNS)
+        except StorageUnavailable as error:
+            log.warning("files and catalogue are not reconciled", reason=str(error))
+            return
+        except Exception:
+            log.exception("files and catalogue are not reconciled")
+            return
+        for run_id, why in failed.items():
+            self._put_off(run_id, why)
+
+    def _put_off(self, run_id: str, why: str) -> None:
+        before = self._retries.get(run_id)
+        if before is None:
+            log.warning("a Run on disk cannot be catalogued", run_id=run_id, why=why)
+        pause_s = self._every_s if before is None else 2 * before.pause_s
+        pause_s = min(pause_s, LONGEST_PAUSE_S)
+        self._retries[run_id] = _Retry(pause_s, time.monotonic() + pause_s)
+
+    def _run(self) -> None:
+        while not self._closing.wait(self._every_s):
+            self.look()

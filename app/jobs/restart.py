@@ -1,0 +1,36 @@
+"""What becomes of a job that computes when the service ends before it has ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from truepath.app.jobs.errors import GivenUp
+from truepath.app.jobs.job import Failure, Job, Progress, Stage
+from truepath.app.jobs.transitions import State
+
+MAX_ATTEMPTS = 2
+
+
+def put_back(job: Job, *, in_order: bool = False) -> Job:
+    """Return the job queued again, or ended where it may not be begun once more.
+
+    The same object where nothing changes. A job that measures is never passed here.
+
+    in_order : the service was told to end, which is no failed attempt of the job
+    """
+    if job.is_final or job.state is State.QUEUED:
+        return job
+    if job.state is State.ABORTING:
+        return replace(job, state=State.ABORTED)
+    attempts = job.attempts - in_order
+    if attempts >= MAX_ATTEMPTS:
+        text = f"the service ended {attempts} times while the job was computing"
+        failure = Failure(GivenUp.__name__, text)
+        return replace(job, state=State.FAILED, failure=failure)
+    return replace(
+        job,
+        state=State.QUEUED,
+        stage=Stage.WAITING,
+        progress=Progress(),
+        attempts=attempts,
+    )
