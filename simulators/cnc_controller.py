@@ -72,6 +72,8 @@ class Controller:
         """Let time pass: a motion that has ended changes the state."""
         if self.state is not MotionState.RUNNING or now_s < self._timeline.end_s:
             return
+        if self._is_stalled and self._stopping_for is None:
+            return  # it says that it runs, and stands
         self.state = self._stopping_for or MotionState.FINISHED
         self.hold_reason = self._stopping_reason
         self._stopping_for, self._stopping_reason = None, HoldReason.NONE
@@ -153,12 +155,7 @@ class Controller:
         if (self.state is not MotionState.HELD and not braking) or not self._running:
             return
         begin_s = max(now_s + _LONG_LEAD * self._lead_s, self._timeline.end_s)
-        self._begin_s = begin_s
-        self._change(
-            interruption.resume_motion(
-                self._timeline, self._fed(), begin_s, self._limits
-            )
-        )
+        self._go_on(begin_s)
         self.state = MotionState.RUNNING
         self.hold_reason = HoldReason.NONE
         self._stopping_for, self._stopping_reason = None, HoldReason.NONE
@@ -203,28 +200,56 @@ class Controller:
         return self._override
 
     def override(self, factor: float, now_s: float) -> None:
-        """Turn the feed override; 1 is the programmed feed."""
+        """Turn the feed override; 1 is the programmed feed, at 0 nothing moves."""
+        was_stalled = self._is_stalled
         self._override = factor
-        if self.state is MotionState.RUNNING and self._stopping_for is None:
-            at_s = now_s + _LONG_LEAD * self._lead_s
+        if self.state is not MotionState.RUNNING or self._stopping_for is not None:
+            return
+        at_s = now_s + _LONG_LEAD * self._lead_s
+        if self._is_stalled:
+            self._slow_down(now_s)
+        elif was_stalled:
+            self._go_on(max(at_s, self._timeline.end_s))
+        else:
             self._change(
                 interruption.with_feed(self._timeline, self._fed(), at_s, self._limits)
             )
 
+    @property
+    def _is_stalled(self) -> bool:
+        return self._override == 0.0
+
     def _run(self, program: Program, now_s: float) -> None:
         self._running = program
         begin_s = self._begin_s = now_s + _LONG_LEAD * self._lead_s
-        origin = self.position(begin_s)
-        past = self._recent(now_s).cut(begin_s)
-        self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
+        past = self._recent(now_s).cut(begin_s)
+        origin = self.position(begin_s)
+        if self._is_stalled:
+            self._change(past.then(standing(origin, begin_s, 0)))
+            return
+        self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
 
-    def _brake(self, state: MotionState, now_s: float) -> None:
+    def _go_on(self, begin_s: float) -> None:
+        """Go on with the row that the machine stands in."""
+        self._begin_s = begin_s
+        if self._is_stalled:
+            return
+        self._change(
+            interruption.resume_motion(
+                self._timeline, self._fed(), begin_s, self._limits
+            )
+        )
+
+    def _slow_down(self, now_s: float) -> None:
         # What stands before the begin of a motion is no dwell of its program.
         at_s = max(now_s + self._lead_s, self._begin_s)
         if self._running is not None:
             self._running = interruption.find_rest(self._timeline, self._running, at_s)
         self._change(interruption.hold_motion(self._recent(now_s), at_s, self._limits))
+
+    def _brake(self, state: MotionState, now_s: float) -> None:
+        self._slow_down(now_s)
         self._stopping_for = state
 
     def _recent(self, now_s: float) -> Timeline:

@@ -137,6 +137,7 @@ class CncRegisters(Registers):
         self._put("axis_names", [ord(name) for name in machine.axis_names])
         self._put("axis_kinds", [int(_kind(axis)) for axis in machine.axes])
         self._put("max_waypoints", regmap.MAX_WAYPOINTS)
+        self._put("features", regmap.TELLS_OVERRIDE)
         self._put("maker", "Truepath")
         self._put("model", self._controller.model)
         self._put("serial_number", serial)

@@ -122,8 +122,6 @@ def parse_fault(text: str) -> Fault:
     if kind not in KINDS.get(device, {}):
         known = ", ".join(f"{d}:{k}" for d, kinds in KINDS.items() for k in kinds)
         raise SimulatorError(f"fault {text!r}: unknown; known are {known}")
-    if kind == "override" and found["amount"] and float(found["amount"]) == 0.0:
-        raise SimulatorError(f"fault {text!r}: a feed of nothing is a feed-hold")
     begin = row or found["begin"]
     return Fault(
         device,

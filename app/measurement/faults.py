@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from truepath.app.errors import MeasurementFailed, TruepathError
 from truepath.app.measurement.messages import FaultReported
 from truepath.drivers.interfaces.errors import (
@@ -125,6 +127,12 @@ UNMOVED = Fault(
     "look at the feed override and at the panel of the machine; it goes on from there",
     latched=False,
 )
+STALLED = Fault(
+    "feed-override",
+    "the feed override is 0 %: the machine says that it runs, and stands",
+    "turn it to 100 % at the machine; it goes on from there",
+    latched=False,
+)
 BEAM_LOST = Fault(
     "beam-lost",
     "the tracker has lost the reflector; the feed is held",
@@ -165,6 +173,8 @@ def make_beam_fault(text: str) -> Fault:
 
 def make_override_fault(override: float) -> Fault:
     """Return the fault of feeds that are not those of the plan."""
+    if override == 0.0:
+        return STALLED
     return Fault(
         "feed-override",
         f"the feed override is {100 * override:.0f} %: feeds are not those of the plan",
@@ -193,6 +203,36 @@ def make_held_fault(reason: str) -> Fault:
         "look why, then release it there or press Resume",
         latched=False,
     )
+
+
+def make_ended_early_fault(
+    axes: Sequence[str], status: MotionStatus, goal: Iterable[float]
+) -> Fault:
+    """Return the fault of a machine that stands where it was not sent."""
+    there = ", ".join(f"{value:.3f}" for value in goal)
+    return Fault(
+        "ended-early",
+        f"the controller is {status.state} at {_name_place(axes, status)} "
+        f"(row {status.line + 1}), not at {there}",
+        "check which program ran at the machine",
+        latched=True,
+    )
+
+
+def make_runs_on_fault(axes: Sequence[str], status: MotionStatus) -> Fault:
+    """Return the fault of a machine that leaves the end of what was ordered."""
+    return Fault(
+        "runs-on",
+        "the machine has moved on from the end of its path to "
+        f"{_name_place(axes, status)}; the controller says that it is {status.state}",
+        "press feed hold at the machine, and check which program runs there",
+        latched=True,
+    )
+
+
+def _name_place(axes: Sequence[str], status: MotionStatus) -> str:
+    here = zip(axes, status.position, strict=True)
+    return ", ".join(f"{axis} {value:.3f}" for axis, value in here)
 
 
 def make_unable_fault(status: MotionStatus, *, latched: bool) -> Fault:

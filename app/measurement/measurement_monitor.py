@@ -22,6 +22,7 @@ from truepath.app.measurement.faults import (
     POINTS_ONLY,
     SILENT,
     SLOW_DISK,
+    STALLED,
     STAYS_DAMAGED,
     STILL_HELD,
     UNMOVED,
@@ -106,7 +107,6 @@ class MeasurementMonitor:
         self._rows: deque[int] = deque(maxlen=_TICKS_HIT)
         self._hit_row: int | None = None
         self._unmoved = Stopwatch(settings.clock)
-        self._unmoved_s = settings.stuck_s + float(schedule.row_s.max(initial=0.0))
         self._here: tuple[float, ...] = ()
         self._unconfirmed_hold = Stopwatch(settings.clock)
         self._unconfirmed_resume = Stopwatch(settings.clock)
@@ -226,6 +226,11 @@ class MeasurementMonitor:
         self.recorder.put_point(row, reader.point, reader.take_link_bytes())
         self._failures, self._point_s = 0, reader.point.time_s
         return True
+
+    @property
+    def position(self) -> tuple[float, ...]:
+        """Of every axis at the last reading."""
+        return self._machine.position
 
     def is_at(self, position: NDArray[np.float64]) -> bool:
         """Whether every axis was at its commanded position at the last reading."""
@@ -369,9 +374,14 @@ class MeasurementMonitor:
         if not is_stuck:
             self._unmoved.reset()
             self._is_unmoved_told = False
-        elif not self._is_unmoved_told and self._unmoved.measure_s() > self._unmoved_s:
+            return
+        stalled = status.override == 0.0
+        # A machine that dwells does not move either; one at 0 % does not dwell.
+        patience_s = 0.0 if stalled else self.progress.longest_row_s
+        late = self._unmoved.measure_s() > self.settings.stuck_s + patience_s
+        if late and not self._is_unmoved_told:
             self._is_unmoved_told = True
-            self.report_fault(UNMOVED)
+            self.report_fault(STALLED if stalled else UNMOVED)
 
     def _report_machine_hold(self, hold_reason: str) -> None:
         """Report once that somebody has to release the machine itself."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import queue
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ from truepath.app.measurement.faults import (
     SERVICE_SILENT,
     STAYS_DAMAGED,
     UNSTOPPED,
-    Fault,
+    make_ended_early_fault,
+    make_runs_on_fault,
 )
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_state import HoldReason
@@ -44,7 +46,29 @@ _STANDING = frozenset(MotionState) - {
     MotionState.HELD,
     *UNABLE,
 }
+_OVERSHOT = 1.0  # mm or deg; no servo goes so far beyond the end of a path
 _AGAIN = 3  # times that lines are driven again: a measurement has to end
+
+
+@dataclass(frozen=True, slots=True)
+class LastLine:
+    """The line at whose end a motion ends.
+
+    number : of its row, as the controller counts
+    begin, end : positions of the axes
+    """
+
+    number: int
+    begin: NDArray[np.float64]
+    end: NDArray[np.float64]
+
+    def is_left(self, status: MotionStatus) -> bool:
+        """Whether the machine runs on it, or says so, and is somewhere else."""
+        if status.state is not MotionState.RUNNING or status.line < self.number:
+            return False
+        low, high = np.sort([self.begin, self.end], axis=0)
+        here = np.array(status.position)
+        return bool(((here < low - _OVERSHOT) | (here > high + _OVERSHOT)).any())
 
 
 class MeasurementSteps:
@@ -69,6 +93,7 @@ class MeasurementSteps:
         self._concluded_row: int | None = None
         self._again_left = _AGAIN
         self._target = ""  # that the tracker was told to measure
+        self._end: NDArray[np.float64] | None = None  # where the last motion ended
 
     @property
     def has_repeated(self) -> bool:
@@ -193,9 +218,10 @@ class MeasurementSteps:
         target : that the tracker is to measure there; it changes to it on the way
         """
         self.checkpoint()
+        begin = self._monitor.position
         self.motion.move_to(tuple(map(float, position)), self._order.feed_mm_min)
         self._choose_target(target)
-        self.wait_motion(position)
+        self.wait_motion(position, LastLine(0, np.array(begin), position))
 
     def open_stream(self) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
@@ -209,22 +235,28 @@ class MeasurementSteps:
         self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
         self.motion.start()
-        self.wait_motion(path.position[-1], lambda now: self._is_line_done(now, path))
+        last = LastLine(len(path) - 1, path.position[-2], path.position[-1])
+        self.wait_motion(last.end, last, lambda now: self._is_line_done(now, path))
 
     def wait_motion(
         self,
         goal: NDArray[np.float64],
+        last: LastLine | None = None,
         may_end: Callable[[MotionStatus], bool] = lambda _: False,
     ) -> None:
         """Wait until the machine stands where it was sent.
 
+        last : on which it comes there, if it moves by our order
         may_end : tells for a status whether the rest is to be left out now
 
-        Raises Fault if it stands elsewhere: the motion ended early.
+        Raises Fault if it stands elsewhere, or moves on from there.
         """
         grace_by_s = self._clock() + self.settings.confirm_s
+        self._end = goal
         while True:
             status = self._monitor.tick()
+            if last is not None and status is not None and last.is_left(status):
+                raise make_runs_on_fault(self.motion.axes, status)
             if status is not None and may_end(status):
                 self._end_motion()
                 return
@@ -236,11 +268,10 @@ class MeasurementSteps:
                 if status is not None and status.state is MotionState.RUNNING:
                     grace_by_s = self._clock() + 10 * self.settings.poll_s
                 continue
-            distance = np.abs(np.array(status.position) - goal)
-            if (distance <= self.settings.arrival).all():
+            if self._monitor.is_at(goal):
                 return
             if status.state is MotionState.ABORTED or self._clock() > grace_by_s:
-                raise self._make_ended_early_fault(status, goal)
+                raise make_ended_early_fault(self.motion.axes, status, goal)
 
     def record_for(
         self, device_s: float, at: NDArray[np.float64] | None = None
@@ -306,7 +337,11 @@ class MeasurementSteps:
             not self._monitor.is_polled
             and self._monitor.device_s - begin_s < self.settings.lead_s
         ):
-            self._monitor.tick()
+            status = self._monitor.tick()
+            if status is None or self._end is None:
+                continue
+            if (np.abs(np.array(status.position) - self._end) > _OVERSHOT).any():
+                raise make_runs_on_fault(self.motion.axes, status)
 
     def miss_service(self) -> None:
         """Hold until a person resumes: no pause or abort would have come through."""
@@ -345,8 +380,7 @@ class MeasurementSteps:
         if self._concluded_row is None:
             self._concluded_row = status.line
         row = min(status.line, len(path) - 1)
-        distance = np.abs(np.array(status.position) - path.position[row])
-        arrived = bool((distance <= self.settings.arrival).all())
+        arrived = self._monitor.is_at(path.position[row])
         return arrived or status.line > self._concluded_row
 
     def _end_motion(self) -> None:
@@ -358,22 +392,7 @@ class MeasurementSteps:
                 self.motion.abort()
             status = self._monitor.tick()
             if status is not None and status.state in _STANDING:
+                self._end = np.array(status.position)
                 return
             if self._clock() > stand_by_s:
                 raise UNSTOPPED
-
-    def _make_ended_early_fault(
-        self, status: MotionStatus, goal: NDArray[np.float64]
-    ) -> Fault:
-        here = ", ".join(
-            f"{axis} {value:.3f}"
-            for axis, value in zip(self.motion.axes, status.position, strict=True)
-        )
-        there = ", ".join(f"{value:.3f}" for value in goal)
-        return Fault(
-            "ended-early",
-            f"the controller is {status.state} at {here} (row {status.line + 1}), "
-            f"not at {there}",
-            "check which program ran at the machine",
-            latched=True,
-        )

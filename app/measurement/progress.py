@@ -85,6 +85,11 @@ class ProgressEstimator:
         self._reported_s = -np.inf
         self._is_loaded = False  # a further part, which has not begun
 
+    @property
+    def longest_row_s(self) -> float:
+        """Planned time of the slowest row, of all that are known so far."""
+        return float(self._schedule.row_s.max(initial=0.0))
+
     def begin(self, row: int = 0) -> None:
         """Move towards a row from now on; the first call starts the clock."""
         if self.stage == "preparing":

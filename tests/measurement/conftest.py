@@ -162,6 +162,7 @@ class FakeMotion(MotionController):
         self.limits_override = True
         self.ignores_hold = self.ignores_resume = False
         self.ends_after_s: float | None = None
+        self.runs_on = False  # another program follows the last row
         self.here = np.zeros(3)
         self.loaded: Path | None = None
         self.alarm = ""
@@ -308,6 +309,9 @@ class FakeMotion(MotionController):
                 return row
             left_mm -= length
         self.here = self._rows[-1].copy()
+        if self.runs_on and len(self._rows) > 2:
+            self.here -= [left_mm, 0.0, 0.0]
+            return len(self._rows) - 2
         self._state = MotionState.FINISHED
         return max(len(self._rows) - 2, 0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from truepath.app.measurement.messages import (
     PartRequested,
     RunClosed,
 )
+from truepath.app.measurement.progress import ProgressEstimator, schedule_rows
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.motion.configurations import Configurations, append_part
 from truepath.drivers.interfaces.records import Path
@@ -161,3 +163,12 @@ def test_parts_of_another_mode_or_place_are_refused(square):
         append_part(square, path_through(ON[1:], square))
     with pytest.raises(PlanningError, match="axes"):
         append_part(square, replace(path_through(ON, square), axes=("Y", "X", "Z")))
+
+
+def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
+    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0, time.monotonic)
+    before_s = progress.longest_row_s
+    rows = square.position[::-1]
+    slow = replace(square, position=rows, dwell_s=np.full(len(rows), 60.0))
+    progress.extend(schedule_rows(append_part(square, slow), 6000.0))
+    assert before_s < 60.0 < progress.longest_row_s

@@ -816,6 +816,47 @@ def test_a_motion_that_ends_early_is_a_fault(begin, long_order, motion, journal)
     assert "not at 410.000, 310.000, -210.000" in journal.of(FaultReported)[0].text
 
 
+@pytest.mark.fault_row(21)
+def test_a_machine_that_runs_on_after_its_last_row_is_a_fault(
+    begin, order, motion, journal
+):
+    motion.runs_on = True
+    running = begin(order)
+    assert running.ended() == "faulted"
+    assert journal.faults == ["runs-on"]
+    text = journal.of(FaultReported)[0].text
+    assert text.endswith("the controller says that it is running")
+    assert "hold" in motion.calls
+
+
+@pytest.mark.fault_row(21)
+def test_a_machine_that_moves_once_it_has_finished_is_a_fault(
+    begin, order, motion, journal, calm
+):
+    running = begin(order, settings=replace(calm, lead_s=5.0))
+    told = journal.of
+    running.until(lambda: any(p.stage == "closing" for p in told(MeasurementProgress)))
+    motion.here = motion.here + 2.0
+    assert running.ended() == "faulted"
+    assert journal.faults == ["runs-on"]
+    text = journal.of(FaultReported)[0].text
+    assert text.endswith("the controller says that it is finished")
+
+
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_told_as_such_and_it_goes_on(
+    begin, order, motion, journal, calm
+):
+    running = begin(order, settings=replace(calm, stuck_s=0.1))
+    running.until_moving()
+    speed, motion.speed, motion.override = motion.speed, 0.0, 0.0
+    running.until(lambda: bool(journal.faults))
+    motion.speed, motion.override = speed, 1.0
+    assert running.ended() == "finished"
+    assert journal.faults == ["feed-override"]
+    assert "the feed override is 0 %" in journal.of(FaultReported)[0].text
+
+
 @pytest.mark.fault_row(22)
 def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
     begin, order, square, motion, journal, calm

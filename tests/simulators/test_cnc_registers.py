@@ -338,6 +338,41 @@ def test_an_override_changes_the_feed_under_way(moving: Master) -> None:
     np.testing.assert_allclose(moving.position, LINE[-1])
 
 
+@pytest.mark.parametrize("begin", ["moving", "at 0 %"])
+def test_at_an_override_of_nothing_it_says_that_it_runs_and_stands(
+    moving: Master, begin: str
+) -> None:
+    if begin == "at 0 %":
+        moving.command(Command.ABORT)
+        moving.wait_still()
+        moving.controller.override(0.0, moving.now_s)
+        moving.move_to(LINE[-1])
+    else:
+        moving.controller.override(0.0, moving.now_s)
+        moving.wait(1.0)
+    here = moving.position
+    moving.wait(60.0)
+    assert moving.state is MotionState.RUNNING
+    np.testing.assert_array_equal(moving.position, here)
+    assert moving.value("feed") == 0
+    moving.controller.override(1.0, moving.now_s)
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
+def test_a_hold_at_an_override_of_nothing_is_a_hold(moving: Master) -> None:
+    moving.controller.override(0.0, moving.now_s)
+    moving.wait(1.0)
+    moving.command(Command.HOLD)
+    assert moving.wait_still() is MotionState.HELD
+    moving.command(Command.RESUME)
+    moving.wait(60.0)
+    assert moving.state is MotionState.RUNNING
+    moving.controller.override(1.0, moving.now_s)
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
 def test_no_change_reaches_into_what_was_already_seen(moving: Master) -> None:
     """Whoever took the timeline before a change has seen nothing that was not so."""
     moving.command(Command.HOLD)

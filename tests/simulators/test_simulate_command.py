@@ -137,7 +137,6 @@ def runs(pid: int) -> bool:
         (["--tracker-port", "99999"], "tracker-port"),
         (["--modbus-port", "-5"], "modbus-port"),
         (["--error-scale", "inf"], "error-scale"),
-        (["--fault", "cnc:override@2s+3s*0"], "feed-hold"),
     ],
 )
 def test_bad_input_is_exit_status_2_and_a_clear_line(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import random
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -28,6 +27,7 @@ from truepath.drivers.interfaces.errors import (
     WrongDevice,
 )
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.drivers.transport.back_off import BackOff
 from truepath.drivers.transport.modbus_link import TIMEOUT_S, DeviceBusy, ModbusLink
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,6 @@ _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
 _SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
 _URGENT_S = 0.45  # by then a hold that does not reach the controller says so
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 1.0  # between attempts to open a broken link
 _REASONS: dict[int, str] = {
     r.Result.WRONG_STATE: "not in this state",
     r.Result.NO_PATH: "no path is loaded",
@@ -72,7 +71,7 @@ class CommandChannel:
         self._sequence = 0
         self._beats = 0
         self._is_urgent = False  # what goes on now
-        self._pause_s = self._reopen_at_s = 0.0
+        self._back_off = BackOff()
 
     @property
     def name(self) -> str:
@@ -169,12 +168,11 @@ class CommandChannel:
         if self._controller is None or self._link.is_open:
             return
         now_s = time.monotonic()
-        if now_s < self._reopen_at_s:
+        if not self._back_off.is_due(now_s):
             raise ConnectionLost(
                 f"{self.name} is gone; check cable and power. It is tried again"
             )
-        self._pause_s = min(2 * self._pause_s + _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
-        self._reopen_at_s = now_s + self._pause_s * random.uniform(0.5, 1.0)  # noqa: S311
+        self._back_off.wait(now_s)
         found = self._open_link()
         if found != self._controller:
             self._link.close()
@@ -182,7 +180,7 @@ class CommandChannel:
                 f"{self.name}: {found.identity} answers after the link was gone, "
                 f"{self._controller.identity} did before; check it, then connect again"
             )
-        self._pause_s = self._reopen_at_s = 0.0
+        self._back_off.reset()
         log.warning("%s: the link is back, the same controller answers", self.name)
 
     def _identify(self) -> Controller:
@@ -293,8 +291,10 @@ class CommandChannel:
                 raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
 
     def _read_status(self) -> ControllerStatus:
-        status = parse_status(self._read(r.STATUS))
-        axes = len(self._controller.axes) if self._controller else r.MAX_AXES
+        controller = self._controller
+        tells_override = controller is not None and controller.tells_override
+        status = parse_status(self._read(r.STATUS), tells_override=tells_override)
+        axes = len(controller.axes) if controller else r.MAX_AXES
         position = status.motion.position[:axes]
         return replace(status, motion=replace(status.motion, position=position))
 

@@ -20,13 +20,17 @@ _HOLD_REASONS[r.HoldReason.NONE] = ""
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Who answers, and what it can do: read once, at `connect`."""
+    """Who answers, and what it can do: read once, at `connect`.
+
+    tells_override : an override of 0 is one, and not one that is not told
+    """
 
     identity: Identity
     axes: tuple[str, ...]
     travel: tuple[tuple[float, float], ...]
     max_feed_mm_min: float
     max_waypoints: int
+    tells_override: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,7 @@ def parse_controller(words: Sequence[int]) -> Controller:
         travel[:count],
         numbers("max_feed")[0] / r.FEED_COUNTS,
         numbers("max_waypoints")[0],
+        bool(numbers("features")[0] & r.TELLS_OVERRIDE),
     )
 
 
@@ -98,7 +103,7 @@ def explain_magic(words: Sequence[int]) -> str:
     return ""
 
 
-def parse_status(words: Sequence[int]) -> ControllerStatus:
+def parse_status(words: Sequence[int], *, tells_override: bool) -> ControllerStatus:
     """Return what the status block says, with positions of all six axes."""
 
     def number(name: str) -> int:
@@ -108,13 +113,14 @@ def parse_status(words: Sequence[int]) -> ControllerStatus:
     if state >= len(r.STATES):
         raise WrongDevice(f"the device reports state {state}, which the map lacks")
     positions = r.decode("position", words, r.STATUS)
+    override = number("override") / r.OVERRIDE_COUNTS
     motion = MotionStatus(
         r.STATES[state],
         tuple(count / r.POSITION_COUNTS for count in positions),
         number("line"),
         _explain(r.STATES[state], alarm),
         _HOLD_REASONS.get(reason, f"reason {reason}"),
-        number("override") / r.OVERRIDE_COUNTS or None,
+        override if override > 0.0 or tells_override else None,
     )
     return ControllerStatus(
         motion,

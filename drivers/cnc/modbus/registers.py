@@ -119,6 +119,9 @@ class HoldReason(IntEnum):
     COMMAND = 3
 
 
+TELLS_OVERRIDE = 1  # bit of `features`
+
+
 class AxisKind(IntEnum):
     """Unit of an axis: mm or deg."""
 
@@ -176,6 +179,12 @@ REGISTERS: tuple[Register, ...] = (
     Register("axis_names", 6, _U16, "ASCII code of each axis name", count=MAX_AXES),
     Register("axis_kinds", 12, _U16, "0 linear, 1 rotary", count=MAX_AXES),
     Register("max_waypoints", 18, _U16, "rows that a path may have, 4096 at least"),
+    Register(
+        "features",
+        19,
+        _U16,
+        "1: `override` is told, and 0 is a feed of nothing; else 0",
+    ),
     Register("maker", 20, _TEXT, "maker", count=8),
     Register("model", 28, _TEXT, "model", count=8),
     Register("serial_number", 36, _TEXT, "serial number", count=8),
@@ -194,7 +203,13 @@ REGISTERS: tuple[Register, ...] = (
     Register("path_rows", 104, _U16, "rows of the committed path, 0 without one"),
     Register("command_ack", 105, _U16, "number of the last command taken"),
     Register("command_result", 106, _U16, "what became of it, see below"),
-    Register("override", 107, _U16, "feed override; 0 where it is not told", "0.1 %"),
+    Register(
+        "override",
+        107,
+        _U16,
+        "feed override; where `features` is 0, 0 says that it is not told",
+        "0.1 %",
+    ),
     Register("path_crc", 108, _U32, "CRC-32 of the committed path, 0 without one"),
     Register("feed", 110, _U32, "feed now", _FEED_UNIT),
     Register("position", 112, _I32, "position now", _POSITION_UNIT, count=MAX_AXES),

@@ -741,6 +741,18 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
         assert controller.wait(5.0).state is MotionState.FINISHED
 
 
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_one_where_the_device_tells_it(tcp_peer, until):
+    with Bench() as bench, ModbusController(**bench.motion_options) as controller:
+        bench.inject("cnc:override*0")
+        until(lambda: controller.status().override == 0.0)
+    with ModbusController(**tcp_peer.options) as controller:
+        tcp_peer.model.words[107] = 0
+        assert controller.status().override is None
+        tcp_peer.model.words[107] = 500
+        assert controller.status().override == 0.5
+
+
 def test_an_override_is_lowered_and_never_raised(until):
     with Bench() as bench, ModbusController(**bench.motion_options) as controller:
         bench.inject("cnc:override*1.2")

@@ -1,0 +1,48 @@
+"""A broken link is opened again at pauses that grow, end, and differ by host."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from truepath.drivers.transport.back_off import FIRST_S, LONGEST_S, BackOff
+
+
+def pauses_s(back_off: BackOff, count: int = 12) -> list[float]:
+    """How long each attempt has to wait for, found by asking every millisecond."""
+    now_s, found = 0.0, []
+    for _ in range(count):
+        back_off.wait(now_s)
+        due_s = now_s
+        while not back_off.is_due(due_s):
+            due_s += 1e-3
+        found.append(due_s - now_s)
+        now_s = due_s
+    return found
+
+
+@pytest.mark.fault_row(16)
+def test_pauses_grow_up_to_a_bound():
+    found = pauses_s(BackOff(lambda: 1.0))
+    assert found[0] == pytest.approx(FIRST_S, abs=2e-3)
+    assert all(b >= a for a, b in itertools.pairwise(found))
+    assert found[-1] == pytest.approx(LONGEST_S, abs=2e-3)
+
+
+@pytest.mark.fault_row(16)
+def test_two_hosts_do_not_come_back_at_the_same_moments():
+    early, late = (pauses_s(BackOff(lambda share=share: share)) for share in (0.0, 1.0))
+    for soon, far in zip(early, late, strict=True):
+        assert soon == pytest.approx(0.5 * far, abs=2e-3)
+    drawn = {round(sum(pauses_s(BackOff(), 4)), 2) for _ in range(20)}
+    assert len(drawn) > 5
+
+
+@pytest.mark.fault_row(16)
+def test_a_link_that_came_back_begins_anew():
+    back_off = BackOff(lambda: 1.0)
+    pauses_s(back_off)
+    back_off.reset()
+    assert back_off.is_due(0.0)
+    assert pauses_s(back_off, 1)[0] == pytest.approx(FIRST_S, abs=2e-3)
