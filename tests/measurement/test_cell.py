@@ -527,6 +527,34 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     assert moves(run) >= len(long_order.commanded) - 1
 
 
+@pytest.mark.long
+@pytest.mark.fault_row(30)
+@pytest.mark.parametrize(
+    ("who", "told"),
+    [
+        ("tracker", {"tracker-silent"}),
+        ("cnc", {"no-answer", "link-lost"}),
+        ("cell", {"held-at-machine"}),
+    ],
+)
+def test_a_process_that_stands_for_ten_seconds_ends_in_a_machine_that_stands(
+    bench, watchful, long_order, machine_state, who, told
+):
+    ids = bench.process_ids | {"cell": watchful.cell.process_id}
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
+    with suspended(ids[who]):
+        time.sleep(10.0)  # what is tested is that time passes
+    watchful.until(lambda: bool(told & set(watchful.faults)), 30.0)
+    assert machine_state().state != "running"
+    if who == "cell":
+        watchful.cell.send(CellVerb.RESUME)
+    closed = watchful.until_closed()
+    assert closed.outcome in ("finished", "faulted")
+    run = open_run(long_order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+
+
 @pytest.mark.fault_row(23)
 def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
     bench, watchful, long_order, machine_state
