@@ -93,6 +93,8 @@ class Bench(DeviceProcesses):
         super().__init__()
         if not 0.0 < speed < math.inf:
             raise SimulatorError(f"speed: {speed} is not above zero")
+        if protocol == "t2sa" and tracker == "pty":
+            raise SimulatorError("tracker: T2SA is reached over TCP alone; choose tcp")
         self._content = dict(machine) if machine is not None else load_machine("demo")
         nominal = parse_machine(self._content)
         self.truth: TruthMachine = random_machine(nominal, seed, scale=error_scale)

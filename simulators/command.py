@@ -48,8 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _rig(options: argparse.Namespace) -> DeviceProcesses:
     if options.replay is None:
         return _bench(options)
-    if options.fault or options.hide or options.follow:
-        raise SimulatorError("--replay only repeats: no --fault, --hide or --follow")
+    if options.fault or options.hide or options.follow or options.protocol != "gst":
+        raise SimulatorError(
+            "--replay only repeats: no --fault, --hide, --follow or --protocol"
+        )
     return Replay(
         options.replay,
         options.speed,
@@ -78,6 +80,7 @@ def _bench(options: argparse.Namespace) -> Bench:
         hidden=options.hide,
         source=options.follow,
         source_unit_s=options.follow_unit,
+        protocol=options.protocol,
     )
 
 
@@ -224,7 +227,7 @@ def _positive(text: str) -> float:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="truepath simulate",
-        description="A simulated tracker (GST/1) and CNC (Modbus) for test rigs.",
+        description="A simulated tracker and CNC (Modbus) for test rigs.",
         epilog="faults: "
         + "; ".join(
             f"{device}:{kind} ({entry.meaning})"
@@ -294,6 +297,12 @@ def _add_simulation(add: Callable[..., object]) -> None:
 def _add_links(add: Callable[..., object]) -> None:
     """Add where the devices listen."""
     add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
+    add(
+        "--protocol",
+        choices=["gst", "geocom", "t2sa"],
+        default="gst",
+        help="of the tracker: gst streams, geocom and t2sa are asked point by point",
+    )
     add("--tracker-port", type=_port, default=0, help="TCP port; 0 takes a free one")
     add("--modbus-port", type=_port, default=0, help="TCP port; 0 takes a free one")
     add("--rtu", action="store_true", help="serve Modbus RTU on a terminal as well")

@@ -18,7 +18,9 @@ import pytest
 from truepath.drivers.cnc.modbus.driver import ModbusController
 from truepath.drivers.interfaces.errors import DeviceError
 from truepath.drivers.interfaces.records import MotionState
+from truepath.drivers.tracker.geocom.driver import GeoComTracker
 from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath.drivers.tracker.t2sa.driver import T2saTracker
 from truepath.simulators.command import main
 
 Command = tuple["subprocess.Popen[str]", dict[str, Any]]
@@ -91,6 +93,33 @@ def test_a_line_on_standard_input_moves_the_tracker(
         assert measure_range_mm(tracker) == pytest.approx(3000.0, abs=400.0)
 
 
+@pytest.mark.parametrize(
+    ("options", "driver"),
+    [
+        (("--protocol", "geocom"), GeoComTracker),
+        (("--protocol", "geocom", "--tracker", "tcp"), GeoComTracker),
+        (("--protocol", "t2sa", "--tracker", "tcp"), T2saTracker),
+    ],
+)
+def test_an_instrument_that_is_asked_point_by_point_follows_the_machine(
+    simulate: Callable[..., Command],
+    options: tuple[str, ...],
+    driver: type[GeoComTracker | T2saTracker],
+) -> None:
+    _, where = simulate("--speed", "20", *options)
+    with (
+        driver(**where["tracker"]) as tracker,
+        ModbusController(**where["modbus_tcp"]) as motion,
+    ):
+        before_mm = tracker.measure(0.0).position_mm
+        begin = np.array(motion.status().position)
+        motion.move_to((100.0, 200.0, 50.0), 6000.0)
+        assert motion.wait(20.0).state is MotionState.FINISHED
+        way_mm = np.linalg.norm(np.array([100.0, 200.0, 50.0]) - begin)
+        moved_mm = tracker.measure(0.0).position_mm - before_mm
+    assert np.linalg.norm(moved_mm) == pytest.approx(way_mm, abs=0.5)
+
+
 def test_killed_it_takes_its_simulators_along(
     simulate: Callable[..., Command],
 ) -> None:
@@ -137,6 +166,7 @@ def runs(pid: int) -> bool:
         (["--tracker-port", "99999"], "tracker-port"),
         (["--modbus-port", "-5"], "modbus-port"),
         (["--error-scale", "inf"], "error-scale"),
+        (["--protocol", "t2sa"], "over TCP alone"),
     ],
 )
 def test_bad_input_is_exit_status_2_and_a_clear_line(

@@ -4,33 +4,22 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
-import time
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truepath.drivers.interfaces.errors import (
-    ConnectionLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
 from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.tracker import (
-    AirExchange,
-    ByteLink,
-    EventSource,
-    PolledTracker,
-    TargetFinder,
-)
+from truepath.drivers.interfaces.tracker import AirExchange, TargetFinder
 from truepath.drivers.interfaces.tracker_records import (
     Air,
     Clock,
-    PointMeasurement,
     TrackerCapabilities,
-    TrackerEvent,
     TrackerEventKind,
 )
 from truepath.drivers.tracker.geocom.codec import (
@@ -45,6 +34,7 @@ from truepath.drivers.tracker.geocom.codec import (
 )
 from truepath.drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
 from truepath.drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
+from truepath.drivers.tracker.line_instrument import LineInstrument
 from truepath.drivers.transport.line_link import LineLink
 from truepath.drivers.transport.make_port import make_port
 
@@ -55,7 +45,7 @@ _DISTANCE, _CLEAR = 1, 3  # programs of TMC_DoMeasure
 _AUTO = 1  # treatment of the inclination
 
 
-class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExchange):
+class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
     """A Leica instrument on a serial port (`port`) or behind TCP (`host` and `port`).
 
     serial_number : refuse any other instrument
@@ -81,16 +71,12 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         shot_s: float = 5.0,
         turn_s: float = 20.0,
     ) -> None:
-        self._link = LineLink(make_port(port, host, baudrate))
+        super().__init__(LineLink(make_port(port, host, baudrate)))
         self._serial_number = serial_number
         self._prism_constant_mm = prism_constant_mm
         self._follows, self._search_rad = follows, search_rad
         self._session = GeoComSession(self._link, reply_timeout_s)
         self._shot_s, self._turn_s = shot_s, turn_s
-        self._lock = threading.RLock()
-        self._stopping = threading.Event()
-        self._identity: Identity | None = None
-        self._events: list[TrackerEvent] = []
 
     @property
     def capabilities(self) -> TrackerCapabilities:
@@ -98,69 +84,6 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         return TrackerCapabilities(
             streams=False, clock=Clock.HOST, distance="EDM", corrects_air=True
         )
-
-    def connect(self) -> Identity:
-        """Open the port, ask who is there, set prism constant and lock."""
-        with self._lock:
-            if self._identity is None or not self._link.is_open:
-                self._link.close()
-                self._link.open()
-                try:
-                    self._identity = self._greet()
-                    self._prepare()
-                except DeviceError:
-                    self.close()
-                    raise
-                log.info(
-                    "%s: %s answers; this driver has met simulated instruments only",
-                    self._link.name,
-                    self._identity,
-                )
-            return self._identity
-
-    def close(self) -> None:
-        """End what runs and release the port."""
-        self.stop()
-        with self._lock:
-            self._identity = None
-            self._link.close()
-
-    def stop(self) -> None:
-        """End a dwell under way; the shot of the moment ends by itself."""
-        self._stopping.set()
-
-    def measure(self, dwell_s: float) -> PointMeasurement:
-        """Take one distance with its angles after another for so long."""
-        if not 0.0 <= dwell_s < math.inf:
-            raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
-        with self._lock:
-            self._require_open()
-            self._stopping.clear()
-            begin_s = time.monotonic()
-            shots: list[NDArray[np.float64]] = []
-            times: list[float] = []
-            warned = 0
-            while not shots or time.monotonic() - begin_s < dwell_s:
-                before_s = time.monotonic()
-                shot, is_warned = self._shoot()
-                warned += is_warned
-                shots.append(shot)
-                times.append(0.5 * (before_s + time.monotonic()))
-                if self._stopping.is_set():
-                    raise Refused(f"{self._link.name}: the measurement was stopped")
-            good = 1.0 - warned / len(shots)
-            air = self._try_air()
-            return PointMeasurement.average(np.array(times), np.array(shots), air, good)
-
-    def take_link_bytes(self) -> bytes:
-        """Return the bytes as they came, at most the last 1 MiB."""
-        return self._link.take_bytes()
-
-    def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Return what has happened since the last call."""
-        taken = tuple(self._events)
-        del self._events[: len(taken)]
-        return taken
 
     def home(self) -> None:
         """Turn to Hz 0 at the horizon; the instrument levels itself."""
@@ -197,7 +120,8 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         _, pressure, dry, wet = self._read_atmosphere()
         return Air(dry, pressure, find_humidity(dry, wet))
 
-    def _greet(self) -> Identity:
+    def greet(self) -> Identity:
+        """Ask for name, serial number and firmware."""
         try:
             name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
         except DeviceTimeout as error:
@@ -218,7 +142,8 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
         version = ".".join(v.decode("ascii", "replace") for v in firmware.values)
         return Identity("Leica", model, number, version)
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Set prism constant and lock."""
         if self._prism_constant_mm is not None:
             told = float(self._prism_constant_mm)
             expect_ok(self._session.ask(P.TMC_SET_PRISM_CORRECTION, (told,)))
@@ -249,21 +174,21 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
                     f"{last}; set follows = false for one without lock", last.code
                 ) from error
 
-    def _shoot(self) -> tuple[NDArray[np.float64], bool]:
-        """Return one point, and whether its accuracy is not guaranteed.
+    def shoot(self) -> tuple[NDArray[np.float64], float]:
+        """Take one distance with its angles; doubtful where the instrument warns.
 
         The last distance is cleared first, so that none of before is taken for it. A
         prism that is lost is sought once.
         """
         reply = self._take_distance()
         if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
-            self._tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
+            self.tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
             self.search()
-            self._tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
+            self.tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
             reply = self._take_distance()
         is_warned = reply.code in WITH_A_WARNING
         if is_warned:
-            self._tell(
+            self.tell(
                 TrackerEventKind.WARNING,
                 f"{self._link.name}: {describe_code(reply.code)}",
             )
@@ -274,7 +199,7 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
             raise DeviceError(
                 f"{self._link.name}: Hz {hz}, V {v}, distance {distance} is no point"
             )
-        return to_cartesian_mm(hz, v, distance), is_warned
+        return to_cartesian_mm(hz, v, distance), 0.0 if is_warned else 1.0
 
     def _take_distance(self) -> Reply:
         for program in (_CLEAR, _DISTANCE):
@@ -296,16 +221,10 @@ class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExcha
             reply = expect_ok(self._session.ask(P.TMC_GET_ATMOSPHERE))
             return decode(reply, float, 4)
 
-    def _try_air(self) -> Air | None:
+    def find_air(self) -> Air | None:
+        """Return the air in use, if it is told."""
         try:
             return self.read_air()
         except (Refused, DeviceTimeout) as error:
             log.warning("%s tells no air: %s", self._link.name, error)
             return None
-
-    def _tell(self, kind: TrackerEventKind, text: str) -> None:
-        self._events.append(TrackerEvent(kind, text))
-
-    def _require_open(self) -> None:
-        if self._identity is None:
-            raise ConnectionLost(f"{self._link.name} is not connected; connect first")

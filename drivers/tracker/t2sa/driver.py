@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 import time
 
 import numpy as np
@@ -12,21 +11,18 @@ from numpy.typing import NDArray
 
 from truepath.drivers.interfaces.errors import (
     BeamLost,
-    ConnectionLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
 from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
 from truepath.drivers.interfaces.tracker_records import (
     Clock,
-    PointMeasurement,
     TrackerCapabilities,
-    TrackerEvent,
     TrackerEventKind,
 )
+from truepath.drivers.tracker.line_instrument import LineInstrument
 from truepath.drivers.tracker.t2sa.codec import (
     CONNECTED,
     LASER_OFF,
@@ -46,7 +42,7 @@ _MM = {"mm": 1.0, "m": 1e3, "inch": 25.4}
 _LOOK_S = 0.2  # between two looks at a busy application, and at `stop`
 
 
-class T2saTracker(PolledTracker, ByteLink, EventSource):
+class T2saTracker(LineInstrument):
     """A tracker behind T2SA, one point at a time.
 
     collection, group, point : of the job, under which a point is measured again and
@@ -74,7 +70,7 @@ class T2saTracker(PolledTracker, ByteLink, EventSource):
     ) -> None:
         if unit not in _MM:
             raise ValueError(f"unit {unit!r} is none of {', '.join(_MM)}")
-        self._link = LineLink(TcpPort(host, int(port)))
+        super().__init__(LineLink(TcpPort(host, int(port))))
         self._name = plan or point
         self._command = (
             f"!CMDEXE:{plan}"
@@ -83,73 +79,14 @@ class T2saTracker(PolledTracker, ByteLink, EventSource):
         )
         self._is_plan, self._mm, self._instrument = bool(plan), _MM[unit], instrument
         self._reply_timeout_s, self._shot_s = reply_timeout_s, shot_s
-        self._lock = threading.RLock()
-        self._stopping = threading.Event()
-        self._identity: Identity | None = None
-        self._events: list[TrackerEvent] = []
 
     @property
     def capabilities(self) -> TrackerCapabilities:
         """Polled; what is behind the application it does not tell."""
         return TrackerCapabilities(streams=False, clock=Clock.HOST)
 
-    def connect(self) -> Identity:
-        """Open the connection, ask for the instrument, switch its laser on."""
-        with self._lock:
-            if self._identity is None or not self._link.is_open:
-                self._stopping.clear()
-                self._link.close()
-                self._link.open()
-                try:
-                    self._greet()
-                except DeviceError:
-                    self.close()
-                    raise
-                self._identity = Identity("NRK", "T2SA", self._instrument, "")
-                log.info("%s answers; this driver has met simulations", self._link.name)
-            return self._identity
-
-    def close(self) -> None:
-        """End what runs and release the connection."""
-        self.stop()
-        with self._lock:
-            self._identity = None
-            self._link.close()
-
-    def stop(self) -> None:
-        """End a measurement under way."""
-        self._stopping.set()
-
-    def measure(self, dwell_s: float) -> PointMeasurement:
-        """Measure the point again and again for so long."""
-        if not 0.0 <= dwell_s < math.inf:
-            raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
-        with self._lock:
-            if self._identity is None:
-                raise ConnectionLost(f"{self._link.name}: connect first")
-            self._stopping.clear()
-            if not self._link.is_open:
-                self._link.open()
-            shots: list[NDArray[np.float64]] = []
-            times: list[float] = []
-            begin_s = time.monotonic()
-            while not shots or time.monotonic() - begin_s < dwell_s:
-                before_s = time.monotonic()
-                shots.append(self._mm * self._shoot())
-                times.append(0.5 * (before_s + time.monotonic()))
-            return PointMeasurement.average(np.array(times), np.array(shots))
-
-    def take_link_bytes(self) -> bytes:
-        """Return the bytes as they came, at most the last 1 MiB."""
-        return self._link.take_bytes()
-
-    def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Return what has happened since the last call."""
-        taken = tuple(self._events)
-        del self._events[: len(taken)]
-        return taken
-
-    def _greet(self) -> None:
+    def greet(self) -> Identity:
+        """Ask for the instrument and switch its laser on."""
         try:
             status = self._ask("?STAT")
         except DeviceTimeout as error:
@@ -170,10 +107,13 @@ class T2saTracker(PolledTracker, ByteLink, EventSource):
             self._expect(self._ask("!LST:1"))
         if not laser.startswith(LASER_ON):
             text, action = "the tracker's laser warms up", "wait until it is warm"
-            event = TrackerEvent(TrackerEventKind.WARNING, text, action)
-            self._events.append(event)
+            self.tell(TrackerEventKind.WARNING, text, action)
+        return Identity("NRK", "T2SA", self._instrument, "")
 
-    def _shoot(self) -> NDArray[np.float64]:
+    def shoot(self) -> tuple[NDArray[np.float64], float]:
+        """Measure the point, or run the plan and ask where it lies."""
+        if not self._link.is_open:
+            self._link.open()
         reply = self._ask_free(self._command)
         text = self._expect(reply)
         if self._is_plan:
@@ -185,7 +125,7 @@ class T2saTracker(PolledTracker, ByteLink, EventSource):
                 f"{self._link.name}: {text!r} is no place of {self._name}; check the "
                 "names in the settings and in the job"
             )
-        return place
+        return self._mm * place, math.nan
 
     def _ask_free(self, command: str) -> Reply:
         """Ask until the application is not busy with something else."""
