@@ -7,7 +7,6 @@ the bench's devices.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -30,9 +29,9 @@ from truepath.app.errors import BadInput
 from truepath.app.files.machine_file import machine_from_json, read_machine
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import InUse
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.jobs.live_estimation import LiveEstimation
@@ -83,7 +82,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
     """Construct everything behind the routes; undone in reverse at the end."""
     with ExitStack() as stack:
         folder = settings.data_dir
-        stack.enter_context(_lock_folder(folder))
+        stack.enter_context(hold_folder(folder))
         stack.enter_context(_redirect_temporary_files(folder / "tmp"))
         database = Database(settings.database)
         stack.callback(database.close)
@@ -199,24 +198,6 @@ def _start_simulators(
         thermometer_options=bench.thermometer_options,
     )
     return machine_from_json(bench.machine), config
-
-
-@contextmanager
-def _lock_folder(folder: Path) -> Iterator[None]:
-    """Make the data folder and hold it for this process alone."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("w")
-    except OSError as error:
-        raise BadInput(f"setting data_dir: {folder}: {error.strerror}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InUse(
-                f"another instance works on {folder}; stop it, or give another data_dir"
-            ) from error
-        yield
 
 
 @contextmanager

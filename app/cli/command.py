@@ -12,6 +12,7 @@ import typer
 
 from truepath.app.cli import (
     analysis_commands,
+    catalogue_commands,
     driver_commands,
     format_commands,
     import_command,
@@ -88,6 +89,7 @@ app.command()(trend_commands.trend)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
+app.add_typer(catalogue_commands.catalogue, name="catalogue")
 
 
 def run_command(call: Callable[[], int | None]) -> int:

@@ -25,6 +25,7 @@ from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from truepath.app.errors import BadInput
+from truepath.app.jobs.catalogue_file import check_catalogue
 from truepath.app.jobs.errors import SchemaTooNew, StorageUnavailable
 
 log = structlog.get_logger(__name__)
@@ -73,22 +74,41 @@ class Database:
     def migrate(self) -> None:
         """Bring the tables up to this version; a SQLite file is copied first.
 
-        Raises SchemaTooNew if a newer version of the service wrote the catalogue.
+        Raises SchemaTooNew if a newer version of the service wrote the catalogue,
+        CatalogueDamaged, CatalogueReadOnly.
         """
-        with _as_storage_errors(), self.engine.connect() as connection:
-            before = MigrationContext.configure(connection).get_current_revision()
-        config = Config()
-        config.set_main_option("script_location", str(_MIGRATIONS))
-        head = ScriptDirectory.from_config(config).get_current_head()
+        before = self.check()
+        config, head = _read_migrations()
         if before == head:
             return
-        _refuse_newer(config, before)
         if before is not None:
             self._copy_aside(before)
         with _as_storage_errors(), self.engine.begin() as connection:
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
         log.info("catalogue migrated", before=before, now=head)
+
+    @property
+    def file(self) -> Path | None:
+        """The file of a catalogue in SQLite, else None."""
+        name = self.engine.url.database
+        is_file = self.engine.dialect.name == "sqlite" and name
+        return Path(name) if is_file and name else None
+
+    def check(self) -> str | None:
+        """Return the schema of the catalogue, None where there is none yet.
+
+        Changes nothing. Raises SchemaTooNew, CatalogueDamaged, CatalogueReadOnly.
+        """
+        config, head = _read_migrations()
+        if self.file is not None:
+            check_catalogue(self.file, head)
+            if not self.file.exists():
+                return None
+        with _as_storage_errors(), self.engine.connect() as connection:
+            revision = MigrationContext.configure(connection).get_current_revision()
+        _refuse_newer(config, revision)
+        return revision
 
     def ready(self) -> bool:
         """Say whether the catalogue answers."""
@@ -117,9 +137,9 @@ class Database:
                 time.sleep(0.1)
 
     def _copy_aside(self, revision: str) -> None:
-        if self.engine.dialect.name != "sqlite" or not self.engine.url.database:
+        file = self.file
+        if file is None:
             return
-        file = Path(self.engine.url.database)
         copy = file.with_name(
             f"{file.stem}.before-{revision}-{int(time.time())}.sqlite"
         )
@@ -139,6 +159,13 @@ def _as_storage_errors() -> Iterator[None]:
 
 def _busy_text(error: OperationalError) -> str:
     return f"the catalogue does not answer: {error.orig}"
+
+
+def _read_migrations() -> tuple[Config, str]:
+    """Return the migrations, and the newest of them."""
+    config = Config()
+    config.set_main_option("script_location", str(_MIGRATIONS))
+    return config, ScriptDirectory.from_config(config).get_current_head() or ""
 
 
 def _refuse_newer(config: Config, revision: str | None) -> None:

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from truepath.app.errors import JobError, MeasurementFailed, TruepathError
+from pathlib import Path
+
+from truepath.app.errors import (
+    BadInput,
+    JobError,
+    MeasurementFailed,
+    TruepathError,
+)
 
 
 class StaleVersion(JobError):
@@ -100,8 +107,23 @@ class DiskFull(TruepathError):
     """The disk of the data folder has no room left for this."""
 
 
-class SchemaTooNew(TruepathError):
+class SchemaTooNew(BadInput):
     """The catalogue was written by a newer version of the service."""
+
+
+class CatalogueDamaged(BadInput):
+    """The file of the catalogue holds none, or no whole one. It is left as it is."""
+
+    def __init__(self, file: Path, problem: str) -> None:
+        super().__init__(
+            f"{file}: {problem}, so the catalogue cannot be used; it is left as it is; "
+            "`truepath catalogue rebuild`, with the settings of the service, sets it "
+            "aside and makes it again from the Runs and results on disk"
+        )
+
+
+class CatalogueReadOnly(BadInput):
+    """The file of the catalogue is whole, or may be, and cannot be written."""
 
 
 class InUse(TruepathError):

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -264,5 +265,15 @@ def make_id() -> str:
 
 def format_utc_now() -> str:
     """Return the time in UTC as people and JSON read it, to the millisecond."""
-    text = datetime.now(UTC).isoformat(timespec="milliseconds")
+    return format_utc(datetime.now(UTC))
+
+
+def format_utc(at: datetime) -> str:
+    """Return a time in UTC in the same form."""
+    text = at.astimezone(UTC).isoformat(timespec="milliseconds")
     return text.replace("+00:00", "Z")
+
+
+def format_file_time(file: Path) -> str:
+    """Return when a file was last written, in the same form."""
+    return format_utc(datetime.fromtimestamp(file.stat().st_mtime, UTC))

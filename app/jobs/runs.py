@@ -13,6 +13,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,12 @@ from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.run import Run
 from truepath.app.files.whole_files import replace_file, sync_to_disk
 from truepath.app.jobs.database import Database
-from truepath.app.jobs.job import format_utc_now, make_id
+from truepath.app.jobs.job import (
+    format_file_time,
+    format_utc,
+    format_utc_now,
+    make_id,
+)
 from truepath.app.jobs.schema import runs
 from truepath.app.measurement.run_file import hash_file
 from truepath.app.measurement.run_reading import (
@@ -102,8 +108,23 @@ class RunCatalogue:
         repair_run(file)
         run = open_run(file)
         complete = run.provenance.get("outcome") == "finished"
+        created = format_utc(datetime.fromisoformat(str(run.provenance["started"])))
         own = {"id": run_id, "origin": "measured", "complete": complete}
-        return self._insert(run, file, run.name, **own)
+        return self._insert(run, file, run.name, created=created, **own)
+
+    def read_uploaded(self, run_id: str) -> RunRecord:
+        """Catalogue a bundle that was uploaded before, once. Raises BundleError."""
+        with suppress(NotFound):
+            return self.get(run_id)
+        file = self._folder / f"{run_id}.zip"
+        run = read_bundle(file)
+        own = {"id": run_id, "origin": "uploaded", "complete": True}
+        return self._insert(run, file, run.name, created=format_file_time(file), **own)
+
+    def list_uploads_left(self) -> list[str]:
+        """Return the Runs of uploaded bundles that no row names, the oldest first."""
+        found = sorted(file.stem for file in self._folder.glob("*.zip"))
+        return [run_id for run_id in found if not self.find([run_id])]
 
     def list_left_behind(self) -> list[str]:
         """Return the Runs of recorded files that no row names, the oldest first."""
@@ -127,7 +148,8 @@ class RunCatalogue:
         os.replace(bundle, file)
         sync_to_disk(self._folder)
         own = {"id": run_id, "origin": "uploaded", "complete": True}
-        return self._insert(run, file, name or run.name, **own)
+        now = format_utc_now()
+        return self._insert(run, file, name or run.name, created=now, **own)
 
     def get(self, run_id: str) -> RunRecord:
         """Return a Run's row. Raises NotFound."""
@@ -152,6 +174,12 @@ class RunCatalogue:
         query = select(runs).order_by(runs.c.seq.desc()).limit(limit)
         if before_seq is not None:
             query = query.where(runs.c.seq < before_seq)
+        with self._database.read() as connection:
+            return [RunRecord(**row) for row in connection.execute(query).mappings()]
+
+    def list_all(self) -> list[RunRecord]:
+        """Return all Runs, in the order of their identifiers, which is that of time."""
+        query = select(runs).order_by(runs.c.id)
         with self._database.read() as connection:
             return [RunRecord(**row) for row in connection.execute(query).mappings()]
 
@@ -202,7 +230,6 @@ class RunCatalogue:
             samples=len(run.tracker),
             lost_samples=int(lost_samples),
             plan=encode_commanded_json(run.commanded),
-            created=format_utc_now(),
         )
         self._database.write(lambda connection: connection.execute(query).rowcount)
         return self.get(own["id"])

@@ -97,6 +97,18 @@ class Store:
         job, event = self._database.write(change, self._publish)
         return job, event is not None
 
+    def add_recovered(self, job: Job, plan: Json | None) -> bool:
+        """Add a job that has ended as it is; False where there is one of its name."""
+
+        def change(connection: Connection) -> bool:
+            known = select(jobs.c.seq).where(jobs.c.id == job.id)
+            if connection.execute(known).first() is not None:
+                return False
+            connection.execute(insert(jobs).values(**_encode_columns(job), plan=plan))
+            return True
+
+        return self._database.write(change)
+
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:

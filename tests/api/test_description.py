@@ -142,7 +142,6 @@ NO_ANSWER = {
     "JobError",  # likewise
     "Aborted",  # no failure
     "TaskFailed",  # told by the family of what the task raised
-    "SchemaTooNew",  # before anybody listens
     "InUse",  # likewise
 }
 
