@@ -40,7 +40,9 @@ _COVARIANCE = {  # of one shot about the mean
     "cov_yz_um2": (1, 2),
     "cov_zz_um2": (2, 2),
 }
-_STREAM = frozenset(("t_s", *_POSITION, "status", "point", "shots", *_COVARIANCE))
+_STREAM = frozenset(
+    ("t_s", *_POSITION, "status", "quality", "point", "shots", *_COVARIANCE)
+)
 MAX_STREAM_TEXT_BYTES = 1 << 30  # a stream as text, in one piece in memory
 _UM2 = 1e6  # in a mm²
 _SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")
@@ -73,7 +75,12 @@ def decode_tracker(
         )
     points = _read_points(table, ~repeats) if "point" in table.names else None
     counter = _rebuild_counter(time_s) if points is None else np.arange(len(time_s))
-    samples = TrackerSamples(counter, time_s, position_mm[~repeats], status[~repeats])
+    quality = None
+    if "quality" in table.names:
+        quality = table.numbers("quality", nan=True)[~repeats].astype(np.float32)
+    samples = TrackerSamples(
+        counter, time_s, position_mm[~repeats], status[~repeats], quality
+    )
     return samples, points
 
 
@@ -85,6 +92,7 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
             "t_s": samples.device_time_s,
             **{key: np.ascontiguousarray(value) for key, value in columns.items()},
             "status": samples.status,
+            **({} if samples.quality is None else {"quality": samples.quality}),
             **({} if points is None else _name_point_columns(points)),
         }
     )

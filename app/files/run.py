@@ -17,6 +17,7 @@ from truepath.app.files.interruptions import (
 )
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.refraction import Refraction
+from truepath.app.files.sample_quality import SampleQuality, state_quality
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import (
@@ -139,6 +140,7 @@ class RunSummary:
     source : what the Run itself knows about where it comes from
     told : what the tracker itself has said meanwhile, each once
     interruptions : of the stream; driven_again : which lines were, each time
+    quality : of the samples, if the tracker tells it
     """
 
     name: str
@@ -156,6 +158,7 @@ class RunSummary:
     refraction: Refraction = _UNKNOWN
     interruptions: Interruptions = NO_INTERRUPTIONS
     driven_again: tuple[str, ...] = ()
+    quality: SampleQuality | None = None
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -181,6 +184,7 @@ def summarize_run(run: Run) -> RunSummary:
         run.refraction,
         find_interruptions(run.tracker),
         tuple(e.text for e in run.events if e.kind == "again"),
+        state_quality(run.tracker),
     )
 
 

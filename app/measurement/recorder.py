@@ -34,6 +34,7 @@ from truepath.app.measurement.run_file import (
     ENVIRONMENT_STREAM,
     LINK_STREAM,
     POINT_STREAM,
+    QUALITY_STREAM,
     TRACKER_STREAM,
     Batch,
     RunHeader,
@@ -44,6 +45,7 @@ from truepath.app.measurement.run_file import (
     pack_axes,
     pack_environment,
     pack_point,
+    pack_quality,
     pack_samples,
     put_manifest,
     replace_commanded,
@@ -229,6 +231,11 @@ class Recorder:
             first = self._count_samples(samples)
             packed = pack_samples(samples)
             batches.append(_stamp_batch(TRACKER_STREAM, first, len(samples), packed))
+            if samples.quality is not None:
+                packed = pack_quality(samples.quality)
+                batches.append(
+                    _stamp_batch(QUALITY_STREAM, first, len(samples), packed)
+                )
         if link:
             seq0, self._link_bytes = self._link_bytes, self._link_bytes + len(link)
             batches.append(_stamp_batch(LINK_STREAM, seq0, len(link), link))

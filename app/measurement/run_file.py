@@ -63,6 +63,7 @@ CREATE TABLE event (
 """
 TRACKER_STREAM, LINK_STREAM, AXES_STREAM = "tracker", "tracker.link", "axes"
 POINT_STREAM, ENVIRONMENT_STREAM = "tracker.point", "environment"
+QUALITY_STREAM = "tracker.quality"
 _TRACKER_COLUMNS = [
     ["sequence", "<i8", "1"],
     ["device_time_s", "<f8", "s"],
@@ -139,6 +140,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "streams": {
             TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
+            QUALITY_STREAM: {"record": [["quality", "<f4", "1"]]},
             POINT_STREAM: {"record": _POINT_COLUMNS},
             AXES_STREAM: {
                 "record": [
@@ -206,6 +208,16 @@ def unpack_samples(payload: bytes) -> TrackerSamples:
     """Return the samples of records of `TRACKER`."""
     rows = np.frombuffer(payload, TRACKER)
     return TrackerSamples(*(rows[name].copy() for name in TRACKER.names or ()))
+
+
+def pack_quality(quality: NDArray[np.float32]) -> bytes:
+    """Return the quality of samples as records of the stream `tracker.quality`."""
+    return quality.astype("<f4").tobytes()
+
+
+def unpack_quality(payload: bytes) -> NDArray[np.float32]:
+    """Return the records of the stream `tracker.quality`."""
+    return np.frombuffer(payload, "<f4").astype(np.float32)
 
 
 def pack_point(row: int, point: PointMeasurement) -> bytes:

@@ -12,7 +12,7 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from truepath.app.measurement.run_file import (
     CLOSED,
     ENVIRONMENT_STREAM,
     POINT_STREAM,
+    QUALITY_STREAM,
     TRACKER,
     TRACKER_STREAM,
     Batch,
@@ -46,6 +47,7 @@ from truepath.app.measurement.run_file import (
     unpack_axes,
     unpack_environment,
     unpack_points,
+    unpack_quality,
     unpack_samples,
 )
 from truepath.drivers.interfaces.records import (
@@ -277,9 +279,15 @@ def _read_table(
 
 
 def _tracker(batches: list[Batch]) -> TrackerSamples:
-    return TrackerSamples.join(
-        [unpack_samples(b.payload) for b in batches if b.stream == TRACKER_STREAM]
-    )
+    qualities = {
+        b.seq0: unpack_quality(b.payload) for b in batches if b.stream == QUALITY_STREAM
+    }
+    blocks: list[TrackerSamples] = []
+    for batch in batches:
+        if batch.stream == TRACKER_STREAM:
+            quality = qualities.get(batch.seq0)
+            blocks.append(replace(unpack_samples(batch.payload), quality=quality))
+    return TrackerSamples.join(blocks)
 
 
 def _join_points(

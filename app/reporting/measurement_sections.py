@@ -7,6 +7,7 @@ import numpy as np
 from truepath.app.estimation.run_estimate import SeatEstimate
 from truepath.app.files.environment import ChannelFacts
 from truepath.app.files.run import RunSummary
+from truepath.app.files.sample_quality import SampleQuality
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.app.kinematics.machine import Axis, Machine, position_unit
 from truepath.app.kinematics.symbols import describe_symbol
@@ -163,6 +164,7 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
         "refraction": describe_refraction(summary.refraction),
         "scale": describe_scale(summary.refraction),
         "interruptions": state_interruptions(summary),
+        "quality": _state_quality(summary.quality),
         "seats": [_describe_seat(seat) for seat in estimate.seats],
         "brought": None
         if brought is None or without_um is None
@@ -171,6 +173,17 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
             "without_um": f"{_K * without_um:.2f}",
         },
     }
+
+
+def _state_quality(found: SampleQuality | None) -> str:
+    """Return what the tracker says of its samples; empty where it says nothing."""
+    if found is None:
+        return ""
+    share = "" if found.told == 1.0 else f", told of {100.0 * found.told:.0f} %"
+    return (
+        f"{found.mean:.2f} in the mean, one of twenty below {found.low:.2f}, as the "
+        f"tracker tells it (1 is best){share}"
+    )
 
 
 def _state_sensor(one: ChannelFacts) -> tuple[str, ...]:

@@ -190,6 +190,7 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
             **asdict(summary.interruptions),
             "driven_again": list(summary.driven_again),
         },
+        "sample_quality": asdict(summary.quality) if summary.quality else None,
         "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
         "without_it_um": found.find_without_um(run),
         "alignment": _alignment_json(found, run),

@@ -35,12 +35,15 @@ class TrackerSamples:
     device_time_s : (n,) float64, unwrapped clock of the device
     position_mm : (n, 3) float64
     status : (n,) int64, 0 is a valid sample, anything else is not to be used
+    quality : (n,) float32, as the instrument tells it, 1 is best; NaN where it does
+        not, None where it never does
     """
 
     sequence: NDArray[np.int64]
     device_time_s: NDArray[np.float64]
     position_mm: NDArray[np.float64]
     status: NDArray[np.int64]
+    quality: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -61,6 +64,7 @@ class TrackerSamples:
             np.concatenate([b.device_time_s for b in blocks]),
             np.concatenate([b.position_mm for b in blocks]),
             np.concatenate([b.status for b in blocks]),
+            _join_quality(blocks),
         )
 
     def select(self, rows: slice | NDArray[np.integer | np.bool_]) -> TrackerSamples:
@@ -70,7 +74,16 @@ class TrackerSamples:
             self.device_time_s[rows],
             self.position_mm[rows],
             self.status[rows],
+            None if self.quality is None else self.quality[rows],
         )
+
+
+def _join_quality(blocks: Sequence[TrackerSamples]) -> NDArray[np.float32] | None:
+    if all(b.quality is None for b in blocks):
+        return None
+    untold = (np.full(len(b), np.nan, np.float32) for b in blocks)
+    told = zip(blocks, untold, strict=True)
+    return np.concatenate([u if b.quality is None else b.quality for b, u in told])
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,16 @@ def assert_same(first: Run, second: Run) -> None:
         np.testing.assert_array_equal(a.value, b.value)
 
 
+def test_the_quality_of_samples_is_kept_where_it_is_told(tmp_path, run):
+    told = np.linspace(0.1, 1.0, len(run.tracker)).astype(np.float32)
+    told[3] = np.nan
+    graded = replace(run, tracker=replace(run.tracker, quality=told))
+    write_bundle(graded, tmp_path / "told")
+    np.testing.assert_array_equal(read_bundle(tmp_path / "told").tracker.quality, told)
+    write_bundle(run, tmp_path / "untold")
+    assert read_bundle(tmp_path / "untold").tracker.quality is None
+
+
 def standstill(run: Run) -> Run:
     points = Configurations(
         run.commanded.axes, run.commanded.position, np.full(len(run.commanded), 2.0)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from truepath.app.errors import BundleError, MeasurementFailed
+from truepath.app.files.run import summarize_run
 from truepath.app.measurement import recorder as recorder_module
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader, hash_file
@@ -45,6 +46,29 @@ def recorder(file, header):
     made = Recorder(file, header, reserve_bytes=0)
     yield made
     made.close("aborted")
+
+
+def test_the_quality_of_samples_is_kept_where_the_tracker_tells_it(recorder, file):
+    told = np.linspace(0.5, 1.0, 50).astype(np.float32)
+    recorder.put_tracker(block(1))
+    recorder.put_tracker(replace(block(51), quality=told))
+    recorder.close("finished")
+    run = open_run(file)
+    np.testing.assert_array_equal(run.tracker.quality, [*[np.nan] * 50, *told])
+    quality = summarize_run(run).quality
+    valid = told[block(51).status == 0]
+    assert quality is not None
+    assert quality.mean == pytest.approx(valid.mean(), rel=1e-6)
+    assert quality.told == pytest.approx(0.5, abs=0.02)
+    assert valid.min() <= quality.low < 0.55
+
+
+def test_a_tracker_that_tells_no_quality_leaves_none(recorder, file):
+    recorder.put_tracker(block(1))
+    recorder.close("finished")
+    run = open_run(file)
+    assert run.tracker.quality is None
+    assert summarize_run(run).quality is None
 
 
 def block(first: int, count: int = 50) -> TrackerSamples:

@@ -41,6 +41,7 @@ from truepath.drivers.tracker.streaming.messages import (
     parse_message,
 )
 
+_STRONGEST = 255.0
 _CLOCK_BITS = {Format.MEAS64: 64, Format.MEAS: 32}
 
 
@@ -115,6 +116,7 @@ class SampleDecoder:
             np.true_divide(clock_us[keep], 1e6, dtype=np.float64),
             position_mm[keep],
             status[keep],
+            _find_quality(raw.signal[keep]),
         )
 
 
@@ -163,6 +165,13 @@ def _positions(raw: RawSamples) -> tuple[np.ndarray, np.ndarray]:
     position_mm[~finite] = 0.0
     status = raw.status & FORBIDS_USE
     return position_mm, np.where(finite, status, status | StatusBit.NOT_A_NUMBER)
+
+
+def _find_quality(signal: NDArray[np.int64]) -> NDArray[np.float32] | None:
+    """Return the strength of the return as a share; None where none is told."""
+    if not signal.any():
+        return None
+    return np.where(signal > 0, signal / _STRONGEST, np.nan).astype(np.float32)
 
 
 _TURN = 1 << 16

@@ -1,5 +1,7 @@
 """Laws of the stream: numbers, clocks, gaps, losses; never a wrong sample."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -298,6 +300,26 @@ def test_events_and_warnings_are_kept_for_whoever_asks():
     ]
     assert events[0].text == "the beam was broken at 1.500000 s"
     assert log.take() == ()
+
+
+def test_the_strength_of_the_return_is_the_quality_of_a_sample():
+    signal = np.array([255, 51, 0])
+    ones = np.ones(3)
+    raw = RawSamples(
+        Format.MEAS64,
+        np.arange(3),
+        np.array([0, 2000, 4000], np.uint64),
+        *(ones, 0.1 * ones, 0.1 * ones),
+        np.zeros(3, np.int64),
+        signal,
+    )
+    told = StreamDecoder().feed(encode_measurements(raw)).samples.quality
+    np.testing.assert_allclose(told, [1.0, 0.2, np.nan], rtol=1e-6)
+    silent = replace(raw, signal=np.zeros(3, np.int64))
+    samples = StreamDecoder().feed(encode_measurements(silent)).samples
+    assert samples.quality is None
+    joined = TrackerSamples.join([samples, replace(samples, quality=told)])
+    np.testing.assert_array_equal(joined.quality, [*[np.nan] * 3, *told])
 
 
 def test_bits_that_only_inform_are_passed_on_and_forbid_nothing():
