@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import subprocess
 import sys
 import time
@@ -24,7 +23,6 @@ from truepath.app.measurement.messages import (
 )
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.planning.default_path import default_path
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
 from truepath.simulators.bench import Bench
 from truepath.simulators.link_proxy import Harm, LinkProxy
 
@@ -63,44 +61,6 @@ def order_of(bench: Bench, tmp_path, lines: int) -> MeasurementOrder:
     machine = machine_from_json(bench.machine)
     file = str(tmp_path / "run.sqlite")
     return MeasurementOrder("busy", file, machine, default_path(machine, lines=lines))
-
-
-def stand_still(least_s: float) -> float:
-    """Let no other thread of this interpreter run for so long; return how long.
-
-    As a collection of garbage does: one call that never gives the interpreter back.
-    """
-    count, took_s = 1 << 20, 0.0
-    while took_s < least_s:
-        begun_s = time.monotonic()
-        sum(itertools.repeat(1, count))
-        took_s = time.monotonic() - begun_s
-        count *= 2
-    return took_s
-
-
-@pytest.mark.fault_row(31)
-@pytest.mark.parametrize("link", ["tcp", "serial"])
-def test_a_pause_of_the_reading_process_costs_no_sample(link):
-    with (
-        Bench(seed=12, tracker=link) as bench,
-        StreamingTracker(**bench.tracker_options) as tracker,
-    ):
-        tracker.start(500.0)
-        blocks, paused_s = [tracker.read(1.0)], 0.0
-        while paused_s < 0.5:
-            paused_s = stand_still(0.5)
-        end_s = blocks[0].device_time_s[-1] + 2.0 * paused_s
-        while blocks[-1].device_time_s[-1] < end_s:
-            block = tracker.read(1.0)
-            assert len(block), "the stream is silent"
-            blocks.append(block)
-        health = tracker.health
-    assert (health.lost_samples, health.crc_errors) == (0, 0)
-    sequence = np.concatenate([block.sequence for block in blocks])
-    time_s = np.concatenate([block.device_time_s for block in blocks])
-    assert (np.diff(sequence) == 1).all()
-    np.testing.assert_allclose(np.diff(time_s), 0.002, rtol=1e-3)
 
 
 @pytest.mark.long
