@@ -4,6 +4,7 @@ Every child is spawned, never forked, and
 
 - runs linear algebra on one thread where the user has set no other number;
 - ignores Ctrl+C, which a terminal sends to every process: the parent decides;
+- bears its name, `truepath-cell` say, where processes are listed;
 - sends its log records to the log of its parent;
 - does not outlive its parent.
 """
@@ -14,11 +15,12 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from contextlib import contextmanager, suppress
+from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
+from pathlib import Path
 
 from truepath.app.service_log import read_log_settings, receive_log, send_log
 from truepath.app.thread_limits import choose_thread_limits
@@ -26,6 +28,7 @@ from truepath.app.thread_limits import choose_thread_limits
 BACKGROUND_NICENESS = 10
 """Of processes that compute: the reader of the tracker's port goes first."""
 _END_S = 5.0
+_LONGEST_NAME = 15  # that Linux keeps
 _SPAWN = get_context("spawn")
 _ENVIRONMENT = threading.Lock()
 
@@ -147,11 +150,18 @@ def _run_child(
     """Body of every child."""
     niceness, ends_with_parent, records = setup
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _show_name(current_process().name)
     os.nice(niceness)
     if ends_with_parent:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     with send_log(records, log_settings):
         run(*arguments)
+
+
+def _show_name(name: str) -> None:
+    """Name this process in `ps` and `top`, where the system can."""
+    with suppress(OSError):
+        Path("/proc/self/comm").write_text(f"truepath-{name}"[:_LONGEST_NAME])
 
 
 def _end_with_parent() -> None:

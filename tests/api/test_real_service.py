@@ -7,16 +7,14 @@ import os
 import signal
 import socket
 import sqlite3
-import subprocess
-import sys
 import threading
 import time
-from contextlib import contextmanager
 
 import httpx2
 import psutil
 import pytest
 from scripted_cell import wait_until
+from service_process import ROWS, SPEED, arm, create, follow, moving, process
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -25,32 +23,6 @@ from truepath.app.jobs.errors import InUse, SchemaTooNew
 from truepath.app.main import open_service, serve
 from truepath.app.settings import load_settings
 from truepath.simulators.scenario import load_machine
-
-PROGRAM = """
-import sys
-from truepath.app.main import serve
-from truepath.app.settings import load_settings
-
-if __name__ == "__main__":
-    serve(load_settings())
-"""
-SPEED = 12.0
-ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
-ROWS = [
-    {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000, "dwell_s": 0.6}
-    for x, y, z in [
-        (20, 20, 20),
-        (480, 370, 280),
-        (20, 200, 280),
-        (450, 30, 150),
-        (100, 380, 30),
-        (480, 200, 270),
-        (30, 60, 100),
-        (300, 380, 280),
-        (470, 30, 20),
-        (20, 350, 200),
-    ]
-]
 
 
 @pytest.fixture
@@ -61,69 +33,6 @@ def settings(tmp_path):
         simulated_speed=SPEED,
         port=0,
     )
-
-
-@contextmanager
-def process(tmp_path, **environment):
-    """Run the service as its own process; yield it and a client of it."""
-    program = tmp_path / "service.py"
-    program.write_text(PROGRAM)
-    settings = {
-        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
-        "TRUEPATH_PORT": "0",
-        "TRUEPATH_SIMULATED": "1",
-        "TRUEPATH_SIMULATED_SPEED": str(SPEED),
-        "TRUEPATH_LOG_FORMAT": "json",
-        **environment,
-    }
-    log = (tmp_path / "service.log").open("a")
-    running = subprocess.Popen(
-        [sys.executable, program],
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env=os.environ | settings,
-        start_new_session=True,
-    )
-    try:
-        lines = [running.stdout.readline() for _ in range(4)]
-        page = next((x.split()[1] for x in lines if x.split()[:1] == ["page"]), None)
-        assert page, (tmp_path / "service.log").read_text()
-        with httpx2.Client(base_url=page, timeout=30.0) as client:
-            yield running, client
-    finally:
-        if running.poll() is None:
-            running.terminate()
-        running.stdout.close()
-        running.wait(20)
-        log.close()
-
-
-def create(client, **order):
-    answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", **order})
-    assert answer.status_code == 202, answer.text
-    return follow(client, answer.json()["id"], "ready")
-
-
-def arm(client, job):
-    version = {"If-Match": f'"{job["version"]}"'}
-    answer = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
-    assert answer.status_code == 202, answer.text
-
-
-def follow(client, job_id, *states, patience_s=50.0):
-    """Wait for a job; on a busy computer as long as it gets on at all."""
-    last = None
-    while True:
-        job = client.get(f"/api/v1/jobs/{job_id}").json()
-        if job["state"] in states:
-            return job
-        assert job["state"] not in ENDS, job["error"]
-        here = job["state"], job["stage"], job["progress"]["done"]
-        if here != last:
-            last, end = here, time.monotonic() + patience_s
-        assert time.monotonic() < end, job
-        time.sleep(0.02)
 
 
 def resumed(client, job_id):
@@ -145,14 +54,6 @@ def kept_state(tmp_path, job_id):
         (state,) = found.fetchone()
     catalogue.close()
     return state
-
-
-def moving(client, job_id):
-    """Wait until samples of a moving machine have come."""
-    wait_until(
-        lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
-        "samples",
-    )
 
 
 @pytest.mark.timeout(240)  # ten seconds, but three programs beside it make a minute

@@ -1,0 +1,168 @@
+"""Every process of the service stands still or is killed, in every state of a job.
+
+Whatever happens: the service answers, no job is active for ever, what failed says why,
+and after a stop nothing is left that moves.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import httpx2
+import psutil
+import pytest
+from service_process import (
+    ENDS,
+    ROWS,
+    arm,
+    create,
+    follow,
+    moving,
+    process,
+    wait_for,
+)
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+
+OURS = ("cell", "live", "worker")
+DEVICES = ("cnc", "tracker")
+FROZEN_S = 3.0
+SETTLED = ENDS | {"paused", "ready"}  # nothing moves, or somebody has to say so
+
+
+def find_process(parent: int, role: str) -> int | None:
+    """Return the process with this part in the service, if it runs."""
+    for child in psutil.Process(parent).children(recursive=True):
+        named = child.name().startswith(f"truepath-{role}")
+        if named or f"simulators.{role}_process" in " ".join(child.cmdline()):
+            return child.pid
+    return None
+
+
+def state_of(client: httpx2.Client, job: str) -> dict:
+    return client.get(f"/api/v1/jobs/{job}").json()
+
+
+def make_ready(client: httpx2.Client) -> str:
+    return create(client, path=ROWS)["id"]
+
+
+def make_moving(client: httpx2.Client) -> str:
+    job = create(client, path=ROWS)
+    arm(client, job)
+    moving(client, job["id"])
+    return job["id"]
+
+
+def make_paused(client: httpx2.Client) -> str:
+    job = make_moving(client)
+    client.post(f"/api/v1/jobs/{job}/pause")
+    follow(client, job, "paused")
+    return job
+
+
+def make_computing(client: httpx2.Client) -> str:
+    job = create(client, path=ROWS[:6])
+    arm(client, job)
+    stages = {"aligning", "estimating", "reporting"}
+    wait_for(lambda: state_of(client, job["id"])["stage"] in stages, "computing")
+    return job["id"]
+
+
+STATES: dict[str, Callable[[httpx2.Client], str]] = {
+    "ready": make_ready,
+    "running": make_moving,
+    "paused": make_paused,
+    "computing": make_computing,
+}
+
+
+def harm(process_id: int, number: signal.Signals) -> None:
+    """Kill a process, or let it stand still for a while."""
+    os.kill(process_id, number)
+    if number is signal.SIGSTOP:
+        time.sleep(FROZEN_S)  # what is tested is that time passes
+        os.kill(process_id, signal.SIGCONT)
+
+
+def settle(client: httpx2.Client, job: str) -> str:
+    """Wait until the job has ended, waits for somebody, or has gone on to its end."""
+    wait_for(lambda: state_of(client, job)["state"] in SETTLED, "a settled job")
+    return state_of(client, job)["state"]
+
+
+def require_in_order(client: httpx2.Client, job: str) -> None:
+    """Nothing moves after a stop; what failed says why; the service is there."""
+    settle(client, job)
+    assert client.post("/api/v1/stop").status_code == 202
+    wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
+    ended = state_of(client, job)
+    if ended["state"] in ("failed", "faulted"):
+        assert ended["error"]["title"] != "The service failed"
+        assert ended["error"]["action"]
+    if ended["run_id"]:
+        assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["samples"] >= 0
+    system = client.get("/api/v1/system").json()
+    assert system["current_job"] is None
+
+
+def connect(client: httpx2.Client) -> None:
+    wait_for(
+        lambda: client.post("/api/v1/machines/current:connect").status_code == 200,
+        "the devices",
+    )
+
+
+@pytest.mark.fault_row(30)
+@pytest.mark.parametrize("state", STATES)
+def test_no_process_of_ours_that_stands_or_dies_leaves_a_job_or_a_motion(
+    tmp_path, state
+):
+    with process(tmp_path) as (running, client):
+        for role, number in itertools.product(OURS, (signal.SIGSTOP, signal.SIGKILL)):
+            connect(client)
+            job = STATES[state](client)
+            found = find_process(running.pid, role)
+            if found is None:  # a live estimator is there while a machine moves
+                assert role == "live"
+                assert state in ("ready", "computing")
+                continue
+            harm(found, number)
+            require_in_order(client, job)
+
+
+@pytest.mark.fault_row(30)
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("device", DEVICES)
+def test_no_device_that_stands_or_dies_does(tmp_path, state, device):
+    with process(tmp_path) as (running, client):
+        for number in (signal.SIGSTOP, signal.SIGKILL):
+            connect(client)
+            job = STATES[state](client)
+            found = find_process(running.pid, device)
+            assert found is not None
+            harm(found, number)
+            require_in_order(client, job)
+
+
+@pytest.mark.fault_row(25)
+@pytest.mark.parametrize("state", STATES)
+def test_a_service_that_dies_in_any_state_is_interrupted_and_begins_anew(
+    tmp_path, state
+):
+    with process(tmp_path) as (running, client):
+        job = STATES[state](client)
+        running.kill()
+        running.wait(10)
+    with process(tmp_path) as (_, client):
+        wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
+        assert state_of(client, job)["state"] in ("interrupted", "succeeded")
+        assert client.get("/api/v1/system").json()["current_job"] is None
+        connect(client)
+        again = create(client, path=ROWS)
+        client.post(f"/api/v1/jobs/{again['id']}/abort")
+        follow(client, again["id"], "aborted")
