@@ -21,6 +21,7 @@ from truepath.app.api.application import create_application
 from truepath.app.errors import BadInput
 from truepath.app.jobs.errors import InUse, SchemaTooNew
 from truepath.app.main import open_service, serve
+from truepath.app.measurement.run_reading import open_run
 from truepath.app.settings import load_settings
 from truepath.simulators.scenario import load_machine
 
@@ -127,21 +128,31 @@ def test_pause_resume_and_abort_reach_the_machine(settings):
 
 
 @pytest.mark.fault_row(30)
-def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
+@pytest.mark.parametrize("for_s", [4.0, pytest.param(10.0, marks=pytest.mark.long)])
+def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path, for_s):
     """Nobody could stop it meanwhile; it goes on only when somebody says so."""
     with process(tmp_path) as (running, client):
-        job = create(client)
+        job = create(client, path=ROWS)
         arm(client, job)
         moving(client, job["id"])
         os.kill(running.pid, signal.SIGSTOP)
+        frozen_s = time.monotonic()
         try:
-            time.sleep(4.0)  # so long it stands still
+            time.sleep(for_s)  # so long it stands still
         finally:
             os.kill(running.pid, signal.SIGCONT)
         paused = follow(client, job["id"], "paused")
         assert "service has stood still" in json.dumps(paused)
         client.post("/api/v1/stop")
         follow(client, job["id"], "aborted")
+    (file,) = (tmp_path / "data" / "runs").glob("*.sqlite")
+    axes = open_run(file).axis_samples
+    time_s = axes.host_time_s
+    meanwhile = axes.position_mm[
+        (time_s > frozen_s + 3.0) & (time_s < frozen_s + for_s)
+    ]
+    assert len(meanwhile) > 3
+    assert (meanwhile == meanwhile[0]).all()
 
 
 @pytest.mark.fault_row(23)

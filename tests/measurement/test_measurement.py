@@ -483,6 +483,28 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     assert journal.of(RunClosed)[0].lost_samples > 100
 
 
+@pytest.mark.fault_row(5)
+def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
+    begin, long_order, tracker, motion, journal
+):
+    clock = HandClock()
+    running = begin(long_order, settings=JUDGED, clock=clock)
+    running.until_moving()
+    tracker.silent = True
+    missed = tracker.health.frames
+    wait_until(lambda: tracker.health.frames > missed + 200)
+    for _ in range(2):
+        clock.now_s += 0.2
+        told = len(journal.of(MeasurementProgress))
+        running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
+    tracker.silent = False
+    running.finished()
+    assert journal.faults == []
+    assert "hold" not in motion.calls
+    assert journal.of(RunClosed)[0].lost_samples > 100
+    assert any(event.kind == "gap" for event in running.run.events)
+
+
 def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
     begin, long_order, tracker, motion, journal
 ):
@@ -678,6 +700,29 @@ def test_a_lost_beam_holds_until_somebody_resumes(
     assert (running.run.tracker.status != 0).any()
 
 
+@pytest.mark.fault_row(9)
+def test_a_dwell_in_which_the_beam_was_lost_begins_anew(
+    begin, order, square, tracker, journal
+):
+    points = Configurations(square.axes, square.position[:2], np.full(2, 20.0))
+    ordered = replace(order, commanded=points)
+    running = begin(ordered, settings=JUDGED, clock=HandClock())
+    running.until(lambda: any(b.device_time_s > 105.0 for b in journal.of(LivePoints)))
+    tracker.beam = False
+    running.pass_until(lambda: journal.states[-1] == "paused")
+    assert journal.faults == ["beam-lost"]
+    tracker.beam = True
+    live = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > live + 2)
+    running.measurement.obey(CellVerb.RESUME)
+    assert running.ended() == "finished"
+    stream = running.run.tracker
+    lost_s = stream.device_time_s[stream.status != 0].max()
+    ends = [e.text.split()[3] for e in running.run.events if e.kind == "point"]
+    assert float(ends[0]) > lost_s + 20.0
+    assert float(ends[1]) > float(ends[0]) + 20.0
+
+
 def test_a_tracker_that_never_sends_is_a_fault_before_the_path_starts(
     begin, order, tracker, motion, journal
 ):
@@ -740,6 +785,7 @@ def test_a_counter_that_goes_back_fails_the_run(begin, long_order, tracker, jour
     assert "counter went back" in journal.of(FaultReported)[-1].text
 
 
+@pytest.mark.fault_row(19)
 def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
@@ -873,6 +919,7 @@ def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
     assert len(measured) <= 1
 
 
+@pytest.mark.fault_row(20)
 def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
     begin, long_order, motion, journal
 ):
@@ -886,6 +933,26 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
     motion.go_on()
     running.finished()
     assert journal.states == ["running", "paused", "running", "finished"]
+
+
+@pytest.mark.fault_row(20)
+def test_a_hold_at_the_machine_may_last_for_hours(begin, long_order, motion, journal):
+    clock = HandClock()
+    running = begin(long_order, settings=JUDGED, clock=clock)
+    running.until_moving()
+    motion.stand("operator")
+    running.until(lambda: journal.faults == ["held-at-machine"])
+    left_s = journal.of(MeasurementProgress)[-1].remaining_s
+    for _ in range(4):
+        clock.now_s += 3600.0
+        told = len(journal.of(MeasurementProgress))
+        running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
+    assert journal.of(MeasurementProgress)[-1].remaining_s == left_s
+    assert journal.states == ["running", "paused"]
+    motion.go_on()
+    running.finished()
+    assert journal.faults == ["held-at-machine"]
+    assert "resume" not in motion.calls
 
 
 @pytest.mark.fault_row(20)
@@ -954,6 +1021,7 @@ def test_a_controller_out_of_reach_for_a_moment_is_borne(
     assert journal.faults == []
 
 
+@pytest.mark.fault_row(16)
 def test_a_controller_out_of_reach_for_long_is_a_fault(
     begin, long_order, motion, journal
 ):

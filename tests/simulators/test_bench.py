@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,24 @@ def test_tcp_and_serial_masters_see_one_machine(bench: Callable[..., Bench]) -> 
             rtu.start()  # it does not know the path
         assert drive(tcp).state is MotionState.FINISHED
         assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
+
+
+@pytest.mark.fault_row(21)
+def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(
+    bench: Callable[..., Bench],
+) -> None:
+    running = bench(seed=1, speed=5.0)
+    with (
+        ModbusController(**running.motion_options) as tcp,
+        ModbusController(**running.motion_options_rtu) as rtu,
+    ):
+        here = tcp.status().position
+        tcp.load(LINE)
+        rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
+        with pytest.raises(Refused, match="another"):
+            tcp.start()
+        assert tcp.status().state is MotionState.READY
+        assert tcp.status().position == here
 
 
 def test_when_the_client_is_killed_the_machine_holds_and_serves_the_next(

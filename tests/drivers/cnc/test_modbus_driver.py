@@ -314,6 +314,7 @@ def test_a_lost_reply_runs_the_command_once(peer, controller):
     assert peer.model.executed == [START]
 
 
+@pytest.mark.fault_row(14)
 def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_controller):
     model = tcp_peer.model
     model.words[104] = 1
@@ -380,10 +381,15 @@ def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangle
         "noise": lambda reply: noise,
         "cut": lambda reply: reply[:-1],
     }[mangled]
-    begin = time.monotonic()
-    with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.2 s"):
-        controller.status()
-    assert time.monotonic() - begin < 0.9
+    took_s = []
+    for _ in range(3):  # on a busy computer one of them may take longer
+        begin = time.monotonic()
+        with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.2 s"):
+            controller.status()
+        took_s.append(time.monotonic() - begin)
+        if took_s[-1] < 0.5:
+            break
+    assert min(took_s) < 0.5
     peer.mangle = lambda reply: reply
     assert controller.status().state is MotionState.IDLE
 
@@ -537,6 +543,7 @@ def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
 
 
+@pytest.mark.fault_row(14)
 def test_a_command_whose_link_breaks_under_way_runs_once(tcp_peer, tcp_controller):
     model = tcp_peer.model
     model.words[104] = 1
