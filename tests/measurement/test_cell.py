@@ -831,7 +831,7 @@ def test_blocks_that_nobody_takes_are_dropped_and_counted(reluctant):
     link.taking.set()
     outbox.close(5.0)
     blocks = [e for e in link.taken if isinstance(e, BlockRecorded)]
-    assert [b.samples.sequence[0] for b in blocks] == list(range(MAX_BLOCKS))
+    assert [b.block.sequence[0] for b in blocks] == list(range(MAX_BLOCKS))
 
 
 def test_what_is_no_block_is_kept_in_order_beside_dropped_blocks(reluctant):
@@ -867,7 +867,7 @@ def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
     outbox.report(block(MAX_BLOCKS))
     outbox.close(5.0)
     assert outbox.dropped_blocks == 0
-    assert link.taken[-1].samples.sequence[0] == MAX_BLOCKS
+    assert link.taken[-1].block.sequence[0] == MAX_BLOCKS
 
 
 def test_a_parent_that_has_gone_ends_the_outbox_quietly():
