@@ -324,7 +324,7 @@ class MeasurementSteps:
         if not self.is_concluding:
             self._monitor.report(PartRequested(self._progress.row))
         while not self.is_concluding:
-            self._monitor.tick()
+            self._tick_at_end()
             if not self._state.must_stand and not self._parts.empty():
                 return self._parts.get_nowait()
         return None
@@ -337,11 +337,18 @@ class MeasurementSteps:
             not self._monitor.is_polled
             and self._monitor.device_s - begin_s < self.settings.lead_s
         ):
-            status = self._monitor.tick()
-            if status is None or self._end is None:
-                continue
-            if (np.abs(np.array(status.position) - self._end) > _OVERSHOT).any():
-                raise make_runs_on_fault(self.motion.axes, status)
+            self._tick_at_end()
+
+    def _tick_at_end(self) -> None:
+        """Wait a moment where the last motion has ended. Raises Fault if it goes on."""
+        status = self._monitor.tick()
+        if status is None or self._end is None:
+            return
+        here = np.array(status.position)
+        if self._state.must_stand:
+            self._end = here  # somebody may move it by hand meanwhile
+        elif (np.abs(here - self._end) > _OVERSHOT).any():
+            raise make_runs_on_fault(self.motion.axes, status)
 
     def miss_service(self) -> None:
         """Hold until a person resumes: no pause or abort would have come through."""

@@ -155,6 +155,33 @@ def test_a_pause_between_parts_keeps_the_next_one_waiting(grown, square, motion)
     assert one.ended() == "finished"
 
 
+@pytest.mark.fault_row(21)
+def test_a_machine_that_leaves_its_last_row_while_it_waits_is_a_fault(
+    grown, square, motion, journal
+):
+    one = grown()
+    one.until_asked(1)
+    motion.here = motion.here + 2.0
+    assert one.ended() == "faulted"
+    assert journal.faults == ["runs-on"]
+    assert motion.calls.count("load") == 1
+
+
+def test_a_machine_that_is_moved_by_hand_in_a_pause_is_no_fault(grown, square, motion):
+    one = grown()
+    one.until_asked(1)
+    one.measurement.obey(CellVerb.PAUSE)
+    one.journal.wait(lambda: one.journal.states[-1] == "paused")
+    motion.here = motion.here + 2.0
+    looks = len(one.journal.of(MeasurementProgress))
+    one.journal.wait(lambda: len(one.journal.of(MeasurementProgress)) > looks + 3)
+    one.measurement.obey(CellVerb.RESUME)
+    one.measurement.obey(path_through(ON, square))
+    one.until_asked(2)
+    one.measurement.obey(CellVerb.CONCLUDE)
+    assert one.ended() == "finished"
+
+
 def test_parts_of_another_mode_or_place_are_refused(square):
     points = Configurations(square.axes, square.position[-1:], np.ones(1))
     with pytest.raises(PlanningError, match="the mode"):
