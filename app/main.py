@@ -36,6 +36,7 @@ from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.jobs.live_estimation import LiveEstimation
 from truepath.app.jobs.reconciliation import Reconciliation
+from truepath.app.jobs.run_reader import ReadingLimits, RunReader
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded, prepare
 from truepath.app.jobs.store import Store
@@ -128,11 +129,13 @@ def _make_context(
     if config is not None:
         cell = CellSupervisor(lambda: Cell(config))
         stack.callback(cell.close)
+    reader = RunReader(ReadingLimits(settings.upload_memory_mb))
+    stack.callback(reader.close)
     results = settings.data_dir / "results"
     results.mkdir(exist_ok=True)
     return JobContext(
         store=Store(database, event_bus.publish),
-        runs=RunCatalogue(database, settings.data_dir / "runs"),
+        runs=RunCatalogue(database, settings.data_dir / "runs", reader),
         results=results,
         executor=executor,
         science=analyse_recorded,

@@ -85,6 +85,8 @@ class Settings(BaseSettings):
     dask_scheduler: str = ""
     """Address of the Dask scheduler, `tcp://host:8786`."""
     max_upload_mb: int = Field(512, ge=1, le=65536)
+    upload_memory_mb: int = Field(2048, ge=64, le=1 << 20)
+    """Memory that reading one uploaded bundle may take, in a process of its own."""
     max_streams: int = Field(64, ge=1, le=10_000)
     """Event streams open at one time; each browser tab holds one."""
 

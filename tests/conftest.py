@@ -17,6 +17,7 @@ import structlog
 from truepath.app.files.bundle import zip_bundle
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.run import Run
+from truepath.app.jobs.run_reader import RunReader
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.machine import (
     LinearAxis,
@@ -51,6 +52,14 @@ Record = Callable[..., Recorded]
 def rng() -> np.random.Generator:
     """Seeded randomness."""
     return np.random.default_rng(20230307)
+
+
+@pytest.fixture(scope="session")
+def run_reader() -> Iterator[RunReader]:
+    """Read uploaded bundles in a process that starts with the first of them."""
+    reader = RunReader()
+    yield reader
+    reader.close()
 
 
 @pytest.fixture(scope="session")

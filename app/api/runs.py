@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
@@ -16,7 +18,6 @@ from truepath.app.api.models.base import PREFIX, Links
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from truepath.app.files.bundle import check_archive
 from truepath.app.jobs.errors import DiskFull
 from truepath.app.jobs.runs import RunRecord
 
@@ -89,22 +90,18 @@ def download_bundle(run_id: str, service: ServiceDep) -> FileResponse:
     )
 
 
+# Threads of their own: what is slow to read keeps nobody else waiting.
+_UPLOADING = CapacityLimiter(4)
+
+
 @uploads.post("", status_code=201, responses=declare_problems(413, 422, 507))
-def upload_bundle(
+async def upload_bundle(
     bundle: Annotated[UploadFile, File(description="A zipped measurement bundle.")],
     response: Response,
     service: ServiceDep,
 ) -> RunOut:
     """Take in a bundle that was recorded elsewhere; analyse it with a job."""
-    _require_space(service, bundle.size or 0)
-    upload = service.runs.make_upload_file()
-    try:
-        with upload.open("wb") as target:
-            shutil.copyfileobj(bundle.file, target, 1 << 20)
-        check_archive(upload, UNPACKED_SHARE * service.max_upload_bytes)
-        run = service.runs.add_uploaded(upload, clean_run_name(bundle.filename))
-    finally:
-        upload.unlink(missing_ok=True)
+    run = await run_sync(_keep, bundle, service, limiter=_UPLOADING)
     response.headers["Location"] = f"{PREFIX}/runs/{run.id}"
     return _describe(run)
 
@@ -113,6 +110,19 @@ def clean_run_name(filename: str | None) -> str:
     """Return a name for people out of a file's name; never used as a path."""
     plain = PurePosixPath((filename or "").replace("\\", "/")).name
     return _ODD.sub("_", Path(plain).stem).strip("_ .")[:100] or "bundle"
+
+
+def _keep(bundle: UploadFile, service: Service) -> RunRecord:
+    _require_space(service, bundle.size or 0)
+    upload = service.runs.make_upload_file()
+    try:
+        with upload.open("wb") as target:
+            shutil.copyfileobj(bundle.file, target, 1 << 20)
+        name = clean_run_name(bundle.filename)
+        largest_bytes = UNPACKED_SHARE * service.max_upload_bytes
+        return service.runs.add_uploaded(upload, name, largest_bytes)
+    finally:
+        upload.unlink(missing_ok=True)
 
 
 def _require_space(service: Service, size: int) -> None:

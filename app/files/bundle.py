@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import hashlib
 import io
+import lzma
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -51,14 +53,30 @@ FILES = (
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 1000
 
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,
+)
+"""What `zipfile` raises on a damaged member, by its method of packing."""
+
 BundleFiles = Mapping[str, Callable[[], bytes]]
 """What reads each of `FILES` that is there. Raises BundleError if one is too large or
 damaged."""
 
 
-def read_bundle(path: str | FilePath) -> Run:
-    """Read a bundle from a folder or a .zip. Raises BundleError."""
-    with _open_bundle(path) as files:
+def read_bundle(
+    path: str | FilePath, on_file: Callable[[str], None] = lambda _: None
+) -> Run:
+    """Read a bundle from a folder or a .zip. Raises BundleError.
+
+    on_file : receives the name of each file before it is read
+    """
+    with _open_bundle(path, on_file) as files:
         if "machine.json" not in files:
             raise BundleError(
                 "is missing from the bundle", file="machine.json", remedy="add the file"
@@ -198,17 +216,23 @@ def _choose_file(files: BundleFiles, first: str, second: str) -> str:
 
 
 @contextmanager
-def _open_bundle(path: str | FilePath) -> Iterator[BundleFiles]:
+def _open_bundle(
+    path: str | FilePath, on_file: Callable[[str], None]
+) -> Iterator[BundleFiles]:
     """Open a folder, or an archive with the files at its top or all in one folder."""
     place = FilePath(path)
     if place.is_dir():
         files = [place / name for name in FILES]
-        yield {file.name: partial(_read_file, file) for file in files if file.is_file()}
+        yield {
+            file.name: partial(_read_file, file, on_file)
+            for file in files
+            if file.is_file()
+        }
     elif place.is_file():
         remedy = "give the folder of a bundle or a .zip of it"
         with _open_archive(place, place.name, remedy) as archive:
             yield {
-                name: partial(_read_member, archive, member, name)
+                name: partial(_read_member, archive, member, name, on_file)
                 for name, member in _list_members(archive, place.name).items()
             }
     else:
@@ -225,18 +249,25 @@ def _too_large(name: str) -> BundleError:
     return BundleError(f"is larger than {_limit(name) >> 20} MiB", file=name)
 
 
-def _read_file(file: FilePath) -> bytes:
+def _read_file(file: FilePath, on_file: Callable[[str], None]) -> bytes:
+    on_file(file.name)
     if file.stat().st_size > _limit(file.name):
         raise _too_large(file.name)
     return file.read_bytes()
 
 
-def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> bytes:
+def _read_member(
+    archive: zipfile.ZipFile,
+    member: zipfile.ZipInfo,
+    name: str,
+    on_file: Callable[[str], None],
+) -> bytes:
+    on_file(name)
     limit = _limit(name)
     try:
         with archive.open(member) as source:
             data = source.read(limit + 1)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+    except _DAMAGED as error:
         raise BundleError(
             "is damaged in the archive", file=name, remedy="pack it again"
         ) from error
@@ -260,7 +291,8 @@ def _open_archive(file: FilePath, label: str, remedy: str) -> zipfile.ZipFile:
 
 
 def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.ZipInfo]:
-    infos = [info for info in archive.infolist() if not info.is_dir()]
+    named = [info for info in archive.infolist() if info.filename.strip("./")]
+    infos = [info for info in named if not info.is_dir()]
     if len(infos) > MAX_MEMBERS:
         raise BundleError(f"holds more than {MAX_MEMBERS} files", file=label)
     found: dict[str, zipfile.ZipInfo] = {}

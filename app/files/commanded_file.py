@@ -19,6 +19,7 @@ from truepath.app.motion.configurations import Commanded, Configurations, name_c
 from truepath.app.motion.travel import first_breach
 from truepath.drivers.interfaces.records import Path
 
+MAX_ROWS = 100_000
 _MM_PER_M = 1e3
 _LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans
 _SLACK = 0.05  # of the travel
@@ -45,6 +46,9 @@ def decode_commanded(
 ) -> Commanded:
     """Return the path of a `path.csv`, or the standstill points of a `points.csv`."""
     table = read_csv(data, file)
+    if len(table) > MAX_ROWS:
+        problem = f"has {len(table)} rows, more than {MAX_ROWS}"
+        raise BundleError(problem, file=file, remedy="divide it into several Runs")
     axes, position = machine.axis_names, _read_positions(table, machine)
     if is_path:
         feed = _read_feed(table)

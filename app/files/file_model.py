@@ -112,15 +112,17 @@ def _require_text(content: object, file: str) -> None:
 
 
 def _list_texts(content: object) -> Iterator[str]:
-    if isinstance(content, str):
-        yield content
-    elif isinstance(content, dict):
-        for key, value in content.items():
-            yield key
-            yield from _list_texts(value)
-    elif isinstance(content, list):
-        for value in content:
-            yield from _list_texts(value)
+    left: list[object] = [content]
+    while left:
+        match left.pop():
+            case str() as text:
+                yield text
+            case dict() as keys:
+                left += [*keys.keys(), *keys.values()]
+            case list() as values:
+                left += values
+            case _:
+                pass
 
 
 def encode_json(content: object, *, indent: int | None = None) -> bytes:

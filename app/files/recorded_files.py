@@ -97,7 +97,7 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
         }
     )
     sink = io.BytesIO()
-    pq.write_table(table, sink)
+    pq.write_table(table, sink, write_page_checksum=True)
     return sink.getvalue()
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Collection, Iterable, Mapping
+import itertools
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,11 @@ from numpy.typing import NDArray
 from truepath.app.errors import BundleError
 
 MAX_ROWS = 50_000_000
+MAX_COLUMNS = 500
+MAX_LINE_BYTES = 1 << 16
 MAX_NUMBER_BYTES = 40  # of one that is written as text
 SMALL_BYTES = 64 << 20  # a table of numbers that may be packed however well
+_AS_CSV = "save it as CSV in UTF-8, its lines ended by line feeds"
 UNPACKED_SHARE = 50
 """How many times the size of its file a larger one may have. Measured: 1 to 3."""
 
@@ -127,8 +131,14 @@ def encode_csv(columns: Mapping[str, Iterable[object]]) -> bytes:
 
 
 def read_csv(data: bytes, file: str) -> Table:
-    """Read comma-separated values with a header."""
+    """Read comma-separated values with a header.
+
+    Raises BundleError, also if lines, columns or rows are beyond the limits above.
+    """
+    _refuse_odd_lines(data, file)
     names = _read_header(data, file)
+    if (rows := data.count(b"\n")) > MAX_ROWS:
+        raise BundleError(f"has {rows} rows, more than {MAX_ROWS}", file=file)
     broken: list[pacsv.InvalidRow] = []
 
     def keep(row: pacsv.InvalidRow) -> str:
@@ -165,15 +175,16 @@ def read_csv(data: bytes, file: str) -> Table:
 def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:
     """Read the known columns of a Parquet file; no others are unpacked."""
     try:
-        source = pq.ParquetFile(pa.BufferReader(data))
+        source = _open_parquet(data)
         fields = [field for field in source.schema_arrow if field.name in known]
         names = [field.name for field in fields]
         _refuse_repeated(names, file)
         _refuse_large(source.metadata.num_rows, len(names), len(data), file)
         texts = [field.name for field in fields if _holds_texts(field, file)]
-        source = pq.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
-        table = source.read(names, use_threads=False)
-    except (pa.ArrowException, OSError) as error:
+        table = _open_parquet(data, texts).read(names, use_threads=False)
+    except MemoryError:  # one of Arrow's own exceptions as well
+        raise
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise BundleError(
             "is truncated or not a Parquet file", file=file, remedy="copy it again"
         ) from error
@@ -181,6 +192,15 @@ def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:
         column = _unpack_texts(table[name], file, name)
         table = table.set_column(names.index(name), name, column)
     return Table(file, table, lambda index: index + 1)
+
+
+def _open_parquet(data: bytes, texts: Sequence[str] = ()) -> pq.ParquetFile:
+    """Open a Parquet file; pages that bear a checksum are held against it."""
+    return pq.ParquetFile(
+        pa.BufferReader(data),
+        read_dictionary=list(texts),
+        page_checksum_verification=True,
+    )
 
 
 def _holds_texts(field: pa.Field, file: str) -> bool:
@@ -216,15 +236,50 @@ def _refuse_large(rows: int, columns: int, packed_bytes: int, file: str) -> None
         )
 
 
+def _refuse_odd_lines(data: bytes, file: str) -> None:
+    """Refuse lines that are too long, or no text in UTF-8."""
+    row = 1
+    for begin, end in _split_at_lines(data, MAX_LINE_BYTES):
+        if end - begin > MAX_LINE_BYTES:
+            problem = f"is longer than {MAX_LINE_BYTES >> 10} KiB"
+            remedy = "end every row with a line break"
+            raise BundleError(problem, file=file, row=row, remedy=remedy)
+        try:
+            data[begin:end].decode()
+        except UnicodeDecodeError as error:
+            row += data.count(b"\n", begin, begin + error.start)
+            raise BundleError(
+                "is not text in UTF-8", file=file, row=row, remedy="save it as UTF-8"
+            ) from error
+        row += data.count(b"\n", begin, end)
+
+
+def _split_at_lines(data: bytes, size: int) -> Iterator[tuple[int, int]]:
+    """Return where pieces of whole lines begin and end, larger than `size` for none
+    but a single line.
+    """
+    begin = 0
+    while begin < len(data):
+        end = len(data)
+        if end - begin > size:
+            end = data.rfind(b"\n", begin, begin + size) + 1
+            end = end or data.find(b"\n", begin + size) + 1 or len(data)
+        yield begin, end
+        begin = end
+
+
 def _read_header(data: bytes, file: str) -> list[str]:
     line = data.partition(b"\n")[0]
+    text = line.decode("utf-8-sig").rstrip("\r")
     try:
-        text = line.decode("utf-8-sig").rstrip("\r")
-    except UnicodeDecodeError as error:
+        names = [name.strip() for name in next(csv.reader(io.StringIO(text)), [])]
+    except csv.Error as error:
         raise BundleError(
-            "is not text in UTF-8", file=file, row=1, remedy="save it as UTF-8"
+            f"cannot be read as CSV ({error})", file=file, row=1, remedy=_AS_CSV
         ) from error
-    names = [name.strip() for name in next(csv.reader(io.StringIO(text)), [])]
+    if len(names) > MAX_COLUMNS:
+        problem = f"has {len(names)} columns, more than {MAX_COLUMNS}"
+        raise BundleError(problem, file=file, row=1, remedy="leave out the others")
     if not any(names):
         raise BundleError("has no header", file=file, row=1, remedy="name the columns")
     _refuse_repeated(names, file)
@@ -240,7 +295,8 @@ def _refuse_repeated(names: list[str], file: str) -> None:
 def _find_line(data: bytes, index: int) -> int:
     """Return the line of a data row, skipping blank lines as the reader does."""
     seen = -1
-    for number, line in enumerate(data.splitlines()[1:], start=2):
+    lines = (line for part in io.BytesIO(data) for line in part.splitlines())
+    for number, line in enumerate(itertools.islice(lines, 1, None), start=2):
         seen += bool(line)
         if seen == index:
             return number

@@ -11,7 +11,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.job import Failure, Job, JobKind, Json, Stage, format_file_time
+from truepath.app.jobs.run_reader import RunReader
 from truepath.app.jobs.runs import RunCatalogue, RunRecord
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
@@ -63,8 +64,9 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
     """
     aside = _set_aside(database)
     database.migrate()
-    catalogue = RunCatalogue(database, runs)
-    added, unreadable = _add_runs(catalogue)
+    with closing(RunReader()) as reader:
+        catalogue = RunCatalogue(database, runs, reader)
+        added, unreadable = _add_runs(catalogue)
     store = Store(database, lambda _: None)
     found, odd = _find_jobs(catalogue, results)
     jobs = [job for job in found if store.add_recovered(job, _plan(job, catalogue))]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from truepath.app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
 from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.runs_in_time import TimedRun, order_in_time
+from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
 from truepath.app.jobs.live_notice import OnNotice
@@ -92,12 +92,7 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
 def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:
     """Raise BadInput where the Runs do not follow one machine in time."""
     at_h = (request.plan_request or {}).get("at_h")
-    records = [context.runs.get(run_id) for run_id in request.run_ids]
-    timed = [
-        TimedRun.of(context.runs.open(one.id), f"{one.name} ({one.id})")
-        for one in records
-    ]
-    order_in_time(timed, at_h)
+    order_in_time([context.runs.read_times(i) for i in request.run_ids], at_h)
 
 
 def _find_rows(request: RequestedJob, context: JobContext) -> Json:

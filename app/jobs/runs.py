@@ -17,14 +17,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import structlog
 from sqlalchemy import insert, select
 
 from truepath.app.errors import NotFound
-from truepath.app.files.bundle import read_bundle, zip_bundle
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.run import Run
+from truepath.app.files.bundle import MAX_BYTES, zip_bundle
+from truepath.app.files.runs_in_time import TimedRun
 from truepath.app.files.whole_files import replace_file, sync_to_disk
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.job import (
@@ -33,10 +31,10 @@ from truepath.app.jobs.job import (
     format_utc_now,
     make_id,
 )
+from truepath.app.jobs.run_reader import RunFacts, RunReader
 from truepath.app.jobs.schema import runs
 from truepath.app.measurement.run_file import hash_file
 from truepath.app.measurement.run_reading import (
-    open_recorded,
     open_run,
     read_job_id,
     repair_run,
@@ -71,10 +69,13 @@ class RunRecord:
 
 
 class RunCatalogue:
-    """Runs in a folder and their rows. Any thread may call it."""
+    """Runs in a folder and their rows. Any thread may call it.
 
-    def __init__(self, database: Database, folder: Path) -> None:
-        self._database, self._folder = database, folder
+    reader : of what was not recorded here
+    """
+
+    def __init__(self, database: Database, folder: Path, reader: RunReader) -> None:
+        self._database, self._folder, self._reader = database, folder, reader
         self._packing = threading.Lock()
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -110,16 +111,17 @@ class RunCatalogue:
         complete = run.provenance.get("outcome") == "finished"
         created = format_utc(datetime.fromisoformat(str(run.provenance["started"])))
         own = {"id": run_id, "origin": "measured", "complete": complete}
-        return self._insert(run, file, run.name, created=created, **own)
+        facts = RunFacts.of(run)
+        return self._insert(facts, file, run.name, created=created, **own)
 
     def read_uploaded(self, run_id: str) -> RunRecord:
         """Catalogue a bundle that was uploaded before, once. Raises BundleError."""
         with suppress(NotFound):
             return self.get(run_id)
         file = self._folder / f"{run_id}.zip"
-        run = read_bundle(file)
+        facts, created = self._reader.read_facts(file), format_file_time(file)
         own = {"id": run_id, "origin": "uploaded", "complete": True}
-        return self._insert(run, file, run.name, created=format_file_time(file), **own)
+        return self._insert(facts, file, facts.name, created=created, **own)
 
     def list_uploads_left(self) -> list[str]:
         """Return the Runs of uploaded bundles that no row names, the oldest first."""
@@ -138,18 +140,21 @@ class RunCatalogue:
         """Return the job that has recorded a Run: the file says it, else its name."""
         return read_job_id(self.name_run_file(run_id)) or run_id
 
-    def add_uploaded(self, bundle: Path, name: str) -> RunRecord:
+    def add_uploaded(
+        self, bundle: Path, name: str, largest_bytes: int = MAX_BYTES
+    ) -> RunRecord:
         """Check a zipped bundle, keep it and catalogue it. Raises BundleError.
 
         bundle : a file of ours in the folder of runs; it is moved
+        largest_bytes : that it may unpack to
         """
-        run_id, run = make_id(), read_bundle(bundle)
+        run_id, facts = make_id(), self._reader.read_facts(bundle, largest_bytes)
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
         sync_to_disk(self._folder)
         own = {"id": run_id, "origin": "uploaded", "complete": True}
         now = format_utc_now()
-        return self._insert(run, file, name or run.name, created=now, **own)
+        return self._insert(facts, file, name or facts.name, created=now, **own)
 
     def get(self, run_id: str) -> RunRecord:
         """Return a Run's row. Raises NotFound."""
@@ -190,9 +195,10 @@ class RunCatalogue:
             raise NotFound(f"the file of run {run_id} has gone from the folder of runs")
         return file
 
-    def open(self, run_id: str) -> Run:
-        """Read a Run. Raises NotFound, BundleError."""
-        return open_recorded(self.file(run_id))
+    def read_times(self, run_id: str) -> TimedRun:
+        """Return when a Run was. Raises NotFound, BadInput."""
+        name = f"{self.get(run_id).name} ({run_id})"
+        return self._reader.read_times(self.file(run_id), name)
 
     def bundle(self, run_id: str) -> Path:
         """Return the Run as a zipped measurement bundle, packed once and kept."""
@@ -217,19 +223,18 @@ class RunCatalogue:
         for left in self._folder.glob("*.upload"):
             left.unlink(missing_ok=True)
 
-    def _insert(self, run: Run, file: Path, name: str, **own: Any) -> RunRecord:
-        lost_samples = np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum()
+    def _insert(self, facts: RunFacts, file: Path, name: str, **own: Any) -> RunRecord:
         query = insert(runs).values(
             **own,
             name=name[:_NAME_LENGTH],
             file=file.name,
             sha256=hash_file(file),
             bytes=file.stat().st_size,
-            mode=run.mode,
-            machine=run.machine.name[:_NAME_LENGTH],
-            samples=len(run.tracker),
-            lost_samples=int(lost_samples),
-            plan=encode_commanded_json(run.commanded),
+            mode=facts.mode,
+            machine=facts.machine[:_NAME_LENGTH],
+            samples=facts.samples,
+            lost_samples=facts.lost_samples,
+            plan=facts.plan,
         )
         self._database.write(lambda connection: connection.execute(query).rowcount)
         return self.get(own["id"])

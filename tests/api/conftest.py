@@ -128,6 +128,7 @@ def service(
     empty_catalogue,
     tmp_path,
     estimates,
+    run_reader,
 ):
     """Everything behind the routes."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
@@ -143,7 +144,7 @@ def service(
 
     context = JobContext(
         store=Store(database, event_bus.publish),
-        runs=RunCatalogue(database, tmp_path / "runs"),
+        runs=RunCatalogue(database, tmp_path / "runs", run_reader),
         results=results,
         executor=Inline(),
         science=science,

@@ -1,9 +1,14 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
+import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from scripted_cell import wait_until
 
 from truepath.app.api import runs as run_routes
 
@@ -174,3 +179,25 @@ def test_an_analysis_says_which_trials_it_is_held_against(client, bundle, until)
 )
 def test_trials_that_cannot_be_are_refused(client, is_problem, order):
     is_problem(client.post("/api/v1/jobs", json=order), 422, "validation")
+
+
+@pytest.mark.fault_row(36)
+def test_the_service_answers_while_what_was_uploaded_is_read(
+    live, service, bundle, run_reader
+):
+    assert upload(live, bundle()).status_code == 201  # the reader is up
+    uploads, folder = 45, service.runs._folder  # more than there are request threads
+    process_id = run_reader._process._process.process_id
+    with ThreadPoolExecutor(uploads) as pool:
+        os.kill(process_id, signal.SIGSTOP)
+        try:
+            sent = [pool.submit(upload, live, bundle()) for _ in range(uploads)]
+            wait_until(lambda: len(list(folder.glob("*.upload"))) >= 4)
+            begun = time.monotonic()
+            for _ in range(20):
+                assert live.get(ADDRESS).status_code == 200
+            assert time.monotonic() - begun < 5
+            assert not any(one.done() for one in sent)
+        finally:
+            os.kill(process_id, signal.SIGCONT)
+        assert {one.result().status_code for one in sent} == {201}

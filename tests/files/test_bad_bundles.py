@@ -243,7 +243,7 @@ TABLE: list[tuple[str, Edit, str]] = [
     (
         "path not text further on",
         holding("path.csv", HEADER.encode() + b"\xe9,1,1,1,1\n"),
-        "path.csv: cannot be read as CSV",
+        "path.csv, row 2: is not text in UTF-8",
     ),
     ("no rows", holding("path.csv", HEADER), "path.csv: has no rows"),
     (

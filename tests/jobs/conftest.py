@@ -170,14 +170,16 @@ def science():
 
 
 @pytest.fixture
-def context(sqlite_catalogue, event_bus, make_cell, science, machine, tmp_path):
+def context(
+    sqlite_catalogue, event_bus, make_cell, science, machine, tmp_path, run_reader
+):
     """Everything a job works with; the cell is not started yet."""
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
     yield JobContext(
         store=Store(sqlite_catalogue, event_bus.publish),
-        runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
+        runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs", run_reader),
         results=results,
         executor=Inline(),
         science=science,

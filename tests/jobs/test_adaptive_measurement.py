@@ -84,7 +84,7 @@ def faults():
 
 
 @pytest.fixture
-def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path):
+def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path, run_reader):
     told = []
     event_bus.subscribe(told.append)
     with Bench(seed=1, speed=SPEED, faults=faults) as bench:
@@ -96,7 +96,7 @@ def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path):
         results.mkdir()
         context = JobContext(
             store=Store(sqlite_catalogue, event_bus.publish),
-            runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
+            runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs", run_reader),
             results=results,
             executor=Inline(),
             science=analyse_recorded,

@@ -41,11 +41,11 @@ def samples():
 
 
 @pytest.fixture
-def folder(tmp_path, empty_catalogue, machine, samples):
+def folder(tmp_path, empty_catalogue, machine, samples, run_reader):
     """A data folder with a history; its catalogue may be spoiled."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
     database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
-    runs = RunCatalogue(database, tmp_path / "runs")
+    runs = RunCatalogue(database, tmp_path / "runs", run_reader)
     store = Store(database, lambda _: None)
 
     def measure(run_id, job_id, name):
