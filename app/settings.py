@@ -27,7 +27,7 @@ from sqlalchemy.exc import ArgumentError
 from truepath.app.errors import BadInput
 from truepath.drivers.interfaces.tracker_records import Light
 
-_PATIENCE = ("silent", "dead", "beam", "late", "point")
+_PATIENCE = ("silent", "dead", "beam", "late", "point", "search")
 _LONGEST_S = 3600.0
 
 
@@ -65,7 +65,8 @@ class Settings(BaseSettings):
     tracker_driver: str = "streaming"
     tracker_options: dict[str, Any] = Field(default_factory=dict)
     tracker_patience_s: dict[str, float] = Field(default_factory=dict)
-    """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`."""
+    """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`,
+    `search`; 0 of the last: a lost target is not searched for."""
     motion_driver: str = "modbus"
     motion_options: dict[str, Any] = Field(default_factory=dict)
     tracker_light: dict[str, float] = Field(default_factory=dict)
@@ -99,7 +100,8 @@ class Settings(BaseSettings):
         for name, value in given.items():
             if name not in _PATIENCE:
                 raise ValueError(f"{name} is none of {', '.join(_PATIENCE)}")
-            if not 0.0 < value < _LONGEST_S:
+            is_off = name == "search" and value == 0.0
+            if not (is_off or 0.0 < value < _LONGEST_S):
                 raise ValueError(f"{name} is {value:g} s, not in 0 to {_LONGEST_S:g} s")
         return given
 

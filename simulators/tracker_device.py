@@ -193,7 +193,8 @@ class TrackerDevice:
                 self._verbs.is_known = version >= VERBS_VERSION
                 return Ack(transaction, Type.HELLO, self._info(true_s, version))
             case Home() | Aim() | Search() | Select() | SetAir() | GetAir() as verb:
-                return self._verbs.answer(verb, true_s)
+                blocked = self._faults.strikes("beam-break", true_s) is not None
+                return self._verbs.answer(verb, true_s, is_blocked=blocked)
             case Start() as start:
                 return self._start(start, true_s)
             case Stop(transaction):
@@ -289,6 +290,8 @@ class TrackerDevice:
 
         number : of the samples; noise : (n, 3) of unit variance
         """
+        for _, mask in self._faults.struck("beam-lost", moments_s, number):
+            self._verbs.lose(float(moments_s[mask][0]))
         parts = self._parts
         point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
         if parts.hidden:

@@ -26,6 +26,8 @@ from truepath.drivers.tracker.streaming.messages import (
 _FIELD_RAD = 0.05  # off the sight, in which a target is found
 _HIGHEST_RAD = math.radians(80.0)
 
+_NOTHING = NakCode.NO_TARGET, "no target near the beam"
+
 LocateTarget = Callable[[str, float], tuple[float, float]]
 """Returns azimuth and elevation of a target at a machine time."""
 
@@ -49,8 +51,13 @@ class TrackerVerbs:
         chosen = np.array(names, object)
         return chosen[np.searchsorted(begins, moments_s, "right") - 1]
 
-    def answer(self, verb: Verb, true_s: float) -> Message:
-        """Do it and reply."""
+    def lose(self, true_s: float) -> None:
+        """Lose the target; the beam stays where it is, until a search."""
+        self._sight = self._locate(self._since[-1][1] or self._names[0], true_s)
+        self._since.append((true_s, None))
+
+    def answer(self, verb: Verb, true_s: float, *, is_blocked: bool = False) -> Message:
+        """Do it and reply; a beam that is blocked finds nothing."""
         kind = _TYPES[type(verb)]
         if not self.is_known:
             return Nak(
@@ -62,7 +69,7 @@ class TrackerVerbs:
             case Aim(_, azimuth_rad, elevation_rad):
                 refusal = self._turn(azimuth_rad, elevation_rad, true_s)
             case Search():
-                refusal = self._search(true_s)
+                refusal = _NOTHING if is_blocked else self._search(true_s)
             case Select(_, name):
                 refusal = self._select(name, true_s)
             case SetAir(_, temperature, pressure, humidity):
@@ -87,7 +94,7 @@ class TrackerVerbs:
         away = {name: self._measure_away(name, true_s) for name in self._names}
         nearest = min(away, key=lambda name: away[name])
         if away[nearest] > _FIELD_RAD:
-            return NakCode.NO_TARGET, "no target near the beam"
+            return _NOTHING
         return self._select(nearest, true_s)
 
     def _select(self, name: str, true_s: float) -> tuple[NakCode, str] | None:

@@ -14,10 +14,10 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.align import align
 from truepath.app.alignment.observations import Observations
-from truepath.app.alignment.sequence import fit_rigid
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import Run
 from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.app.numerics.rigid import fit_rigid
 
 _NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
 _REPEATS_MM = 0.003  # machine and reflector, within minutes

@@ -25,7 +25,6 @@ from truepath.app.alignment.observations import Observations
 from truepath.app.alignment.seating import Seats, find_seating
 from truepath.app.alignment.sequence import (
     TOLERANCE_MM,
-    fit_rigid,
     is_wide,
     match_stops,
     seat_places,
@@ -34,7 +33,7 @@ from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointBlock, PointRows, Run
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Configurations
-from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _FEWEST, _TRIES = 4, 30  # points among which the first pose is sought

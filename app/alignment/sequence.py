@@ -17,7 +17,7 @@ from truepath.app.alignment.seating import MOST_SIGMAS, Seating, Seats
 from truepath.app.alignment.stop_chains import find_longest_chain, match_places
 from truepath.app.alignment.stops import StopSequence
 from truepath.app.errors import AlignmentError
-from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 
 TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
 _WIDER_MM = 2.5, 5.0  # of a machine that is far off
@@ -110,27 +110,6 @@ def is_wide(
     spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
     reach = float(np.linalg.norm(np.ptp(volume_mm, axis=0)))
     return bool(spread[1] > _WIDE * reach)
-
-
-def fit_rigid(
-    source_mm: Float64[np.ndarray, "n 3"],
-    target_mm: Float64[np.ndarray, "n 3"],
-    *,
-    mirrored: bool = False,
-) -> RigidTransform:
-    """Rotate and shift one point set onto another in the least-squares sense.
-
-    source_mm, target_mm : (n, 3), n >= 3, not collinear
-    mirrored : fit an improper rotation instead, to recognise a left-handed frame
-
-    Umeyama (1991), scale fixed at 1.
-    """
-    centre_s, centre_t = source_mm.mean(axis=0), target_mm.mean(axis=0)
-    H = (target_mm - centre_t).T @ (source_mm - centre_s)
-    U, _, Vt = np.linalg.svd(H)
-    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt
-    return RigidTransform(R, centre_t - R @ centre_s)
 
 
 def _recognise(

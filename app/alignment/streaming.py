@@ -28,7 +28,6 @@ from truepath.app.alignment.segmentation import Stream, cut_into_passes
 from truepath.app.alignment.sequence import (
     TOLERANCE_MM,
     Matching,
-    fit_rigid,
     is_wide,
     match_stops,
     seat_places,
@@ -39,7 +38,7 @@ from truepath.app.errors import AlignmentError
 from truepath.app.files.run import Run
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Configurations
-from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see

@@ -15,21 +15,27 @@ class Interruptions:
 
     breaks, broken_s : stretches of samples that the tracker calls invalid
     gaps, lost_samples : places where the counter steps by more than one
+    searches, found : tries of the tracker to find a lost target by itself that failed,
+        and that have found it
     """
 
     breaks: int = 0
     broken_s: float = 0.0
     gaps: int = 0
     lost_samples: int = 0
+    searches: int = 0
+    found: int = 0
 
 
 NO_INTERRUPTIONS = Interruptions()
 
 
-def find_interruptions(tracker: TrackerSamples) -> Interruptions:
-    """Return the interruptions of a stream."""
+def find_interruptions(
+    tracker: TrackerSamples, searches: int = 0, found: int = 0
+) -> Interruptions:
+    """Return the interruptions of a stream, with the searches that were recorded."""
     if len(tracker) < 2:
-        return NO_INTERRUPTIONS
+        return Interruptions(searches=searches, found=found)
     is_bad = np.concatenate([[False], tracker.status != 0, [False]])
     begin, end = np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T
     step_s = float(np.median(np.diff(tracker.device_time_s)))
@@ -39,4 +45,6 @@ def find_interruptions(tracker: TrackerSamples) -> Interruptions:
         float((end - begin).sum()) * step_s,
         int((skipped > 0).sum()),
         int(skipped[skipped > 0].sum()),
+        searches,
+        found,
     )

@@ -182,10 +182,14 @@ def summarize_run(run: Run) -> RunSummary:
         state_facts(run.temperature, run.air, *_find_span_s(time_s)),
         _collect_texts(run, SENSOR_KINDS),
         run.refraction,
-        find_interruptions(run.tracker),
+        find_interruptions(run.tracker, *_count_events(run, "search", "found")),
         tuple(e.text for e in run.events if e.kind == "again"),
         state_quality(run.tracker),
     )
+
+
+def _count_events(run: Run, *kinds: str) -> tuple[int, ...]:
+    return tuple(sum(event.kind == kind for event in run.events) for kind in kinds)
 
 
 def _collect_texts(run: Run, kinds: Collection[str]) -> tuple[str, ...]:

@@ -171,6 +171,13 @@ def make_beam_fault(text: str) -> Fault:
     return Fault(BEAM_LOST.code, text, BEAM_LOST.action, latched=False)
 
 
+def make_unfound_fault(text: str) -> Fault:
+    """Return the fault of a lost target that the tracker does not find by itself."""
+    return Fault(
+        BEAM_LOST.code, f"{BEAM_LOST.text}; {text}", BEAM_LOST.action, latched=False
+    )
+
+
 def make_override_fault(override: float) -> Fault:
     """Return the fault of feeds that are not those of the plan."""
     if override == 0.0:

@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.refraction import choose_refraction, guess_scale, lacks_air
+from truepath.app.kinematics.machine import Machine
 from truepath.app.measurement.axis_order import arrange_axes
 from truepath.app.measurement.environment_reader import (
     EnvironmentReader,
@@ -41,13 +42,14 @@ from truepath.app.measurement.progress import LiveView, schedule_rows
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader
 from truepath.app.measurement.target_check import TargetCheck
+from truepath.app.measurement.target_search import TargetSearch
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.errors import DeviceError, Refused
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import UNABLE, Identity, MotionState
 from truepath.drivers.interfaces.thermometers import Thermometers
-from truepath.drivers.interfaces.tracker import AnyTracker
+from truepath.drivers.interfaces.tracker import AnyTracker, TargetFinder
 
 log = logging.getLogger(__name__)
 
@@ -112,7 +114,7 @@ class Measurement:
             if self._steps is not None and self._steps.is_concluding:
                 text = "ended early: enough is known"
             elif self._steps is not None and self._steps.has_repeated:
-                text += "; some twice, for the stream was damaged meanwhile"
+                text += "; some twice, for what was lost meanwhile"
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
             self._stop(self._motion.hold if self._is_halted else self._motion.abort)
@@ -191,9 +193,16 @@ class Measurement:
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
             TargetCheck(order.machine) if len(order.machine.targets) > 1 else None,
+            self._make_search(order.machine),
         )
         self._steps = MeasurementSteps(self._monitor, order, status.position)
         self._steps.run(commanded)
+
+    def _make_search(self, machine: Machine) -> TargetSearch | None:
+        may_search = self._settings.timeouts.search_s > 0.0
+        if not (may_search and isinstance(self._tracker, TargetFinder)):
+            return None
+        return TargetSearch(self._tracker, machine, self._settings)
 
     def _settle_override(self, override: float | None) -> None:
         """Lower a feed override above 100 %; tell of one that stays another."""

@@ -34,6 +34,7 @@ from truepath.app.measurement.faults import (
     make_silence_fault,
     make_target_fault,
     make_unable_fault,
+    make_unfound_fault,
 )
 from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.app.measurement.messages import CellState, ReportEvent
@@ -44,9 +45,10 @@ from truepath.app.measurement.stream_reader import StreamReader, StreamState
 from truepath.app.measurement.target_check import (
     BOUND_MM,
     TargetCheck,
-    TargetTask,
 )
+from truepath.app.measurement.target_search import SearchStep, TargetSearch
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
+from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -91,6 +93,7 @@ class MeasurementMonitor:
         schedule: RowSchedule,
         settings: EngineSettings,
         targets: TargetCheck | None = None,
+        search: TargetSearch | None = None,
     ) -> None:
         self.settings, self.clock = settings, settings.clock
         self.progress = ProgressEstimator(schedule, settings.progress_s, settings.clock)
@@ -99,6 +102,8 @@ class MeasurementMonitor:
         self._machine = ControllerMonitor(motion, recorder, settings)
         self._stream: StreamReader | None = None
         self._targets = targets  # where there are several
+        self._search = search  # where the tracker can
+        self._lost_row: int | None = None
         self._is_choosing, self._chooses = False, True
         self._failures = 0  # of a polled tracker, one after another
         self._point_s = 0.0
@@ -162,7 +167,8 @@ class MeasurementMonitor:
         """
         if not (self._chooses and isinstance(self._tracker, TargetChoice)):
             return True
-        task, late_s = TargetTask(self._tracker, name), self.clock() + _CHOICE_S
+        tracker, late_s = self._tracker, self.clock() + _CHOICE_S
+        task = TrackerTask(lambda: tracker.select_target(name))
         self._is_choosing = True
         try:
             while not task.is_over:
@@ -223,6 +229,9 @@ class MeasurementMonitor:
             return False
         if not self.holds_target(target, reader.point.position_mm):
             return False
+        if self._search is not None:
+            axes = dict(zip(self.motion.axes, here, strict=True))
+            self._search.remember(axes, target, reader.point.position_mm, stands=True)
         self.recorder.put_point(row, reader.point, reader.take_link_bytes())
         self._failures, self._point_s = 0, reader.point.time_s
         return True
@@ -280,9 +289,11 @@ class MeasurementMonitor:
         self._check_disk()
         self._tell_events()
         self._check_stream()
-        status = self._machine.poll()
+        here, status = self._machine.position, self._machine.poll()
         if status is not None:
             self._apply_status(status)
+            if self._search is not None:
+                self._follow_target(self._search, stands=status.position == here)
         self._report_progress()
         return status
 
@@ -313,6 +324,8 @@ class MeasurementMonitor:
             self._hold_feed(HoldReason.SILENCE, SILENT)
         elif state is StreamState.BEAM_LOST and not self._is_choosing:
             self._hold_feed(HoldReason.BEAM, BEAM_LOST)
+            if self._lost_row is None and self.progress.stage == "measuring":
+                self._lost_row = self._rows[0]
         elif state is StreamState.GOOD:
             # Too short for anybody to have walked up to the machine: go on by itself.
             for reason in {HoldReason.SILENCE, HoldReason.DAMAGE} & self.state.holds:
@@ -330,6 +343,40 @@ class MeasurementMonitor:
             self._hit_row = self._rows[0]
         if self._damaged.measure_s() > self.settings.timeouts.damaged_s:
             raise STAYS_DAMAGED
+
+    def _follow_target(self, search: TargetSearch, *, stands: bool) -> None:
+        """Remember where the target is; have the tracker find one that is lost."""
+        here = dict(zip(self.motion.axes, self._machine.position, strict=True))
+        name, point = self.progress.target, self.progress.point
+        if HoldReason.BEAM not in self.state.holds:
+            search.forget()
+            self._lost_row = None
+            place_mm = self._see()
+            if place_mm is not None:
+                search.remember(here, name, place_mm, stands=stands)
+        elif self.state.state is CellState.PAUSED:
+            see = None if self.is_polled else self._see
+            key = -1 if point is None else point
+            step = search.advance(here, name, key, see)
+            if step is not None:
+                self._tell_search(step)
+
+    def _see(self) -> NDArray[np.float64] | None:
+        """Return where the stream has the target now, None while it is not seen."""
+        stream = self._stream
+        if stream is None or stream.assess() is not StreamState.GOOD:
+            return None
+        return stream.place_mm if stream.is_seen else None
+
+    def _tell_search(self, step: SearchStep) -> None:
+        """Record a try; go on where it has found, and drive the lost line again."""
+        self._record_event("found" if step.has_found else "search", step.text)
+        if step.has_found:
+            if self.progress.point is None and self._hit_row is None:
+                self._hit_row = self._lost_row
+            self._release_hold(HoldReason.BEAM, "the target was found again")
+        elif step.is_last:
+            self.report_fault(make_unfound_fault(step.text))
 
     def _tell_events(self) -> None:
         """Record what happens at the tracker; report what somebody has to look at."""

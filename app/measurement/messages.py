@@ -42,6 +42,9 @@ class StreamTimeouts:
     late_s : what counts at most of a time in which the host did not run: a suspended or
         starved process reads nothing, and finds all data waiting afterwards
     point_s : how much longer than its dwell a point of a polled tracker may take
+    search_s : how long after a lost beam a tracker may find its target again for the
+        measurement to go on by itself: too short for anybody to be at the machine; at
+        0 it is never asked to
     """
 
     silent_s: float = 0.5
@@ -51,6 +54,7 @@ class StreamTimeouts:
     damaged_s: float = 10.0
     late_s: float = 0.25
     point_s: float = 20.0
+    search_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +200,7 @@ class PartRequested:
 
 @dataclass(frozen=True, slots=True)
 class LinesDamaged:
-    """Event: lines were driven while the stream was damaged; they are driven again.
+    """Event: lines were driven without a whole stream; they are driven again.
 
     row : the first of them
     again : what is driven now; None where the order grows: who extends it decides

@@ -27,10 +27,12 @@ class RowSchedule:
     """Planned time of each row, line towards it and dwell included.
 
     unit : what is counted, `lines` or `points`
+    target : name of the target measured at each row; empty for a single target
     """
 
     unit: str
     row_s: NDArray[np.float64]
+    target: tuple[str, ...] = ()
 
     @property
     def total(self) -> int:
@@ -60,7 +62,7 @@ class RowSchedule:
 def schedule_rows(commanded: Path | Configurations, feed_mm_min: float) -> RowSchedule:
     """Return the schedule of a path, or of points stepped through at a feed."""
     unit = "lines" if isinstance(commanded, Path) else "points"
-    return RowSchedule(unit, row_times_s(commanded, feed_mm_min))
+    return RowSchedule(unit, row_times_s(commanded, feed_mm_min), commanded.target)
 
 
 class ProgressEstimator:
@@ -89,6 +91,16 @@ class ProgressEstimator:
     def longest_row_s(self) -> float:
         """Planned time of the slowest row, of all that are known so far."""
         return float(self._schedule.row_s.max(initial=0.0))
+
+    @property
+    def target(self) -> str:
+        """Name of the target that is measured at the row; empty for a single one."""
+        return self._schedule.target[self.row] if self._schedule.target else ""
+
+    @property
+    def point(self) -> int | None:
+        """The row where points are measured; None on a path."""
+        return self.row if self._schedule.unit == "points" else None
 
     def begin(self, row: int = 0) -> None:
         """Move towards a row from now on; the first call starts the clock."""

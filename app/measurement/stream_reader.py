@@ -47,7 +47,7 @@ class StreamReader:
     failure : what ended the thread before it was stopped
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
-    place_mm : of the newest valid sample
+    place_mm : of the newest valid sample; is_seen : it is the newest of all
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class StreamReader:
         )
         self.failure: Exception | None = None
         self.device_time_s: float | None = None
-        self.has_valid = False
+        self.has_valid = self.is_seen = False
         self.place_mm: NDArray[np.float64] | None = None
 
     def start(self, rate_hz: float) -> None:
@@ -136,6 +136,7 @@ class StreamReader:
                 self._damage.note(block, crc_errors)
             self.device_time_s = float(block.device_time_s[-1])
             valid = np.flatnonzero(block.status == 0)
+            self.is_seen = bool(block.status[-1] == 0)
             if len(valid):
                 self._valid_s, self.has_valid = now_s, True
                 self.place_mm = block.position_mm[valid[-1]]

@@ -7,7 +7,6 @@ to each other than the bound cannot be told apart.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from truepath.app.kinematics.conditions import observe_targets
 from truepath.app.kinematics.machine import Machine
-from truepath.drivers.interfaces.tracker import TargetChoice
 
 BOUND_MM = 5.0  # targets sit to a millimetre or so, and the machine has its errors
 _KEPT = 50
@@ -51,28 +49,3 @@ class TargetCheck:
         if misfit <= BOUND_MM:
             self._kept.append((stated, np.array(place_mm, float)))
         return float(misfit)
-
-
-class TargetTask:
-    """A tracker that chooses its target, in a thread of its own. Begins at once.
-
-    failure : why it has not
-    """
-
-    def __init__(self, tracker: TargetChoice, name: str) -> None:
-        self._tracker, self._name = tracker, name
-        self.failure: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name="target", daemon=True)
-        self._thread.start()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether it has, or has failed."""
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        """Body of the thread."""
-        try:
-            self._tracker.select_target(self._name)
-        except Exception as error:
-            self.failure = error

@@ -37,6 +37,27 @@ class RigidTransform:
         )
 
 
+def fit_rigid(
+    source_mm: Float64[np.ndarray, "n 3"],
+    target_mm: Float64[np.ndarray, "n 3"],
+    *,
+    mirrored: bool = False,
+) -> RigidTransform:
+    """Rotate and shift one point set onto another in the least-squares sense.
+
+    source_mm, target_mm : (n, 3), n >= 3, not collinear
+    mirrored : fit an improper rotation instead, to recognise a left-handed frame
+
+    Umeyama (1991), scale fixed at 1.
+    """
+    centre_s, centre_t = source_mm.mean(axis=0), target_mm.mean(axis=0)
+    H = (target_mm - centre_t).T @ (source_mm - centre_s)
+    U, _, Vt = np.linalg.svd(H)
+    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt
+    return RigidTransform(R, centre_t - R @ centre_s)
+
+
 def build_rotation(
     rotation_rad: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3 3"]:

@@ -210,6 +210,10 @@ def state_interruptions(summary: RunSummary) -> str:
     if found.gaps:
         places = "one place" if found.gaps == 1 else f"{found.gaps} places"
         said.append(f"{found.lost_samples:,} samples lost in {places}")
+    if found.searches or found.found:
+        tries = found.searches + found.found
+        times = "once" if tries == 1 else f"{tries} times"
+        said.append(f"the tracker searched {times} and found it {found.found} times")
     if summary.driven_again:
         said.append(f"driven twice: {', '.join(summary.driven_again)}")
     return "; ".join(said)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from truepath.app.alignment.sequence import fit_rigid
-from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 
+from truepath.app.alignment.align import align
 from truepath.app.errors import MeasurementFailed, OutOfTravel, TruepathError
 from truepath.app.files.bundle import read_bundle, write_bundle
 from truepath.app.files.machine_file import machine_from_json
@@ -123,6 +124,16 @@ def connected(driven) -> Driven:
 
 @pytest.fixture
 def watchful(bench) -> Iterator[Driven]:
+    """A connected cell with the patience of the service, which asks for no search."""
+    made = Driven(config_of(bench, StreamTimeouts(search_s=0.0)))
+    made.cell.start()
+    made.cell.connect()
+    yield made
+    made.cell.close()
+
+
+@pytest.fixture
+def searching(bench) -> Iterator[Driven]:
     """A connected cell with the patience of the service."""
     made = Driven(config_of(bench, StreamTimeouts()))
     made.cell.start()
@@ -591,6 +602,27 @@ def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
     watchful.cell.send(CellVerb.RESUME)
     assert watchful.until_closed().outcome == "finished"
     assert (open_run(long_order.run_file).tracker.status != 0).any()
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(9)
+def test_a_target_that_only_a_search_finds_needs_nobody(bench, searching, order):
+    searching.cell.begin(order)
+    searching.until_line(2)
+    bench.inject("tracker:beam-lost")
+    assert searching.until_closed().outcome == "finished"
+    assert searching.faults == ["beam-lost"]
+    run = open_run(order.run_file)
+    kinds = [event.kind for event in run.events]
+    assert kinds.count("found") == 1
+    assert "again" in kinds
+    assert (run.tracker.status != 0).any()
+    assert len(run.commanded) > len(order.commanded)
+    seen = align(run)
+    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+    assert np.abs(off).max() < 0.4
+    missing = set(range(1, len(run.commanded))) - set(seen.row.tolist())
+    assert len(missing) <= 1  # the line that the beam was lost on
 
 
 @pytest.mark.fault_row(19)
