@@ -31,7 +31,7 @@ TICK_S = 1.0
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
-_LIVE = ("progress", "live", "estimate", "plan", "notice")
+_LIVE = ("job", "progress", "live", "estimate", "plan", "notice")
 
 router = APIRouter(tags=["events"])
 
@@ -42,7 +42,8 @@ _EXAMPLE = (
 )
 _STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Events `job` (kept, with id), and for now only: `progress`, "
+        "description": "Events `job` (kept, with id; without one where the catalogue "
+        "cannot be written), and for now only: `progress`, "
         "`live`, `estimate`, `plan`, `notice`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
@@ -95,8 +96,7 @@ class Subscription:
                     yield _describe_job_event(decode_job(stored.body), stored.id)
                 news = bool(missed)
             for job_event in live:
-                body = {"job_id": job_event.job_id, **job_event.body}
-                yield ServerSentEvent(data=body, event=job_event.type)
+                yield _describe_live(job_event)
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + TICK_S
                 tick = {"time": format_utc_now(), "last_event_id": known}
@@ -184,7 +184,17 @@ def _read_present(
     """Return where things stand, for a client that has seen nothing."""
     store = service.store
     jobs = store.list_unfinished() if job_id is None else [store.get(job_id)]
-    return [_describe_job_event(job, newest) for job in jobs]
+    shown = [service.dispatcher.show(job) for job in jobs]
+    return [_describe_job_event(job, newest) for job in shown]
+
+
+def _describe_live(job_event: JobEvent) -> ServerSentEvent:
+    if job_event.type == "job":  # it could not be stored
+        return ServerSentEvent(
+            data=describe_job(decode_job(job_event.body)), event="job"
+        )
+    body = {"job_id": job_event.job_id, **job_event.body}
+    return ServerSentEvent(data=body, event=job_event.type)
 
 
 def _describe_job_event(job: Job, event_id: int | None) -> ServerSentEvent:

@@ -65,13 +65,15 @@ def list_jobs(
 ) -> JobPage:
     """List jobs, the newest first."""
     jobs, after = paging.read(partial(service.store.list_page, states=state))
-    return JobPage(items=[describe_job(job) for job in jobs], next=after)
+    shown = [service.dispatcher.show(job) for job in jobs]
+    return JobPage(items=[describe_job(job) for job in shown], next=after)
 
 
 @router.get("/{job_id}", responses=declare_problems(404))
 def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
-    return _describe(service.store.get(job_id), response)
+    job = service.dispatcher.show(service.store.get(job_id))
+    return _describe(job, response)
 
 
 @router.post(

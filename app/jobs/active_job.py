@@ -13,7 +13,16 @@ import structlog
 from truepath.app.jobs.errors import Aborted, Interrupted, StorageUnavailable
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import Computation
-from truepath.app.jobs.job import Failure, Health, Job, JobEvent, Json, Progress, Stage
+from truepath.app.jobs.job import (
+    Failure,
+    Health,
+    Job,
+    JobEvent,
+    Json,
+    Progress,
+    Stage,
+    encode_job,
+)
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.store import Store
@@ -49,6 +58,7 @@ class ActiveJob:
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
+        self._unstored: tuple[State | None, Failure] | None = None
 
     @property
     def is_cancelled(self) -> bool:
@@ -222,7 +232,10 @@ class ActiveJob:
                 )
             except StorageUnavailable as error:
                 # Progress is a convenience: the measurement goes on without it.
-                log.warning("progress not kept", job_id=self.job_id, reason=str(error))
+                self.show_unstored(error)
+            else:
+                if self._unstored is not None:
+                    self._show_unstored(None)
 
     def set_sample_counts(self, samples: int, lost_samples: int) -> None:
         """Set what the Run holds: the last progress may be a little older."""
@@ -232,8 +245,39 @@ class ActiveJob:
         """Publish an event that is not stored: `live`, `estimate`, `plan`."""
         self._event_bus.publish(JobEvent(type_, self.job_id, body))
 
+    def show(self, job: Job) -> Job:
+        """Return the job as stored with what could not be stored of it since."""
+        if job.is_final or self._unstored is None:
+            return job
+        state, failure = self._unstored
+        return replace(job, state=state or job.state, failure=failure)
+
+    def show_unstored(
+        self, error: StorageUnavailable, state: State | None = None
+    ) -> None:
+        """Show at once that the catalogue cannot be written, and how the job ended.
+
+        state : in which it has ended; None while it has not. That of a success is
+            shown when it is stored, for its result is found by it.
+        """
+        known = None if self._unstored is None else self._unstored[0]
+        shown = known if state in (None, State.SUCCEEDED) else state
+        unstored = shown, Failure(type(error).__name__, str(error))
+        if unstored != self._unstored:
+            log.warning("job not stored", job_id=self.job_id, reason=str(error))
+            self._show_unstored(unstored)
+
+    def _show_unstored(self, unstored: tuple[State | None, Failure] | None) -> None:
+        self._unstored = unstored
+        self.publish("job", encode_job(self.show(self.job)))
+
     def _change(self, change: Callable[[Job], Job], version: int | None = None) -> Job:
-        job = self._store.change(self.job_id, change, version=version)
+        try:
+            job = self._store.change(self.job_id, change, version=version)
+        except StorageUnavailable as error:
+            self.show_unstored(error)
+            raise
+        self._unstored = None
         with self._changed:
             self.job = job
             if job.state is not self.state:

@@ -26,12 +26,14 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from truepath.app.errors import BadInput
 from truepath.app.jobs.catalogue_file import check_catalogue
-from truepath.app.jobs.errors import SchemaTooNew, StorageUnavailable
+from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
+from truepath.app.jobs.seldom import Seldom
 
 log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
+_FULL = "disk is full", "No space left"  # as SQLite and PostgreSQL say it
 _PRAGMAS = (
     "journal_mode=WAL",
     "synchronous=FULL",
@@ -48,7 +50,7 @@ class Database:
 
     def __init__(self, url: str, *, patience_s: float = 15.0) -> None:
         self._patience_s = patience_s
-        self._writer = threading.RLock()
+        self._writer, self._seldom = threading.RLock(), Seldom()
         self.engine = _engine(url)
 
     @contextmanager
@@ -62,7 +64,9 @@ class Database:
     ) -> T:
         """Run `change` in one transaction, alone, repeated while the file is locked.
 
-        then : runs before the next writer. Raises StorageUnavailable after `patience_s`
+        then : runs before the next writer
+
+        Raises StorageUnavailable after `patience_s`, StorageFull at once.
         """
         deadline = time.monotonic() + self._patience_s
         with self._writer:
@@ -131,9 +135,13 @@ class Database:
                     with connection.begin():
                         return change(connection)
             except OperationalError as error:
+                if _is_full(error):
+                    text = f"the catalogue cannot be written: {error.orig}"
+                    raise StorageFull(text) from error
                 if time.monotonic() > deadline:
                     raise StorageUnavailable(_busy_text(error)) from error
-                log.warning("catalogue is busy", reason=str(error.orig))
+                if self._seldom.is_due():
+                    log.warning("catalogue is busy", reason=str(error.orig))
                 time.sleep(0.1)
 
     def _copy_aside(self, revision: str) -> None:
@@ -155,6 +163,10 @@ def _as_storage_errors() -> Iterator[None]:
         yield
     except OperationalError as error:
         raise StorageUnavailable(_busy_text(error)) from error
+
+
+def _is_full(error: OperationalError) -> bool:
+    return any(sign in str(error.orig) for sign in _FULL)
 
 
 def _busy_text(error: OperationalError) -> str:

@@ -64,6 +64,11 @@ class Dispatcher:
             if not job.kind.measures:
                 self._begin_again(job)
 
+    def show(self, job: Job) -> Job:
+        """Return a stored job with what could not be stored of it since."""
+        active = self._active.get(job.id)
+        return job if active is None else active.show(job)
+
     @property
     def is_measuring(self) -> bool:
         """Whether a job under way measures, or is about to."""
@@ -205,8 +210,9 @@ class Dispatcher:
             del self._active[job.id]
 
     def _name_runs(self, job: Job) -> None:
-        """Name Runs that were catalogued while the job could not be written."""
+        """Catalogue and name the Runs of a job that could not be while it lasted."""
         try:
+            self._add_runs(job)
             store_runs(job.id, self._context)
         except StorageUnavailable as error:
             log.warning("the Runs are not named yet", job_id=job.id, reason=str(error))
@@ -226,11 +232,14 @@ class Dispatcher:
         if not queued.is_final:
             self._begin(queued)
 
-    def _interrupt(self, job: Job) -> None:
-        runs, plan = self._context.runs, self._context.store.read_plan(job.id) or {}
+    def _add_runs(self, job: Job) -> None:
+        plan = self._context.store.read_plan(job.id) or {}
         stations = (*list_run_ids(plan), *list_run_ids(plan, "points_id"))
         for run_id in dict.fromkeys((job.id, *stations)):
-            runs.add_measured(run_id)
+            self._context.runs.add_measured(run_id)
+
+    def _interrupt(self, job: Job) -> None:
+        self._add_runs(job)
         text = f"the service ended while the job was {job.state}"
         after = replace(
             name_runs(job, self._context),

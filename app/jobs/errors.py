@@ -132,3 +132,7 @@ class InUse(TruepathError):
 
 class StorageUnavailable(TruepathError):
     """The catalogue stayed locked, or its server was away, for too long."""
+
+
+class StorageFull(StorageUnavailable):
+    """The disk of the catalogue has no room left. Known at once."""

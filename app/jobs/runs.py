@@ -25,6 +25,7 @@ from truepath.app.files.bundle import MAX_BYTES, zip_bundle
 from truepath.app.files.runs_in_time import TimedRun
 from truepath.app.files.whole_files import replace_file, sync_to_disk
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import (
     format_file_time,
     format_utc,
@@ -93,6 +94,9 @@ class RunCatalogue:
             return None
         try:
             return self.read_measured(run_id)
+        except StorageUnavailable as error:
+            log.warning("the Run is not catalogued yet", reason=str(error))
+            return None
         except Exception:
             log.exception("the Run cannot be read; its file is kept")
             return None

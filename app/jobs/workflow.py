@@ -49,13 +49,12 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         state, failure = State.SUCCEEDED, None
         try:
             _JobSteps(job, active, context).run()
-        except Interrupted as error:
-            if not job.kind.measures:
+        except Exception as error:
+            cause = _find_cause(error, active)
+            if isinstance(cause, Interrupted) and not job.kind.measures:
                 _put_back(active)
                 return
-            state, failure = classify_error(error)
-        except Exception as error:
-            state, failure = classify_error(error)
+            state, failure = classify_error(cause)
         _store_end(active, state, failure)
 
 
@@ -78,6 +77,18 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
     return State.FAILED, Failure(family, text)
 
 
+def _find_cause(error: Exception, active: ActiveJob) -> Exception:
+    """Return why the job ended: what a cancelled job trips over is its cancelling."""
+    if isinstance(error, TruepathError | DeviceError):
+        return error
+    try:
+        active.checkpoint()
+    except (Aborted, Interrupted) as cancelled:
+        log.warning("job cancelled", reason=repr(error))
+        return cancelled
+    return error
+
+
 def _put_back(active: ActiveJob) -> None:
     try:
         active.put_back()
@@ -92,8 +103,8 @@ def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None
             if state is State.ABORTED:
                 active.apply_verb(Verb.ABORT)
             job = active.end(state, failure)
-        except StorageUnavailable:
-            log.exception("the end of the job cannot be stored yet")
+        except StorageUnavailable as error:
+            active.show_unstored(error, state)
             if active.is_cancelled:  # the next start of the service will find it
                 return
             time.sleep(TRY_AGAIN_S)

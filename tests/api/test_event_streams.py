@@ -13,6 +13,7 @@ import pytest
 from scripted_cell import wait_until
 
 from truepath.app.api import events
+from truepath.app.jobs.errors import StorageFull
 from truepath.app.jobs.job import Job, JobEvent, JobKind
 from truepath.app.jobs.transitions import State
 
@@ -169,6 +170,38 @@ def test_a_measurement_can_be_followed_to_its_result(live, make_cell, order, ser
     states = [event.data["state"] for event in heard if event.type == "job"]
     assert states[:4] == ["queued", "preparing", "ready", "running"]
     assert {event.type for event in heard} >= {"job", "progress", "live"}
+
+
+@pytest.mark.fault_row(27)
+def test_what_a_full_disk_does_not_take_is_told_and_shown(
+    live, make_cell, order, service
+):
+    keep = service.store.change
+
+    def full(*_, **__):
+        raise StorageFull("the catalogue cannot be written: disk is full")
+
+    with stream(live) as found:
+        read(found, 1, ("tick",))
+        job = live.post("/api/v1/jobs", json=order).json()
+        address = f"/api/v1/jobs/{job['id']}"
+        while (now := read(found, 1)[0]).data["state"] != "ready":
+            pass
+        live.post(f"{address}/arm", headers={"If-Match": f'"{now.data["version"]}"'})
+        assert make_cell.cell.begun.wait(5)
+        service.store.change = full
+        make_cell.cell.say_state("paused")
+        while (told := read(found, 1)[0]).data["state"] != "failed":
+            pass
+        shown = live.get(address).json()
+        (listed,) = live.get("/api/v1/jobs").json()["items"]
+        service.store.change = keep
+        while (stored := read(found, 1)[0]).id is None:
+            pass
+    assert told.id is None
+    for job in (told.data, shown, listed, stored.data):
+        assert (job["state"], job["error"]["code"]) == ("failed", "storage-full")
+    assert "Free some space" in shown["error"]["action"]
 
 
 @pytest.mark.fault_row(32)

@@ -204,6 +204,17 @@ def test_the_same_key_makes_one_plan(client):
     assert first["id"] == again["id"]
 
 
+@pytest.mark.parametrize("feed", [5e-324, 1e-9, 1e6])
+def test_rows_that_may_be_driven_have_a_duration(client, feed):
+    rows = [
+        {"x_mm": 10, "y_mm": 10, "z_mm": 100, "dwell_s": 3600},
+        {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
+    ]
+    answer = client.post("/api/v1/plans:validate", json={"path": rows})
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["duration_s"] > 3600.0
+
+
 def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
     rows = [
         {"x_mm": 10, "y_mm": 10, "z_mm": 100},

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import threading
 import zipfile
+from concurrent.futures import CancelledError
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from truepath.app.errors import BundleError, NotFound
 from truepath.app.files.bundle import write_bundle
 from truepath.app.files.run import Run
 from truepath.app.jobs import dispatcher as dispatching
+from truepath.app.jobs import workflow
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import Aborted, QueueFull
 from truepath.app.jobs.job import JobKind
@@ -219,3 +222,42 @@ def test_what_interrupted_uploads_left_is_swept_away(context, analysing):
     assert left.is_file()
     analysing.interrupt_unfinished_jobs()
     assert not left.exists()
+
+
+class _CancelledFuture:
+    """A computation that ends as a future does that somebody has cancelled."""
+
+    def __init__(self, started):
+        self._started, self._cancelled = started, threading.Event()
+
+    def result(self):
+        self._started()
+        assert self._cancelled.wait(5)
+        raise CancelledError
+
+    def cancel(self):
+        self._cancelled.set()
+
+
+@pytest.mark.parametrize("verb", ["abort", "close"])
+def test_what_a_cancelled_job_trips_over_is_no_failure(
+    context, run, event_bus, monkeypatch, verb
+):
+    """The future ends before the catalogue has taken the abort."""
+    executor = SimpleNamespace(
+        submit=lambda *_, started, **__: _CancelledFuture(started)
+    )
+    bare = replace(context, machine=None, cell=None, executor=executor)
+    dispatcher, errors = Dispatcher(bare, event_bus), []
+    monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))
+    job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
+    wait_until(lambda: context.store.get(job.id).state == "running")
+    if verb == "abort":
+        dispatcher._active[job.id].abort()
+    else:
+        dispatcher.close()
+    ended = "aborted" if verb == "abort" else "queued"
+    wait_until(lambda: context.store.get(job.id).state == ended)
+    assert context.store.get(job.id).failure is None
+    assert errors == []
+    dispatcher.close()

@@ -12,11 +12,13 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
+from sqlalchemy.exc import OperationalError
 
 from truepath.app.errors import BadInput
+from truepath.app.jobs import database as databases
 from truepath.app.jobs import migrations
 from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import SchemaTooNew, StorageUnavailable
+from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
 from truepath.app.jobs.schema import metadata
 from truepath.app.jobs.store import Store
 
@@ -174,3 +176,32 @@ def test_a_server_that_is_away_is_unavailable(tmp_path):
     with pytest.raises(StorageUnavailable, match="does not answer"):
         database.migrate()
     database.close()
+
+
+@pytest.mark.fault_row(37)
+def test_a_busy_catalogue_is_logged_once_in_a_while(sqlite_database, monkeypatch):
+    lines, tries = [], []
+    monkeypatch.setattr(databases.log, "warning", lambda *told, **_: lines.append(told))
+
+    def refuse(_):
+        tries.append(1)
+        raise OperationalError("", {}, sqlite3.OperationalError("database is locked"))
+
+    monkeypatch.setattr(databases.time, "sleep", lambda _: None)
+    with pytest.raises(StorageUnavailable):
+        sqlite_database.write(refuse)
+    assert len(tries) > 20
+    assert len(lines) == 1
+
+
+@pytest.mark.fault_row(27)
+def test_a_full_disk_is_told_at_once(sqlite_database):
+    def refuse(_):
+        tries.append(1)
+        full = sqlite3.OperationalError("database or disk is full")
+        raise OperationalError("", {}, full)
+
+    tries = []
+    with pytest.raises(StorageFull, match=r"cannot be written: .*disk is full"):
+        sqlite_database.write(refuse)
+    assert len(tries) == 1

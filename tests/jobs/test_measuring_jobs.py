@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 import time
 from dataclasses import replace
 
 import pytest
 from scripted_cell import ScriptedLive, wait_until
-from sqlalchemy import text
+from sqlalchemy import event, text
 
 from truepath.app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
 from truepath.app.files.commanded_file import (
@@ -16,7 +17,8 @@ from truepath.app.files.commanded_file import (
     encode_commanded_json,
 )
 from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.jobs import cell_measurement
+from truepath.app.jobs import active_job, cell_measurement, workflow
+from truepath.app.jobs import database as databases
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import (
     CellBusy,
@@ -744,6 +746,89 @@ def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
     make_cell.cell.end()
     assert until(running, "succeeded").health.samples == 60
     context.store.keep_progress = keep
+
+
+@pytest.fixture
+def full(context):
+    """While it is set, the disk of the catalogue has no room left."""
+    database, full = context.store._database, threading.Event()
+    engine = database.engine
+
+    def refuse(connection, cursor, statement, *_):
+        if full.is_set() and not statement.startswith(("SELECT", "BEGIN", "PRAGMA")):
+            raise sqlite3.OperationalError("database or disk is full")
+
+    event.listen(engine, "before_cursor_execute", refuse)
+    yield full
+    full.clear()
+    event.remove(engine, "before_cursor_execute", refuse)
+
+
+@pytest.mark.fault_row(27)
+def test_a_full_disk_is_shown_at_once_and_the_job_ends_when_there_is_room(
+    dispatcher, running, make_cell, until, full, context, event_bus
+):
+    heard = []
+    forget = event_bus.subscribe(heard.append)
+    full.set()
+    begun = time.monotonic()
+    make_cell.cell.say_state("paused")
+
+    def shown():
+        job = dispatcher.show(context.store.get(running.id))
+        return job if job.state == "failed" else None
+
+    job = wait_until(shown)
+    assert time.monotonic() - begun < 5.0
+    assert job.failure.family == "StorageFull"
+    assert "disk is full" in job.failure.detail
+    assert context.store.get(running.id).state == "running"
+    told = [e.body for e in heard if e.type == "job" and e.id is None]
+    assert told[-1]["state"] == "failed"
+    full.clear()
+    stored = until(running, "failed")
+    assert stored.failure.family == "StorageFull"
+    wait_until(lambda: context.store.get(running.id).run_id)
+    forget()
+
+
+def test_progress_that_could_not_be_kept_is_shown_until_it_is(
+    dispatcher, running, make_cell, context, full, monkeypatch
+):
+    monkeypatch.setattr(active_job, "STORE_EVERY_S", 0.0)
+
+    def shown():
+        make_cell.cell.record(10)
+        return dispatcher.show(context.store.get(running.id)).failure
+
+    full.set()
+    assert wait_until(shown).family == "StorageFull"
+    full.clear()
+    wait_until(lambda: shown() is None)
+    assert dispatcher.show(context.store.get(running.id)).state == "running"
+
+
+def test_a_full_disk_is_logged_once_not_ten_times_a_second(
+    dispatcher, running, make_cell, until, full, monkeypatch
+):
+    monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.005)
+    lines, tries = [], []
+    for module in (active_job, workflow, databases):
+        for level in ("warning", "exception"):
+            monkeypatch.setattr(module.log, level, lambda text, **_: lines.append(text))
+    full.set()
+    store_end = active_job.ActiveJob.end
+    monkeypatch.setattr(
+        active_job.ActiveJob,
+        "end",
+        lambda *given: (tries.append(1), store_end(*given))[1],
+    )
+    make_cell.cell.say_state("paused")
+    wait_until(lambda: len(tries) > 20)
+    full.clear()
+    until(running, "failed")
+    assert 1 <= lines.count("job not stored") <= 2
+    assert len(lines) <= 4
 
 
 def test_a_run_that_is_not_closed_in_time_is_a_fault(

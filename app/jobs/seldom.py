@@ -1,0 +1,27 @@
+"""What repeats is logged once in a while."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+
+class Seldom:
+    """Says whether it is time to log again; any thread."""
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self._every_s, self._next_s = every_s, -float("inf")
+        self._lock = threading.Lock()
+
+    def is_due(self) -> bool:
+        """Return True the first time, and then once in `every_s`."""
+        now_s = time.monotonic()
+        with self._lock:
+            if now_s < self._next_s:
+                return False
+            self._next_s = now_s + self._every_s
+            return True
+
+    def reset(self) -> None:
+        """Be due at the next time: what repeated is over."""
+        self._next_s = -float("inf")
