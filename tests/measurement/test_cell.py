@@ -663,6 +663,26 @@ def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, long_o
     assert "operator" in connected.of(FaultReported)[0].text
 
 
+@pytest.mark.long
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_named_and_ends_where_it_is_turned_up(
+    bench, connected, long_order, machine_state
+):
+    connected.cell.begin(long_order)
+    connected.until_line(1)
+    bench.inject(f"cnc:override+{13 * SPEED}s*0")
+    connected.until(lambda: bool(connected.faults))
+    (told,) = connected.of(FaultReported)
+    assert told.code == "feed-override"
+    assert "the feed override is 0 %" in told.text
+    standing = machine_state()
+    assert (standing.state, standing.override) == ("running", 0.0)
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    assert connected.faults == ["feed-override"]
+    assert moves(open_run(closed.run_file)) >= len(long_order.commanded) - 1
+
+
 @pytest.mark.fault_row(7)
 def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path):
     faults = ["tracker:wrong-identity"]

@@ -53,6 +53,20 @@ def lengthened(path, rng, rows=6):
     )
 
 
+def ended_at(run, rows, share):
+    """The same recording, of a path that ends so far on the way to its last row."""
+    path = run.commanded
+    position = path.position[:rows].copy()
+    position[-1] = position[-2] + share * (position[-1] - position[-2])
+    commanded = replace(
+        path,
+        position=position,
+        feed_mm_min=path.feed_mm_min[:rows],
+        dwell_s=path.dwell_s[:rows],
+    )
+    return replace(run, commanded=commanded)
+
+
 @pytest.mark.parametrize("seed", [6, 7])
 def test_of_a_path_that_was_driven_as_commanded_nothing_is_said(record, seed):
     run, _ = record(seed)
@@ -98,6 +112,19 @@ def test_a_recording_that_begins_late_says_so(record):
     values = values_of(said_of(run))["path-not-whole"]
     assert values["first"] > 1
     assert values["last"] == values["lines"] == 23
+
+
+@pytest.mark.fault_row(21)
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_what_is_driven_beyond_the_last_row_is_taken_for_no_line(record, share):
+    """It goes on to further places, or through the last one without a stop."""
+    run, _ = record(6)
+    whole = {each.row: each for each in align(run).passes}
+    begun = {each.row: each for each in align(ended_at(run, 18, share)).passes}
+    last = 17 if share == 1.0 else 16
+    assert sorted(begun) == list(range(1, last + 1))
+    for row, each in begun.items():
+        assert (each.first, each.last) == (whole[row].first, whole[row].last)
 
 
 @pytest.mark.parametrize("other", [7, 8])
