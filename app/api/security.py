@@ -90,6 +90,9 @@ class Guard:
             await answer.refuse(BY_STATUS[421], detail)
         elif scope["method"] in _UNSAFE and not _is_same_site(headers):
             await answer.refuse(BY_STATUS[403])
+        elif "\0" in scope["path"]:  # PostgreSQL takes it for no text
+            detail = "the address holds the character NUL; no identifier has it"
+            await answer.refuse(BY_STATUS[400], detail)
         else:
             await self._app(scope, receive, answer.send)
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
+import zipfile
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from truepath.app.api.application import describe_interface
@@ -127,3 +132,103 @@ def test_hostile_bodies_are_problems(client, sound, method, path):
         headers = {"content-type": kind.encode("latin-1")}
         answer = client.request(method, fill(path, "a"), content=body, headers=headers)
         assert_sound(answer)
+
+
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize("path", ["/jobs/%00/abort", "/jobs/a%00/pause"])
+def test_no_identifier_with_nul_reaches_the_catalogue(client, is_problem, path):
+    problem = is_problem(client.post(f"/api/v1{path}"), 400, "bad-request")
+    assert "NUL" in problem["detail"]
+
+
+def encode_stream():
+    time_s = np.arange(100) / 500
+    columns = {"t_s": time_s, "x_mm": time_s, "y_mm": time_s, "z_mm": time_s}
+    sink = io.BytesIO()
+    pq.write_table(pa.table(columns), sink, write_page_checksum=True)
+    return sink.getvalue()
+
+
+def pack_again(bundle, method=zipfile.ZIP_DEFLATED, **added):
+    """Return a bundle with members added under any names, or in place of others."""
+    sink = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(bundle)) as old,
+        zipfile.ZipFile(sink, "w", method) as new,
+    ):
+        for name in old.namelist():
+            if name not in added:
+                new.writestr(name, old.read(name))
+        for name, data in added.items():
+            new.writestr(zipfile.ZipInfo(name), data, method)
+    return sink.getvalue()
+
+
+def damage(data, draw):
+    damaged = bytearray(data)
+    for _ in range(draw.choice((1, 1, 3))):
+        at = draw.randrange(len(damaged))
+        match draw.randrange(3):
+            case 0:
+                damaged[at] = draw.randrange(256)
+            case 1:
+                del damaged[at : at + draw.choice((1, 4, 50))]
+            case _:
+                damaged[at:at] = draw.choice((b"\0", b"\xff", b"\r", b'"', b"9" * 400))
+    return bytes(damaged)
+
+
+@pytest.mark.fault_row(36)
+@pytest.mark.parametrize("kind", ["archive", "end of archive", "parquet", "lzma"])
+def test_damaged_bundles_are_problems(client, sound, bundle, kind):
+    draw = random.Random(SEED)
+    whole = bundle()
+    if kind == "lzma":
+        whole = pack_again(whole, zipfile.ZIP_LZMA)
+    for _ in range(40):
+        match kind:
+            case "parquet":
+                stream = damage(encode_stream(), draw)
+                added = {"tracker.parquet": stream}
+                sent = pack_again(bundle(tracker_csv=None), **added)
+            case "end of archive":
+                sent = whole[:-300] + damage(whole[-300:], draw)
+            case _:
+                sent = damage(whole, draw)
+        answer = client.post("/api/v1/runs", files={"bundle": ("b.zip", sent)})
+        assert_sound(answer)
+        if answer.status_code == 422:
+            assert answer.json()["file"]
+
+
+@pytest.mark.fault_row(36)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("../machine.json", "points out of the archive"),
+        ("/etc/passwd", "points out of the archive"),
+        ("C:\\machine.json", "points out of the archive"),
+        ("other/machine.json", "is in the archive twice"),
+        ("other/environment.csv", "spreads a bundle over"),
+    ],
+)
+def test_hostile_names_in_archives_are_refused(client, is_problem, bundle, name, text):
+    sent = pack_again(bundle(), **{name: b"{}"})
+    answer = client.post("/api/v1/runs", files={"bundle": ("b.zip", sent)})
+    assert text in is_problem(answer, 422, "bundle")["detail"]
+
+
+@pytest.mark.fault_row(36)
+@pytest.mark.parametrize("name", ["", ".", "./", "a/\ud7ff/../", "x" * 60_000])
+def test_odd_names_in_archives_are_sound(client, sound, bundle, name):
+    sent = pack_again(bundle(), **{name: b"{}"})
+    assert_sound(client.post("/api/v1/runs", files={"bundle": ("b.zip", sent)}))
+
+
+@pytest.mark.fault_row(36)
+def test_a_page_of_parquet_that_has_changed_is_refused(client, is_problem, bundle):
+    stream = bytearray(encode_stream())
+    stream[200] ^= 1
+    sent = pack_again(bundle(tracker_csv=None), **{"tracker.parquet": bytes(stream)})
+    answer = client.post("/api/v1/runs", files={"bundle": ("b.zip", sent)})
+    assert is_problem(answer, 422, "bundle")["file"] == "tracker.parquet"
