@@ -159,6 +159,11 @@ class MeasurementMonitor:
         tracker = self._tracker
         return isinstance(tracker, Tracker) and tracker.capabilities.clock is Clock.HOST
 
+    @property
+    def can_choose(self) -> bool:
+        """Whether the tracker goes from target to target by itself, as far as known."""
+        return self._chooses and isinstance(self._tracker, TargetChoice)
+
     def select_target(self, name: str) -> bool:
         """Have the tracker choose its target; tell whether it is chosen.
 

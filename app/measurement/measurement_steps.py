@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ from truepath.app.measurement.messages import (
     PartRequested,
 )
 from truepath.app.measurement.progress import schedule_rows
+from truepath.app.motion.by_target import Stretch, cut_by_target
 from truepath.app.motion.configurations import Commanded, Configurations, append_part
 from truepath.app.motion.driven_again import drive_again
 from truepath.app.motion.travel import check_travel
@@ -117,15 +118,52 @@ class MeasurementSteps:
         The controller keeps time. The stream begins and ends at a standstill, as
         segmentation needs it. It goes on while further parts are loaded and driven.
         """
-        one = path.target[:1] if len(set(path.target)) == 1 else ()
-        self.approach(path.position[0], *one)
-        self.motion.load(path)
+        is_one = len(set(path.target)) == 1 or self._monitor.can_choose
+        self.approach(path.position[0], *(path.target[:1] if is_one else ()))
+        first, *rest = self._cut(path)
+        self.motion.load(first.path)
         self.open_stream()
-        self.run_path(path)
+        self.run_path(first.path)
+        self._drive(rest, 0)
         while isinstance(part := self._choose_part(), Path):
-            self.motion.load(part)
-            self.run_path(part)
+            self._drive(self._cut(part), self._progress.first_row)
         self.finish()
+
+    def _cut(self, part: Path) -> list[Stretch]:
+        """Return what is loaded at once: a target each, where the tracker can choose.
+
+        Else the tracker is turned by hand while the controller dwells.
+        """
+        if self._monitor.can_choose:
+            return cut_by_target(part)
+        return [Stretch(0, part)]
+
+    def _drive(self, stretches: Sequence[Stretch], part_row: int) -> None:
+        """Drive them one after another; the tracker changes its target between.
+
+        part_row : the first row of their part
+        """
+        for stretch in stretches:
+            if self._progress.is_cut_short:
+                return
+            if self._monitor.can_choose:
+                self._change_target(*stretch.path.target[:1])
+            self.motion.load(stretch.path)
+            self._progress.expect(part_row + stretch.row)
+            self.run_path(stretch.path)
+
+    def _change_target(self, name: str = "") -> None:
+        """Have the tracker measure this target from here on; check that it does."""
+        if name in ("", self._target):
+            return
+        self.record_for(self.settings.settle_s)
+        self._monitor.holds_target(self._target, None)
+        while self._target != name:
+            self._choose_target(name)
+            self.record_for(self.settings.settle_s)
+            if not self._monitor.holds_target(name, None):
+                self._target = ""
+                self.checkpoint()
 
     def _choose_part(self) -> Commanded | None:
         """Return what comes next: lines with a damaged stream again, or a new part."""

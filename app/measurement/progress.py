@@ -115,6 +115,10 @@ class ProgressEstimator:
         self.first_row = len(self._schedule.row_s) - (unit == "lines")
         self._schedule, self.row, self._is_loaded = schedule, self.first_row, True
 
+    def expect(self, row: int) -> None:
+        """The controller is to drive from this row on: it counts its lines from it."""
+        self.first_row, self._is_loaded = row, True
+
     def follow(self, line: int) -> None:
         """Take note of the line of its part that a controller says it is on."""
         if self._is_loaded:

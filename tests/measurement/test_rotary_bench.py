@@ -25,14 +25,14 @@ from truepath.drivers.interfaces.records import Path
 from truepath.simulators.bench import Bench
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.turning_paths import looking_at, turning_path
+from truepath.simulators.turning_paths import turning_path
 
 SPEED = 10.0
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Drive lines of all axes, target by target, through a cell on a bench."""
+    """Drive lines of all axes; the tracker goes from target to target by itself."""
     folder, content = tmp_path_factory.mktemp("rotary"), load_machine("head-table")
     machine = machine_from_json(content)
     program = turning_path(parse_machine(content), 6, 12, 20_000.0)
@@ -43,11 +43,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         program.dwell_s,
         program.target,
     )
-    orders = looking_at(parse_machine(content), program.target)
     file = folder / "run.sqlite"
-    with Bench(
-        content, seed=3, speed=SPEED, faults=orders, workdir=folder / "b", rtu=False
-    ) as bench:
+    with Bench(content, seed=3, speed=SPEED, workdir=folder / "b", rtu=False) as bench:
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
         )

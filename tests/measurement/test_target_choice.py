@@ -8,19 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.measurement.conftest import FakeTracker
 from truepath.app.kinematics.machine import Target
 from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
     CellVerb,
     FaultReported,
     MeasurementOrder,
+    MeasurementProgress,
     RunClosed,
 )
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.errors import BeamLost, NotOffered, Refused
-from truepath.drivers.interfaces.records import Identity
+from truepath.drivers.interfaces.records import Identity, Path
 from truepath.drivers.interfaces.tracker import PolledTracker, TargetChoice
 from truepath.drivers.interfaces.tracker_records import (
     Clock,
@@ -32,6 +34,28 @@ QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.
 PLACE_MM = np.array([2000.0, 300.0, 50.0])
 OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}
 TURNS = ("T1", "T2", "T2", "T1")
+
+
+class ChoosingStream(FakeTracker, TargetChoice):
+    """Streams the place of the target that it was told."""
+
+    def __init__(self, motion) -> None:
+        super().__init__()
+        self._motion, self.asked, self.on = motion, list[str](), "T1"
+        self.failure: Exception | None = None
+        self.goes_to: dict[str, str] = {}
+
+    def select_target(self, name: str) -> None:
+        self.asked.append(name)
+        if self.failure is not None:
+            raise self.failure
+        assert self._motion.status().state != "running" or len(self.asked) == 1
+        self.on = self.goes_to.get(name, name)
+
+    def _new(self):
+        samples = super()._new()
+        place = PLACE_MM + self._motion.here + OFFSET_MM[self.on]
+        return replace(samples, position_mm=np.tile(place, (len(samples), 1)))
 
 
 class ChoosingTracker(PolledTracker, TargetChoice):
@@ -162,3 +186,72 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
     state, places = measure()
     assert state == "failed"
     assert not len(places)
+
+
+@pytest.fixture
+def drive(motion, order, journal):
+    """Drive lines of two targets to the end; return the Run."""
+    names = ("T1", "T1", "T1", "T2", "T2", "T2", "T1", "T1")
+    corners = [[10.0, 10, -10], [400, 300, -10], [400, 10, -200]]
+    position = np.array(corners)[[0, 1, 2, 2, 0, 1, 1, 2]]
+    path = Path(("X", "Y", "Z"), position, np.full(8, 6000.0), np.zeros(8), names)
+    path_order = replace(order, commanded=path)
+
+    def driven(tracker, mend=lambda: None):
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        settings = replace(QUICK, lead_s=0.5)
+        made = Measurement(
+            path_order, tracker, motion, devices, journal.report, settings
+        )
+        thread = threading.Thread(target=made.run)
+        thread.start()
+        while thread.is_alive():
+            if journal.states and journal.states[-1] == "paused":
+                mend()
+                made.obey(CellVerb.RESUME)
+            thread.join(0.05)
+        return open_run(journal.of(RunClosed)[-1].run_file)
+
+    return driven
+
+
+def test_lines_of_several_targets_need_nobody_where_the_tracker_can_choose(
+    drive, motion, journal
+):
+    tracker = ChoosingStream(motion)
+    run = drive(tracker)
+    assert journal.states == ["running", "finished"]
+    assert tracker.asked == ["T1", "T2", "T1"]
+    assert journal.faults == []
+    assert motion.calls.count("load") == motion.calls.count("start") == 3
+    assert len(run.commanded) == 8
+    last = journal.of(MeasurementProgress)[-1]
+    assert (last.done, last.total) == (7, 7)
+    rows = [p.done for p in journal.of(MeasurementProgress)]
+    assert rows == sorted(rows)
+
+
+def test_lines_of_several_targets_are_one_program_where_it_cannot(
+    drive, motion, journal
+):
+    tracker = ChoosingStream(motion)
+    tracker.failure = NotOffered("speaks version 1")
+    drive(tracker)
+    assert tracker.asked == ["T1"]
+    assert motion.calls.count("load") == 1
+    assert journal.states == ["running", "finished"]
+
+
+def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):
+    tracker, begun = ChoosingStream(motion), list[int]()
+    tracker.goes_to = {"T2": "T1"}
+
+    def mend():
+        begun.append(motion.calls.count("start"))
+        tracker.goes_to = {}
+
+    drive(tracker, mend)
+    assert journal.states[-1] == "finished"
+    assert journal.faults == ["wrong-target"]
+    assert set(begun) == {1}
+    assert tracker.asked == ["T1", "T2", "T2", "T1"]
