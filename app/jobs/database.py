@@ -21,7 +21,12 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from alembic.util import CommandError
 from sqlalchemy import Connection, Engine, create_engine, event, text
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DatabaseError,
+    NoSuchModuleError,
+    OperationalError,
+)
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from truepath.app.errors import BadInput
@@ -34,6 +39,7 @@ T = TypeVar("T")
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _FULL = "disk is full", "No space left"  # as SQLite and PostgreSQL say it
+_DAMAGED = "malformed", "not a database"
 _PRAGMAS = (
     "journal_mode=WAL",
     "synchronous=FULL",
@@ -143,6 +149,9 @@ class Database:
                 if self._seldom.is_due():
                     log.warning("catalogue is busy", reason=str(error.orig))
                 time.sleep(0.1)
+            except DatabaseError as error:
+                _refuse_damaged(error)
+                raise
 
     def _copy_aside(self, revision: str) -> None:
         file = self.file
@@ -163,6 +172,17 @@ def _as_storage_errors() -> Iterator[None]:
         yield
     except OperationalError as error:
         raise StorageUnavailable(_busy_text(error)) from error
+    except DatabaseError as error:
+        _refuse_damaged(error)
+        raise
+
+
+def _refuse_damaged(error: DatabaseError) -> None:
+    if any(sign in str(error.orig) for sign in _DAMAGED):
+        raise StorageUnavailable(
+            f"the catalogue is damaged ({error.orig}); stop the service, then run "
+            "`truepath catalogue rebuild` with its settings"
+        ) from error
 
 
 def _is_full(error: OperationalError) -> bool:

@@ -166,3 +166,16 @@ def test_a_catalogue_that_another_program_holds_is_not_called_damaged(file):
         with pytest.raises(StorageUnavailable, match="in use"):
             check_catalogue(file, "0001", patience_s=0.05)
         other.execute("ROLLBACK")
+
+
+@pytest.mark.fault_row(37)
+def test_a_catalogue_that_is_damaged_under_the_service_says_what_to_do(file):
+    database = Database(f"sqlite:///{file}")
+    store = Store(database, lambda _: None)
+    content = file.read_bytes()
+    file.write_bytes(content[:4096] + b"\xa5" * (len(content) - 4096))
+    job = Job(JobKind.ANALYSE)
+    for use in (lambda: store.list_page(99), lambda: store.create(job)):
+        with pytest.raises(StorageUnavailable, match="truepath catalogue rebuild"):
+            use()
+    database.close()
