@@ -598,6 +598,31 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
     assert journal.states == ["running", "finished"]
 
 
+@pytest.mark.fault_row(29)
+def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
+    begin, long_order, journal, calm, monkeypatch
+):
+    wall_ns = time.time_ns
+    running = begin(long_order, clock=calm.clock)
+    running.until_moving()
+    for jump_s in (3600, -3600, -wall_ns() // 10**9):
+        monkeypatch.setattr(time, "time_ns", lambda j=jump_s: wall_ns() + j * 10**9)
+        monkeypatch.setattr(time, "time", lambda: 1e-9 * time.time_ns())
+        seen = len(journal.of(MeasurementProgress))
+        running.until(lambda seen=seen: len(journal.of(MeasurementProgress)) > seen + 9)
+    running.finished()
+    assert journal.faults == []
+    told = [p for p in journal.of(MeasurementProgress) if p.stage == "measuring"]
+    elapsed_s = [each.elapsed_s for each in told]
+    assert (np.diff(elapsed_s) >= 0.0).all()
+    assert elapsed_s[-1] < 60.0
+    run = running.run
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert (np.diff(run.axis_samples.host_time_s) > 0.0).all()
+    times_ns = [event.mono_ns for event in run.events]
+    assert times_ns == sorted(times_ns)
+
+
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
     running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
