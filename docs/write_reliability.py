@@ -25,7 +25,10 @@ ROWS = (
     ("cable pulled, port renumbered", "told; opened again; identity checked"),
     ("another device on the port", "refused by name"),
     ("a slow link", "time is the device's; no false loss of the beam"),
-    ("the beam is broken", "hold; what it cost is measured again"),
+    (
+        "the beam is broken",
+        "hold; samples without it are left out, a dwell begins anew",
+    ),
     ("a warning of the tracker", "told, recorded, in the report"),
     ("the reflector is knocked", "told, placed in time, lines driven again"),
     (
