@@ -49,6 +49,7 @@ TRACKER_KINDS = {
     "noise": Kind("bytes of noise before a frame", 400.0, lasts=False),
     "beam-break": Kind("samples are not valid"),
     "beam-lost": Kind("the beam is lost until it is told to search", lasts=False),
+    "unhomed": Kind("it refuses to measure until it is homed"),
     "spike": Kind("valid samples that are off by so many mm", 0.5, lasts=False),
     "knock": Kind("its stand is pushed aside by so many mm", 0.02),
     "disconnect": Kind("the link closes and comes back", lasts=False),

@@ -70,6 +70,12 @@ STATUS_PERIOD_S = 0.5
 BUFFER_BYTES = 1 << 16
 _LOCKED_SIGNAL = 200
 _VERSIONS = (VERSION, VERBS_VERSION)
+_KINDS: dict[type[Message], Type] = {
+    Start: Type.START,
+    Aim: Type.AIM,
+    Search: Type.SEARCH,
+    Select: Type.SELECT,
+}
 _PUSH = np.array([0.6, -0.64, 0.48])  # of a knock, where to
 
 
@@ -117,6 +123,7 @@ class TrackerDevice:
         self._high_water = 0
         self._overflown = False
         self._beam_locked = True
+        self._is_homed = False
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
         self._follower = MotionFollower(
@@ -192,7 +199,13 @@ class TrackerDevice:
             case Hello(transaction, version):
                 self._verbs.is_known = version >= VERBS_VERSION
                 return Ack(transaction, Type.HELLO, self._info(true_s, version))
+            case Start() | Aim() | Search() | Select() as early if self._waits_for_home(
+                true_s
+            ):
+                kind, code = _KINDS[type(early)], NakCode.NOT_READY
+                return Nak(early.transaction, kind, code, "not initialised")
             case Home() | Aim() | Search() | Select() | SetAir() | GetAir() as verb:
+                self._is_homed = self._is_homed or isinstance(verb, Home)
                 blocked = self._faults.strikes("beam-break", true_s) is not None
                 return self._verbs.answer(verb, true_s, is_blocked=blocked)
             case Start() as start:
@@ -206,6 +219,10 @@ class TrackerDevice:
                 return Nak(body[2], body[1], _explain(body), "not understood")
             case _:
                 return None
+
+    def _waits_for_home(self, true_s: float) -> bool:
+        is_asked = self._faults.strikes("unhomed", true_s) is not None
+        return is_asked and not self._is_homed
 
     def _info(self, true_s: float, version: int) -> DeviceInfo:
         if self._faults.strikes("wrong-identity", true_s):

@@ -139,6 +139,12 @@ BEAM_LOST = Fault(
     "lock the beam on the reflector, then press Resume",
     latched=False,
 )
+HOMED = Fault(
+    "tracker-homed",
+    "the tracker was not initialised; it has been sent to its reference",
+    "nothing; where the beam is on no target now, lock it on the reflector",
+    latched=False,
+)
 NO_BEAM = Fault(
     "not-resumed",
     "the tracker sends no valid samples or damaged ones, the machine stays held",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from truepath.app.measurement.controller_monitor import ControllerMonitor
 from truepath.app.measurement.faults import (
     BEAM_LOST,
     DAMAGED,
+    HOMED,
     POINTS_ONLY,
     SILENT,
     SLOW_DISK,
@@ -54,6 +56,7 @@ from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
+    NotHomed,
     NotOffered,
 )
 from truepath.drivers.interfaces.motion import MotionController
@@ -67,6 +70,7 @@ from truepath.drivers.interfaces.tracker import (
     EventSource,
     PolledTracker,
     TargetChoice,
+    TargetFinder,
     Tracker,
 )
 from truepath.drivers.interfaces.tracker_records import Clock
@@ -105,6 +109,7 @@ class MeasurementMonitor:
         self._search = search  # where the tracker can
         self._lost_row: int | None = None
         self._is_choosing, self._chooses = False, True
+        self._is_homed = False
         self._failures = 0  # of a polled tracker, one after another
         self._point_s = 0.0
         self._is_machine_hold_reported = self._is_unmoved_told = False
@@ -123,7 +128,11 @@ class MeasurementMonitor:
         stream = self._stream = StreamReader(
             self._tracker, self.recorder, self.settings.timeouts, self.clock
         )
-        stream.start(rate_hz)
+        try:
+            stream.start(rate_hz)
+        except NotHomed as error:
+            self._home(error)
+            stream.start(rate_hz)
         deadline_s = self.clock() + self.settings.first_sample_s
         while not stream.has_valid:
             if self.clock() > deadline_s:
@@ -172,8 +181,24 @@ class MeasurementMonitor:
         """
         if not (self._chooses and isinstance(self._tracker, TargetChoice)):
             return True
-        tracker, late_s = self._tracker, self.clock() + _CHOICE_S
-        task = TrackerTask(lambda: tracker.select_target(name))
+        tracker = self._tracker
+        failure = self._await(lambda: tracker.select_target(name))
+        if isinstance(failure, NotOffered):
+            self._chooses = False
+            self._record_event("target", str(failure))
+        elif isinstance(failure, NotHomed):
+            self._home(failure)
+            return False
+        elif failure is not None:
+            self._bear(failure)
+            return False
+        else:
+            self._record_event("target", f"{name} was selected")
+        return True
+
+    def _await(self, verb: Callable[[], None]) -> Exception | None:
+        """Look on while the tracker does something; return why it was not done."""
+        task, late_s = TrackerTask(verb), self.clock() + _CHOICE_S
         self._is_choosing = True
         try:
             while not task.is_over:
@@ -182,15 +207,17 @@ class MeasurementMonitor:
                     raise make_silence_fault(_CHOICE_S)
         finally:
             self._is_choosing = False
-        if isinstance(task.failure, NotOffered):
-            self._chooses = False
-            self._record_event("target", str(task.failure))
-        elif task.failure is not None:
-            self._bear(task.failure)
-            return False
-        else:
-            self._record_event("target", f"{name} was selected")
-        return True
+        return task.failure
+
+    def _home(self, refusal: NotHomed) -> None:
+        """Home a tracker that asks for it, once; that moves no machine."""
+        if self._is_homed or not isinstance(self._tracker, TargetFinder):
+            raise classify_fault(refusal) from refusal
+        self._is_homed = True
+        failure = self._await(self._tracker.home)
+        if failure is not None:
+            raise classify_fault(failure) from failure
+        self.report_fault(HOMED)
 
     def holds_target(self, name: str, place_mm: NDArray[np.float64] | None) -> bool:
         """Tell whether a point is of this target; hold and say so if it is not.

@@ -39,5 +39,9 @@ class BeamLost(DeviceError):
     """The tracker has lost its reflector."""
 
 
+class NotHomed(Refused):
+    """The instrument has to be homed before it does this."""
+
+
 class NotOffered(Refused):
     """The device does not have this verb at all."""

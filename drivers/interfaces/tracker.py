@@ -30,7 +30,8 @@ class Tracker(Device):
     def start(self, rate_hz: float) -> None:
         """Begin to stream. Idempotent at the same rate.
 
-        Raises Refused if the device cannot do that rate, DeviceTimeout if it is silent.
+        Raises Refused if the device cannot do that rate, NotHomed if it has to be homed
+        first, DeviceTimeout if it is silent.
         """
 
     @abstractmethod
@@ -121,7 +122,7 @@ class TargetChoice(ABC):
         """Measure this one from now on.
 
         Raises Refused if it is not known, NotOffered if this device cannot choose,
-        BeamLost if it is not seen.
+        NotHomed if it has to be homed first, BeamLost if it is not seen.
         """
 
 

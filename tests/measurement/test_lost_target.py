@@ -27,7 +27,7 @@ from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.motion.configurations import Configurations
 from truepath.app.numerics.rigid import RigidTransform, build_rotation
-from truepath.drivers.interfaces.errors import BeamLost, NotOffered
+from truepath.drivers.interfaces.errors import BeamLost, NotHomed, NotOffered
 from truepath.drivers.interfaces.records import Identity
 from truepath.drivers.interfaces.tracker import PolledTracker, TargetFinder
 from truepath.drivers.interfaces.tracker_records import (
@@ -60,7 +60,7 @@ class FindingTracker(FakeTracker, TargetFinder):
         super().__init__()
         self._motion = motion
         self.aimed: list[tuple[float, float]] = []
-        self.homed = 0
+        self.homed, self.is_mended_by_home = 0, True
         self.failures: list[Exception] = []
         self.finds_another = False
         self._off_mm = np.zeros(3)
@@ -76,6 +76,8 @@ class FindingTracker(FakeTracker, TargetFinder):
 
     def home(self) -> None:
         self.homed += 1
+        if self.is_mended_by_home:
+            self.refusal = None
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
         self.aimed.append((azimuth_rad, elevation_rad))
@@ -355,3 +357,28 @@ def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
         run.tracker.position_mm, TO_TRACKER.apply(position), atol=1e-6
     )
     assert summarize_run(run).interruptions.found == 1
+
+
+def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line(
+    begin, finder, motion, order, journal
+):
+    motion.speed = 5000.0
+    finder.refusal = NotHomed("not initialised")
+    run = begin(finder, order).ended()
+    assert journal.states == ["running", "finished"]
+    assert finder.homed == 1
+    assert journal.faults == ["tracker-homed"]
+    assert [e.kind for e in run.events].index("tracker-homed") < [
+        e.kind for e in run.events
+    ].index("start")
+
+
+def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
+    begin, finder, motion, order, journal
+):
+    finder.refusal, finder.is_mended_by_home = NotHomed("not initialised"), False
+    motion.speed = 5000.0
+    begin(finder, order).ended()
+    assert journal.states[-1] == "failed"
+    assert finder.homed == 1
+    assert "start" not in motion.calls

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from truepath.drivers.interfaces.errors import BeamLost, Refused
+from truepath.drivers.interfaces.errors import BeamLost, NotHomed, Refused
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.drivers.interfaces.tracker_records import Air
 from truepath.drivers.tracker.streaming.driver import StreamingTracker
@@ -75,3 +75,21 @@ def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker) -> None:
 def test_the_air_that_is_pushed_is_the_air_in_use(tracker) -> None:
     tracker.push_air(Air(21.5, 990.0, 40.0))
     assert tracker.read_air() == Air(21.5, 990.0, 40.0)
+
+
+def test_one_that_is_not_initialised_measures_once_it_is_homed(
+    two_target_content,
+) -> None:
+    faults = ["tracker:unhomed"]
+    with (
+        Bench(two_target_content, seed=3, faults=faults) as bench,
+        StreamingTracker(**bench.tracker_options) as tracker,
+    ):
+        with pytest.raises(NotHomed, match="not initialised"):
+            tracker.start(500.0)
+        with pytest.raises(NotHomed, match="not initialised"):
+            tracker.select_target("T1")
+        tracker.home()
+        tracker.select_target("T1")
+        tracker.start(500.0)
+        assert len(read_valid(tracker))

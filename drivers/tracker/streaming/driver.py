@@ -16,6 +16,7 @@ from truepath.drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
+    NotHomed,
     NotOffered,
     Refused,
     WrongDevice,
@@ -383,7 +384,8 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     def _refuse_nak(self, reply: Reply) -> Ack:
         if isinstance(reply, Nak):
-            raise Refused(
+            family = NotHomed if reply.code == NakCode.NOT_READY else Refused
+            raise family(
                 f"{self._port.name} refuses: {reply.text or 'no reason given'} "
                 f"(code {reply.code})",
                 reply.code,
