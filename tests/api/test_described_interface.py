@@ -1,0 +1,59 @@
+"""Requests drawn from the description of the interface: every answer is as it says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from truepath.app.api.application import (
+    SCHEMA_PATH,
+    create_application,
+    describe_interface,
+)
+
+HEADERS = {"host": "127.0.0.1"}
+CHECKS = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_schema_conformance,
+]
+OPERATIONS = sorted(
+    (path, method)
+    for path, methods in json.loads(describe_interface())["paths"].items()
+    for method in methods
+    if not path.endswith("/events")  # endless
+)
+
+
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize(("path", "method"), OPERATIONS)
+def test_every_answer_is_documented(service, path, method):
+    application = create_application(service)
+    for operations in application.openapi()["paths"].values():
+        for operation in operations.values():
+            del operation["responses"]["default"]  # it would allow any status
+    found = schemathesis.openapi.from_asgi(SCHEMA_PATH, application, headers=HEADERS)
+
+    @settings(
+        max_examples=5,
+        deadline=None,
+        derandomize=True,
+        phases=[Phase.generate],
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+    @given(case=found[path][method].as_strategy())
+    def check(case):
+        answer = case.call(headers=HEADERS)
+        case.validate_response(answer, checks=CHECKS)
+
+    check()
