@@ -93,14 +93,14 @@ def test_rows_are_big_endian_counts():
 def test_a_state_that_the_map_lacks_is_no_state():
     words = [99] + [0] * 23
     with pytest.raises(WrongDevice, match="reports state 99"):
-        parse_status(words)
+        parse_status(words, tells_override=False)
 
 
 def test_hold_reasons_read_as_words_and_unknown_ones_as_numbers():
     def reason(code):
         words = [0] * 24
         words[:2] = [r.STATES.index(MotionState.HELD), code]
-        return parse_status(words).motion.hold_reason
+        return parse_status(words, tells_override=False).motion.hold_reason
 
     words = [reason(code) for code in (0, 1, 2, 3, 9)]
     assert words == ["", "operator", "watchdog", "command", "reason 9"]
