@@ -63,6 +63,12 @@ class LastLine:
     begin: NDArray[np.float64]
     end: NDArray[np.float64]
 
+    def is_before(self, status: MotionStatus) -> bool:
+        """Whether the machine runs on an earlier line, or it is the only one."""
+        return self.number == 0 or (
+            status.state is MotionState.RUNNING and status.line < self.number
+        )
+
     def is_left(self, status: MotionStatus) -> bool:
         """Whether the machine runs on it, or says so, and is somewhere else."""
         if status.state is not MotionState.RUNNING or status.line < self.number:
@@ -273,7 +279,7 @@ class MeasurementSteps:
         self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
         self.motion.start()
-        last = LastLine(len(path) - 1, path.position[-2], path.position[-1])
+        last = LastLine(len(path) - 1, path.position[-2:][0], path.position[-1])
         self.wait_motion(last.end, last, lambda now: self._is_line_done(now, path))
 
     def wait_motion(
@@ -290,11 +296,14 @@ class MeasurementSteps:
         Raises Fault if it stands elsewhere, or moves on from there.
         """
         grace_by_s = self._clock() + self.settings.confirm_s
-        self._end = goal
+        self._end, has_begun = goal, False
         while True:
             status = self._monitor.tick()
-            if last is not None and status is not None and last.is_left(status):
-                raise make_runs_on_fault(self.motion.axes, status)
+            if last is not None and status is not None:
+                # At first a controller may show the last line of its program before.
+                has_begun = has_begun or last.is_before(status)
+                if has_begun and last.is_left(status):
+                    raise make_runs_on_fault(self.motion.axes, status)
             if status is not None and may_end(status):
                 self._end_motion()
                 return

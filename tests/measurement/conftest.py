@@ -163,6 +163,7 @@ class FakeMotion(MotionController):
         self.ignores_hold = self.ignores_resume = False
         self.ends_after_s: float | None = None
         self.runs_on = False  # another program follows the last row
+        self.stale_looks = 0  # that still show the last line of the program before
         self.here = np.zeros(3)
         self.loaded: Path | None = None
         self.alarm = ""
@@ -197,6 +198,8 @@ class FakeMotion(MotionController):
         self._reach()
         with self._lock:
             line = self._advance()
+            if self.stale_looks and len(self._rows) > 2:
+                self.stale_looks, line = self.stale_looks - 1, len(self._rows) - 2
             if self._state is MotionState.RUNNING:
                 self.looks += 1
                 self.beats += self._is_fed

@@ -900,6 +900,16 @@ def test_a_machine_that_runs_on_after_its_last_row_is_a_fault(
     assert "hold" in motion.calls
 
 
+def test_a_line_of_the_program_before_is_not_taken_for_the_last_one(
+    begin, order, motion, journal
+):
+    motion.stale_looks = 3
+    running = begin(order)
+    assert running.ended() == "finished"
+    assert motion.stale_looks == 0
+    assert journal.faults == []
+
+
 @pytest.mark.fault_row(21)
 def test_a_machine_that_moves_once_it_has_finished_is_a_fault(
     begin, order, motion, journal, calm
