@@ -51,7 +51,8 @@ coverage: setup-system setup ## the same tests, counting lines and branches: a t
 	  --cov --cov-report= --cov-fail-under=90
 
 .PHONY: test-long
-test-long: setup-system setup ## the tests that need minutes
+test-long: setup ## the tests that need minutes
+	@.ci/system-packages test-long
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m long --timeout 900
 
 .PHONY: bench

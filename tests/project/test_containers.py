@@ -1,8 +1,8 @@
-"""The image and the compose file, checked without a Docker daemon.
+"""The Dockerfile and the compose file as texts.
 
 Linted, validated against the Compose schema, and every name they use (files, settings,
-flags, ports) is looked up in the real thing; their lines run in
-`test_container_lines.py`.
+flags, ports) is looked up in the real thing. Their lines run in `test_running.py`; the
+image is built and run in `test_image.py`.
 """
 
 import json
