@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 from typing import Any
 
-from truepath.drivers.cnc.modbus.registers import HoldReason
+from truepath.drivers.cnc.modbus.registers import BY_NAME, HoldReason
 from truepath.drivers.interfaces.records import MotionState
 from truepath.simulators.board import BoardWriter
 from truepath.simulators.child import LifeLine, is_question
@@ -27,6 +27,7 @@ from truepath.simulators.thermometer_gateway import UNITS, ThermometerGateway
 PERIOD_S = 0.01
 _LEAD_S = 0.02
 _LATE_S = 0.1  # ten periods: a busy computer, not yet one that stands
+_HEARTBEAT = BY_NAME["heartbeat"].address
 _ALARM_TEXT = "Servo alarm: following error of an axis"
 _DISABLING = {
     "alarm": MotionState.ALARM,
@@ -103,9 +104,16 @@ class Panel:
         refused = self._strikes("exception", now_s)
         if refused:
             return exception(pdu, int(refused.amount))
-        if pdu[0] != READ_HOLDING and self._strikes("ignore-writes", now_s):
+        if pdu[0] != READ_HOLDING and self._ignores(pdu, now_s):
             return pdu[:5]
         return answer(pdu, self._registers)
+
+    def _ignores(self, pdu: bytes, now_s: float) -> bool:
+        is_beat = int.from_bytes(pdu[1:3], "big") == _HEARTBEAT
+        ignores_commands = self._strikes("ignore-commands", now_s) is not None
+        if ignores_commands and not is_beat:
+            return True
+        return self._strikes("ignore-writes", now_s) is not None
 
     def _raise_alarms(self, now_s: float) -> None:
         stays: MotionState | None = None

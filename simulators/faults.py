@@ -67,6 +67,7 @@ CNC_KINDS = {
     "silence": Kind("requests are not answered"),
     "exception": Kind("requests are answered by this exception code", 4.0),
     "ignore-writes": Kind("writes are answered and forgotten"),
+    "ignore-commands": Kind("all writes but beats of the watchdog are forgotten"),
     "disconnect": Kind("TCP connections close", lasts=False),
     "wrong-identity": Kind("another device answers"),
 }

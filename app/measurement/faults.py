@@ -164,6 +164,12 @@ NO_WATCHDOG = Fault(
     "give it one, or set allow_no_watchdog and stay at its emergency stop",
     latched=False,
 )
+STOP_NOT_CONFIRMED = Fault(
+    "stop-unconfirmed",
+    "the controller was told to stop and does not say that it stands",
+    "stop the machine at its emergency stop",
+    latched=True,
+)
 STILL_HELD = Fault(
     "resume-unconfirmed",
     "the controller keeps holding",

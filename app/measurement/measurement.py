@@ -20,6 +20,7 @@ from truepath.app.measurement.environment_reader import (
 from truepath.app.measurement.faults import (
     AIR_UNKNOWN,
     NO_WATCHDOG,
+    STOP_NOT_CONFIRMED,
     Aborted,
     Fault,
     classify_fault,
@@ -109,6 +110,7 @@ class Measurement:
         """Measure. Never raises: the last two events say how it ended."""
         self._report_state(CellState.RUNNING, self._order.run_name)
         state, text = CellState.FINISHED, "all rows have been driven"
+        stands = True
         try:
             self._measure()
             if self._steps is not None and self._steps.is_concluding:
@@ -117,7 +119,8 @@ class Measurement:
                 text += "; some twice, for what was lost meanwhile"
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
-            self._stop(self._motion.hold if self._is_halted else self._motion.abort)
+            verb = self._motion.hold if self._is_halted else self._motion.abort
+            stands = self._stop(verb)
         except Exception as error:
             fault = classify_fault(error)
             if fault.code == "internal":
@@ -128,7 +131,10 @@ class Measurement:
                 if self._steps is not None:
                     self._motion.hold()
             self._report_fault(fault)
-            self._stop(self._motion.hold)
+            stands = self._stop(self._motion.hold)
+        if not stands and state is not CellState.FAULTED:
+            self._report_fault(STOP_NOT_CONFIRMED)
+            state, text = CellState.FAULTED, str(STOP_NOT_CONFIRMED)
         closed = self._close(state, text)
         self._state.end(state, text)
         self._report(closed)
@@ -216,17 +222,21 @@ class Measurement:
                 return
         self._report_fault(make_override_fault(override))
 
-    def _stop(self, verb: Callable[[], None]) -> None:
-        """Stop the machine if it moves by our order; wait a little."""
+    def _stop(self, verb: Callable[[], None]) -> bool:
+        """Stop the machine if it moves by our order; say whether it is known to stand.
+
+        Nothing beats for its watchdog meanwhile: one that does not listen holds then.
+        """
         if self._steps is None:
-            return
+            return True
         deadline_s = time.monotonic() + STOP_S
         while time.monotonic() < deadline_s:
             with contextlib.suppress(DeviceError):
                 verb()
                 if self._motion.status().state is not MotionState.RUNNING:
-                    return
+                    return True
             time.sleep(0.05)
+        return False
 
     def _note_sensor(self, notice: Fault) -> None:
         """Say what is new of a sensor; the measurement goes on in any case."""

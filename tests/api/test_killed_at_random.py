@@ -1,132 +1,237 @@
-"""The service killed at any moment: nothing it has answered is lost, nothing moves."""
+"""Any process killed or stopped at any moment, again and again, on one data folder.
+
+The devices are no children of the service: they go on when it dies, and tell where the
+machine truly is. Whatever happens: nothing that the service has answered is lost or
+doubled, a machine whose service has died stands still, and nothing moves before it is
+armed anew.
+"""
 
 from __future__ import annotations
 
-import os
+import json
 import random
-import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 import httpx2
 import psutil
 import pytest
+from service_process import ENDS, SPEED, process, wait_for
 
-ROUNDS = 12
-ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
-PROGRAM = """
-from truepath.app.main import serve
-from truepath.app.settings import load_settings
+from truepath.simulators.rig import Rig, running_rig
+from truepath.simulators.scenario import load_machine
 
-if __name__ == "__main__":
-    serve(load_settings())
-"""
+HARMS = 50
+"""Of each of the four seeds: 200 in all."""
+KILLED_SHARE = 0.7
+SETTLED_SHARE = 0.2
+LONGEST_WORK_S = 1.5
+LONGEST_FREEZE_S = 1.5
+STANDS_S = 5.0
+"""Watchdog of the simulated controller, its ramp, and a busy computer."""
+REST_S = 0.25
+MOVED_MM = 1e-6
+ROLES = ("service", "cell", "live", "worker")
+SETTLED = ENDS | {"paused", "ready"}
 ROWS = [
     {"x_mm": 20 + 440 * (n % 2), "y_mm": 20 + 30 * n, "z_mm": 20 + 20 * n}
     for n in range(12)
 ]
 
 
+@dataclass
+class Ledger:
+    """What the service has answered: version of each job, number of kept events."""
+
+    versions: dict[str, int] = field(default_factory=dict)
+    events: int = 0
+
+    def note(self, job: dict) -> None:
+        self.versions[job["id"]] = job["version"]
+
+
 @pytest.fixture
-def start(tmp_path):
-    """Start the service on one data folder, again and again."""
-    program = tmp_path / "service.py"
-    program.write_text(PROGRAM)
-    environment = os.environ | {
-        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
-        "TRUEPATH_PORT": "0",
-        "TRUEPATH_SIMULATED": "1",
-        "TRUEPATH_SIMULATED_SPEED": "12",
-    }
-    started = []
-
-    def run():
-        log = (tmp_path / "service.log").open("a")
-        service = subprocess.Popen(
-            [sys.executable, program],
-            stdout=subprocess.PIPE,
-            stderr=log,
-            text=True,
-            env=environment,
-        )
-        log.close()
-        started.append(service)
-        lines = [service.stdout.readline() for _ in range(4)]
-        address = next(x.split()[1] for x in lines if x.split()[:1] == ["page"])
-        return service, httpx2.Client(base_url=address, timeout=20)
-
-    yield run
-    for service in started:
-        if service.poll() is None:
-            service.terminate()
-        service.wait(20)
-        service.stdout.close()
+def rig():
+    with running_rig({"speed": SPEED, "tracker": "tcp", "seed": 3}) as started:
+        yield started
 
 
 @pytest.mark.long
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 @pytest.mark.fault_row(25)
-def test_whatever_was_answered_is_there_after_a_kill_at_any_moment(start):
-    rng = random.Random(11)
-    known: dict[str, int] = {}
-    last_event = 0
-    for _ in range(ROUNDS):
-        service, client = start()
-        with client:
-            last_event = look(client, known, last_event)
-            end = time.monotonic() + rng.uniform(0.0, 4.0)
-            with suppress(httpx2.HTTPError):
-                work(client, known, end)
-            children = psutil.Process(service.pid).children(recursive=True)
-            service.send_signal(signal.SIGKILL)
-            service.wait(10)
-            _, alive = psutil.wait_procs(children, timeout=20)
-            assert not alive, alive
-    service, client = start()
-    with client:
-        look(client, known, last_event)
+@pytest.mark.fault_row(23)
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_answered_is_lost_and_nothing_moves_after_kills_and_freezes(
+    tmp_path, rig, seed
+):
+    rng, ledger = random.Random(seed), Ledger()
+    environment = {
+        "TRUEPATH_SIMULATED": "0",
+        "TRUEPATH_MACHINE_FILE": str(write_machine(tmp_path)),
+        "TRUEPATH_TRACKER_OPTIONS": json.dumps(rig.tracker_options),
+        "TRUEPATH_MOTION_OPTIONS": json.dumps(rig.motion_options),
+    }
+    done, kills = 0, 0
+    while done < HARMS:
+        with process(tmp_path, **environment) as (service, client):
+            require_standstill(rig)
+            require_kept(client, ledger)
+            while done < HARMS and service.poll() is None:
+                done += 1
+                kills += harm_once(rng, service, client, ledger)
+    with process(tmp_path, **environment) as (_, client):
+        require_standstill(rig)
+        require_kept(client, ledger)
+        require_readable_runs(client, ledger)
+    assert kills > 0.4 * HARMS
 
 
-def look(client, known, last_event):
-    """Check what a restarted service says of the jobs it had answered for."""
-    jobs = {}
-    after = ""
-    while after is not None:
-        page = client.get(f"/api/v1/jobs?limit=3{after and f'&after={after}'}").json()
-        jobs |= {job["id"]: job for job in page["items"]}
-        after = page["next"]
-    assert set(known) <= set(jobs)
-    for job_id, version in known.items():
+def write_machine(folder):
+    """The machine of the rig, as its service knows it."""
+    file = folder / "machine.json"
+    file.write_text(json.dumps(load_machine("demo")))
+    return file
+
+
+def harm_once(rng, service, client, ledger) -> bool:
+    """Work for a while, harm a process, bring all in order; say whether it was killed.
+
+    A service that was killed stays dead: the caller starts it anew.
+    """
+    end_s = time.monotonic() + rng.uniform(0.0, LONGEST_WORK_S)
+    with suppress(httpx2.HTTPError):
+        work(client, ledger, end_s)
+    found = find_process(service.pid, rng.choice(ROLES))
+    is_kill = rng.random() < KILLED_SHARE
+    if is_kill and found.pid == service.pid:
+        children = found.children(recursive=True)
+        found.kill()
+        service.wait(10)
+        _, alive = psutil.wait_procs(children, timeout=20)
+        assert not alive, alive
+        return True
+    harm(found, is_kill, rng.uniform(0.1, LONGEST_FREEZE_S))
+    if rng.random() < SETTLED_SHARE:
+        settle(client)
+    stop(client, ledger)
+    return is_kill
+
+
+def find_process(parent: int, role: str) -> psutil.Process:
+    """Return the process with this part; the service where that one is not there."""
+    service = psutil.Process(parent)
+    for child in service.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            if child.name().startswith(f"truepath-{role}"):
+                return child
+    return service
+
+
+def harm(found: psutil.Process, is_kill: bool, frozen_s: float) -> None:
+    """Kill a process, or let it stand still for a while."""
+    with suppress(psutil.NoSuchProcess):  # it may have ended by itself
+        if is_kill:
+            found.kill()
+            return
+        found.suspend()
+        time.sleep(frozen_s)  # what is tested is that time passes
+        found.resume()
+
+
+def settle(client) -> None:
+    """Wait until no job does anything that somebody would have to wait for."""
+    for job in list_jobs(client):
+        address = f"/api/v1/jobs/{job['id']}"
+        if job["state"] not in ENDS:
+            wait_for(lambda a=address: client.get(a).json()["state"] in SETTLED, job)
+
+
+def stop(client, ledger) -> None:
+    """After a stop no job is active; note what was answered."""
+    assert client.post("/api/v1/stop").status_code == 202
+    wait_for(lambda: current_job(client) is None, "the end of the job")
+    for job in list_jobs(client):
+        ledger.note(job)
+
+
+def current_job(client):
+    return client.get("/api/v1/system").json()["current_job"]
+
+
+def work(client, ledger, end_s) -> None:
+    """Measure until it is time to be harmed; note what was answered."""
+    client.post("/api/v1/machines/current:connect")
+    answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", "path": ROWS})
+    if answer.status_code != 202:  # a cell that begins anew
+        return
+    job = answer.json()
+    ledger.note(job)
+    address, armed = f"/api/v1/jobs/{job['id']}", False
+    while time.monotonic() < end_s:
+        job = client.get(address).json()
+        ledger.note(job)
+        if job["state"] == "ready" and not armed:
+            version = {"If-Match": f'"{job["version"]}"'}
+            armed = client.post(f"{address}/arm", headers=version).status_code == 202
+        time.sleep(0.01)
+
+
+def require_standstill(rig: Rig) -> None:
+    """The machine comes to rest by itself and stays there."""
+
+    def rests():
+        before = rig.read_position()["position"][0]
+        time.sleep(REST_S)
+        after = rig.read_position()["position"][0]
+        return max(abs(a - b) for a, b in zip(after, before, strict=True)) < MOVED_MM
+
+    wait_for(rests, "a machine that stands still", STANDS_S)
+    assert rests()
+
+
+def require_kept(client, ledger) -> None:
+    """Whatever was answered is there, in its last version or a later one, and ended."""
+    jobs = {job["id"]: job for job in list_jobs(client)}
+    assert set(ledger.versions) <= set(jobs)
+    for job_id, version in ledger.versions.items():
         assert jobs[job_id]["version"] >= version
         assert jobs[job_id]["state"] in ENDS
     system = client.get("/api/v1/system").json()
     assert system["current_job"] is None
     assert system["cell"]["connected"] is False
+    ids = list_event_ids(client)
+    assert ids == list(range(1, len(ids) + 1))
+    assert len(ids) >= ledger.events
+    ledger.events = len(ids)
+
+
+def list_event_ids(client) -> list[int]:
+    """Return the numbers of all events that are kept."""
+    ids: list[int] = []
     with client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "0"}) as got:
-        ids = []
         for line in got.iter_lines():
             if line.startswith("id: "):
                 ids.append(int(line[4:]))
             if line.startswith("event: tick"):
                 break
-    assert ids == list(range(1, len(ids) + 1))
-    assert len(ids) >= last_event
-    return len(ids)
+    return ids
 
 
-def work(client, known, end):
-    """Measure until it is time to be killed; note what was answered."""
-    job = client.post("/api/v1/jobs", json={"kind": "measure-otf", "path": ROWS}).json()
-    known[job["id"]] = job["version"]
-    address = f"/api/v1/jobs/{job['id']}"
-    armed = False
-    while time.monotonic() < end:
-        job = client.get(address).json()
-        known[job["id"]] = job["version"]
-        if job["state"] == "ready" and not armed:
-            version = {"If-Match": f'"{job["version"]}"'}
-            answer = client.post(f"{address}/arm", headers=version)
-            armed = answer.status_code == 202
-        time.sleep(0.01)
+def list_jobs(client) -> list[dict]:
+    """Return all jobs, page by page."""
+    jobs, after = [], ""
+    while after is not None:
+        page = client.get(f"/api/v1/jobs?limit=50{after and f'&after={after}'}").json()
+        jobs += page["items"]
+        after = page["next"]
+    return jobs
+
+
+def require_readable_runs(client, ledger) -> None:
+    """Every Run of a job can be taken away as a bundle, and has what it says."""
+    for job in list_jobs(client):
+        if job["run_id"]:
+            run = client.get(f"/api/v1/runs/{job['run_id']}")
+            assert run.status_code == 200, run.text
+            assert run.json()["samples"] >= 0

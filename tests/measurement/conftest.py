@@ -160,7 +160,7 @@ class FakeMotion(MotionController):
         self.has_watchdog = True
         self.override: float | None = None
         self.limits_override = True
-        self.ignores_hold = self.ignores_resume = False
+        self.ignores_hold = self.ignores_resume = self.ignores_abort = False
         self.ends_after_s: float | None = None
         self.runs_on = False  # another program follows the last row
         self.stale_looks = 0  # that still show the last line of the program before
@@ -257,6 +257,8 @@ class FakeMotion(MotionController):
         self.calls.append("abort")
         with self._lock:
             self._advance()
+            if self.ignores_abort:
+                return
             self.loaded = None
             if self._state is not MotionState.ALARM:
                 self._state, self._reason = MotionState.ABORTED, ""

@@ -369,6 +369,31 @@ def test_abort_stops_the_machine_and_keeps_the_run(begin, long_order, motion, jo
     assert len(running.run.tracker) > 100
 
 
+@pytest.mark.fault_row(17)
+def test_an_abort_that_the_controller_ignores_is_a_fault(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.ignores_abort = True
+    running.measurement.obey(CellVerb.ABORT)
+    assert running.ended() == "faulted"
+    assert journal.faults[-1] == "stop-unconfirmed"
+
+
+@pytest.mark.fault_row(16)
+def test_an_abort_of_a_controller_out_of_reach_is_a_fault(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.out_of_reach = True
+    with pytest.raises(DeviceTimeout):
+        running.measurement.obey(CellVerb.ABORT)
+    assert running.ended() == "faulted"
+    assert journal.faults[-1] == "stop-unconfirmed"
+
+
 def test_abort_while_paused_is_an_abort(begin, long_order, journal):
     running = begin(long_order)
     running.until_moving()
