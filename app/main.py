@@ -8,7 +8,9 @@ the bench's devices.
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
@@ -24,10 +26,11 @@ from truepath.app.api.server import (
     format_address,
     ignore_raised_signals,
 )
-from truepath.app.api.service import Service
+from truepath.app.api.service import LEAST_FREE_BYTES, Service
 from truepath.app.errors import BadInput
 from truepath.app.files.machine_file import machine_from_json, read_machine
 from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.conditions import ConditionBoard, Observed
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.jobs.database import Database
@@ -109,6 +112,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             event_bus=event_bus,
             machine=context.machine,
             cell=context.cell,
+            conditions=context.conditions,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
         )
@@ -142,8 +146,29 @@ def _make_context(
         workers=workers,
         machine=machine,
         cell=cell,
+        conditions=_make_conditions(settings, cell),
         live=LiveEstimation,
     )
+
+
+def _make_conditions(
+    settings: Settings, cell: CellSupervisor | None
+) -> ConditionBoard | None:
+    if cell is None:
+        return None
+    begun = time.time() - time.monotonic()
+
+    def observe() -> Observed:
+        return Observed(
+            cell=cell.status,
+            controller=cell.controller,
+            allow_no_watchdog=settings.allow_no_watchdog,
+            free_bytes=shutil.disk_usage(settings.data_dir).free,
+            least_bytes=LEAST_FREE_BYTES,
+            clock_step_s=time.time() - time.monotonic() - begun,
+        )
+
+    return ConditionBoard(observe)
 
 
 def _load_machine(

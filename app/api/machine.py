@@ -15,9 +15,12 @@ from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.conditions import ConditionType, Level
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.kinematics.machine import Machine
+
+_NO_MACHINE = "no machine is set up; give the service a machine_file"
 
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])
@@ -56,6 +59,28 @@ class MachineOut(Connection):
     tracker_noise: dict[str, Any] = Field(
         description="What the machine file says of the tracker."
     )
+
+
+class ConditionOut(BaseModel):
+    """Something that has to be so before the machine moves, as it is now."""
+
+    type: ConditionType
+    level: Level = Field(description="`unknown` where no device tells it.")
+    reason: str = Field(examples=["estop"], description="For programs; may be empty.")
+    message: str = Field(
+        examples=["a door is open; close it"],
+        description="What is wrong and what to do; empty where nothing is.",
+    )
+    is_required: bool = Field(
+        description="While this is `false`, no job is armed on this machine."
+    )
+    since: str = Field(description="When the level became what it is, UTC.")
+
+
+class ConditionList(BaseModel):
+    """All conditions of a machine."""
+
+    items: list[ConditionOut]
 
 
 class MachineSummary(BaseModel):
@@ -105,7 +130,7 @@ class Ready(BaseModel):
 def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
     if service.machine is None:
-        raise NotFound("no machine is set up; give the service a machine_file")
+        raise NotFound(_NO_MACHINE)
     content = machine_to_json(service.machine)
     # `tracker` of the machine file is its noise; here the name is for who answers.
     content["tracker_noise"] = content.pop("tracker", None)
@@ -119,6 +144,18 @@ def connect_machine(service: ServiceDep) -> Connection:
     if service.cell is None:
         raise NoMachine
     return _describe_connection(service.cell.connect())
+
+
+@machines.get("/current/conditions", responses=declare_problems(404))
+def list_conditions(service: ServiceDep) -> ConditionList:
+    """Return what has to be so before the machine moves. Asks no device, so is quick.
+
+    The controller is read once a second while nothing is measured.
+    """
+    if service.conditions is None:
+        raise NotFound(_NO_MACHINE)
+    found = service.conditions.read()
+    return ConditionList(items=[ConditionOut(**asdict(one)) for one in found])
 
 
 @system.get("")

@@ -11,6 +11,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.conditions import ConditionBoard
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
@@ -39,6 +40,7 @@ class Service:
     event_bus: EventBus
     machine: Machine | None
     cell: CellSupervisor | None
+    conditions: ConditionBoard | None = None
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64
     closing: threading.Event = field(default_factory=threading.Event)

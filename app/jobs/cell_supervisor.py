@@ -26,11 +26,13 @@ from truepath.app.measurement.messages import (
     CellEvent,
     CellState,
     CellVerb,
+    ControllerRead,
     FaultReported,
     MeasurementOrder,
     StateChanged,
 )
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import MotionStatus
 
 log = structlog.get_logger(__name__)
 
@@ -70,12 +72,25 @@ class CellStatus:
         return bool(self.devices)
 
 
+@dataclass(frozen=True, slots=True)
+class ControllerLevels:
+    """What the controller showed last while nothing was measured.
+
+    read_s : when, by the monotonic clock
+    """
+
+    status: MotionStatus | None
+    text: str
+    read_s: float
+
+
 class CellSupervisor:
     """One cell process, from the start of the service to its end.
 
     make : returns a new cell, not yet started
     first_pause_s : before another cell is started
     status : the cell's last known state, for any thread
+    controller : what the controller showed last at rest; None before and after that
     """
 
     def __init__(
@@ -86,6 +101,7 @@ class CellSupervisor:
         self._commands = queue.SimpleQueue()
         self._on_event: EventHandler | None = None
         self.status = CellStatus()
+        self.controller: ControllerLevels | None = None
         self._closing = threading.Event()
         self._must_kill = threading.Event()
         self._thread = threading.Thread(
@@ -212,6 +228,9 @@ class CellSupervisor:
                 self._follow_state(state)
             case FaultReported(text=text):
                 self.status = replace(self.status, text=text)
+            case ControllerRead(status, text):
+                self.controller = ControllerLevels(status, text, time.monotonic())
+                return
         if self._on_event is not None:
             self._on_event(event)
 
@@ -253,6 +272,7 @@ class CellSupervisor:
 
     def _go_down(self, text: str) -> None:
         self.status = CellStatus("down", text, self.status.restarts + 1)
+        self.controller = None
         on_event, self._on_event = self._on_event, None
         if on_event is not None:
             on_event(None)

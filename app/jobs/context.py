@@ -8,6 +8,7 @@ from pathlib import Path
 
 from truepath.app.jobs.cell_measurement import CONFIRM_S
 from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.conditions import ConditionBoard
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.executor import ProcessExecutor, Task
 from truepath.app.jobs.live_estimation import LiveEstimation, Show
@@ -30,6 +31,7 @@ class JobContext:
         `analyse_recorded`, `discover_recorded`, `follow_recorded`, `check_station`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
+    conditions : what has to be so before the machine moves; None without a machine
     confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
@@ -42,6 +44,7 @@ class JobContext:
     workers: Workers = field(default_factory=Workers)
     machine: Machine | None = None
     cell: CellSupervisor | None = None
+    conditions: ConditionBoard | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement

@@ -16,6 +16,7 @@ from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import (
     CellDown,
     Interrupted,
+    NotInOrder,
     QueueFull,
     StorageUnavailable,
 )
@@ -95,8 +96,13 @@ class Dispatcher:
         return job, is_new
 
     def arm(self, job_id: str, version: int) -> Job:
-        """Let a ready job move the machine. Raises StaleVersion, IllegalTransition."""
+        """Let a ready job move the machine.
+
+        Raises StaleVersion, IllegalTransition, NotInOrder.
+        """
         active = self._find_active(job_id, Verb.ARM)
+        apply_verb(Verb.ARM, active.state)
+        self._require_order()
         job = active.apply_verb(Verb.ARM, version)
         active.arm()
         return job
@@ -248,6 +254,12 @@ class Dispatcher:
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
+
+    def _require_order(self) -> None:
+        board = self._context.conditions
+        obstacles = [] if board is None else board.list_obstacles()
+        if obstacles:
+            raise NotInOrder(obstacles)
 
     def _command_cell(self, verb: CellVerb) -> Future[None] | None:
         cell = self._context.cell

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from truepath.app.errors import (
     BadInput,
@@ -10,6 +12,9 @@ from truepath.app.errors import (
     MeasurementFailed,
     TruepathError,
 )
+
+if TYPE_CHECKING:
+    from truepath.app.jobs.conditions import Condition
 
 
 class StaleVersion(JobError):
@@ -52,6 +57,14 @@ class CellBusy(JobError):
     def __init__(self, job_id: str, state: str) -> None:
         super().__init__(f"job {job_id} ({state}) holds the machine")
         self.job_id = job_id
+
+
+class NotInOrder(JobError):
+    """Something that is known to be wrong keeps the machine from being let move."""
+
+    def __init__(self, obstacles: Sequence[Condition]) -> None:
+        super().__init__("; ".join(one.message for one in obstacles))
+        self.obstacles = tuple(obstacles)
 
 
 class MeasurementEnded(MeasurementFailed):

@@ -32,6 +32,7 @@ from truepath.app.measurement.messages import (
     CellVerb,
     Connected,
     ConnectRefused,
+    ControllerRead,
     FaultReported,
     LivePoints,
     MeasurementCommand,
@@ -50,6 +51,7 @@ from truepath.drivers.interfaces.tracker import AnyTracker
 log = logging.getLogger(__name__)
 
 LOOK_S = 0.25
+CONTROLLER_S, AWAY_S = 1.0, 5.0  # between two readings at rest, and where it is away
 SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
 
@@ -75,6 +77,7 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
                 cell.look_for_service()
             elif not cell.obey(link.recv()):
                 return
+            cell.look_at_controller()
     except (EOFError, OSError):
         log.error("the link to the parent is gone; the feed is held")
     finally:
@@ -98,6 +101,22 @@ class _CellServer:
         self._thread: threading.Thread | None = None
         self._beat_s: float | None = None  # of the service, the last one
         self._look_s = 0.0
+        self._controller_s = 0.0  # when it is read again
+
+    def look_at_controller(self) -> None:
+        """Read the controller once in a while, unless a measurement does so anyway."""
+        now_s = time.monotonic()
+        if self._motion is None or not self._identities or self._measuring:
+            return
+        if now_s < self._controller_s:
+            return
+        try:
+            read = ControllerRead(self._motion.status())
+        except DeviceError as error:
+            read = ControllerRead(None, str(error))
+        pause_s = CONTROLLER_S if read.status else AWAY_S
+        self._controller_s = time.monotonic() + pause_s
+        self._outbox.report(read)
 
     def look_for_service(self) -> None:
         """Hold the feed if the service has fallen silent. Nothing waits to be obeyed.
@@ -173,6 +192,7 @@ class _CellServer:
         self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
         choose_refraction(tracker.capabilities, config.light)  # refuses what is twice
         self._connect_thermometers()
+        self._controller_s = 0.0
         self._state(CellState.READY)
 
     def _connect_thermometers(self) -> None:

@@ -14,7 +14,12 @@ from typing import Any
 from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, Configurations
-from truepath.drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath.drivers.interfaces.records import (
+    Identity,
+    MotionStatus,
+    Path,
+    TrackerSamples,
+)
 from truepath.drivers.interfaces.tracker_records import Light
 
 
@@ -211,6 +216,17 @@ class LinesDamaged:
 
 
 @dataclass(frozen=True, slots=True)
+class ControllerRead:
+    """Event: what the controller shows while nothing is measured.
+
+    status : None where it did not answer; `text` then says why
+    """
+
+    status: MotionStatus | None
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class FaultReported:
     """Event: something is wrong; the state says whether this is the end.
 
@@ -250,6 +266,7 @@ CellEvent = (
     | BlockRecorded
     | PartRequested
     | LinesDamaged
+    | ControllerRead
     | FaultReported
     | RunClosed
 )

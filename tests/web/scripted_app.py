@@ -61,6 +61,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def current() -> dict[str, Any]:
         return machine()
 
+    @app.get(f"{API}/machines/current/conditions")
+    def conditions() -> dict[str, Any]:
+        return {"items": service.conditions}
+
     @app.post(f"{API}/machines/current:connect")
     def connect() -> Any:
         if service.refuse_connect:

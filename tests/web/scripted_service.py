@@ -40,6 +40,7 @@ class ScriptedService:
         self.connected = False
         self.silent = False
         self.refuse_connect = False
+        self.conditions: list[dict[str, Any]] = []
         self.deaf_to_stop = False
         self.stops = 0
         self.requests: list[tuple[str, str, Any]] = []

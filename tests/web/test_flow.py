@@ -492,3 +492,34 @@ def held(page: Page, button: Locator) -> Iterator[None]:
     yield
     assert time.monotonic() - begun > HOLD_S
     page.mouse.up()
+
+
+DOOR = {
+    "type": "controller-able",
+    "level": "false",
+    "reason": "door",
+    "message": "a door is open; close it",
+    "is_required": True,
+    "since": "2026-01-01T10:00:00.000Z",
+}
+SHUT = DOOR | {"level": "true", "reason": "", "message": ""}
+
+
+@pytest.mark.parametrize(
+    ("language", "words"), [("en", "A door is open"), ("de", "Eine Tür ist offen")]
+)
+def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
+    panel, service, language, words
+):
+    service.connected, service.conditions = True, [DOOR]
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}", language=language)
+    row = page.locator('[data-type="controller-able"]')
+    expect(row).to_have_attribute("data-level", "false")
+    expect(row).to_contain_text(words)
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text(words)
+    service.conditions = [SHUT]
+    expect(page.locator(NEXT)).to_be_enabled()
+    expect(row).to_have_attribute("data-level", "true")

@@ -61,6 +61,9 @@ export async function machine() {
 export const connect = () =>
   call("POST", "/machines/current:connect", { patience_ms: 60000 });
 
+/** What has to be so before the machine moves. */
+export const conditions = async () => items(await call("GET", "/machines/current/conditions"));
+
 export const job = (id) => call("GET", `/jobs/${id}`);
 export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limit}`));
 

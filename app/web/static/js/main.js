@@ -21,7 +21,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null,
-  live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
+  conditions: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
   link: { stale: false, last: null },
 });
 const go = (address) => {

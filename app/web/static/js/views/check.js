@@ -6,6 +6,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { adviceCard } from "./advice-card.js";
+import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
@@ -13,22 +14,24 @@ import { stationNotices } from "./station-notice.js";
 import { again } from "./run.js";
 
 /** Button that leads on: held, because the machine moves. */
-export function lead({ job, plan, link, asked }, { actions, go }) {
+export function lead({ job, plan, link, asked, conditions }, { actions, go }) {
   if (!job || hasEnded(job)) return { next: again(job, plan, go) };
   if (stepOf(job) !== "check") {
     return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
   }
-  const reason = refusal(job, link, asked);
+  const reason = refusal(job, link, asked, conditions);
   const back = { label: t("check.discard"), run: () => discard(actions, again(job, plan, go)) };
   return { back, reason: reason || t("check.hold_reason"),
     next: { key: "arm", label: t("check.hold"), icon: "hold", hold: true,
       disabled: Boolean(reason), run: actions.arm } };
 }
 
-function refusal(job, link, asked) {
+function refusal(job, link, asked, conditions) {
   if (asked) return t("check.asked");
   if (!waitsForArming(job)) return t("check.preparing");
-  return link.stale ? t("check.stale") : "";
+  if (link.stale) return t("check.stale");
+  const first = obstacle(conditions);
+  return first ? wordsOf(first) : "";
 }
 
 async function discard(actions, { run }) {
@@ -37,7 +40,8 @@ async function discard(actions, { run }) {
 }
 
 /** Show the plan. */
-export function mount(root) {
+export function mount(root, { store }) {
+  const conditions = conditionsCard(store);
   const path = pathCard(false);
   const grade = plannedGrade();
   const program = programCard();
@@ -48,12 +52,13 @@ export function mount(root) {
   root.append(
     head(t("check.title"), t("check.text")), failure,
     h("div", { class: "columns is-main-left" }, path.element,
-      h("div", { class: "stack" }, card(t("check.plan"), facts), advice, grade.element, card(t("check.reach"), reach),
+      h("div", { class: "stack" }, conditions.element, card(t("check.plan"), facts), advice, grade.element, card(t("check.reach"), reach),
         card(t("check.before"), before()), program.element)),
   );
   let described = "";
   return {
-    update({ job, plan: whole, machine }) {
+    update({ job, plan: whole, machine, conditions: held }) {
+      conditions.update(held);
       const plan = rowsNow(whole, job);
       path.update(plan, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
@@ -66,7 +71,10 @@ export function mount(root) {
       advice.replaceChildren(...[adviceCard(plan)].filter(Boolean));
       failure.replaceChildren(...[errorNotice(job), ...stationNotices(job)].filter(Boolean));
     },
-    close: path.close,
+    close() {
+      path.close();
+      conditions.close();
+    },
   };
 }
 

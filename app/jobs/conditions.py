@@ -1,0 +1,243 @@
+"""What has to be so before the machine may be let move, as levels and not as events.
+
+Each condition is read anew whenever somebody asks, from what the cell has read in its
+own cycle: a device that does not answer delays nobody. `since` is when its status
+changed last. What a device does not tell is unknown; only what is known to be wrong
+stands in the way, since the measurement looks at everything again before it moves.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from truepath.app.jobs.cell_supervisor import MOVING, CellStatus, ControllerLevels
+from truepath.app.jobs.job import format_utc_now
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+
+LATE_S = 10.0
+"""A reading of the controller that is older says nothing any more."""
+FULL_OVERRIDE = (0.9995, 1.0005)
+CLOCK_STEP_S = 2.0
+
+
+class Level(StrEnum):
+    """Whether a condition holds."""
+
+    TRUE = "true"
+    FALSE = "false"
+    UNKNOWN = "unknown"
+
+
+class ConditionType(StrEnum):
+    """What is looked at; those of `REQUIRED` keep the machine from being let move."""
+
+    DEVICES_CONNECTED = "devices-connected"
+    CONTROLLER_ANSWERS = "controller-answers"
+    CONTROLLER_ABLE = "controller-able"
+    CONTROLLER_FREE = "controller-free"
+    FEED_OVERRIDE_FULL = "feed-override-full"
+    WATCHDOG_THERE = "watchdog-there"
+    DISK_HAS_ROOM = "disk-has-room"
+    CLOCK_STEADY = "clock-steady"
+
+
+REQUIRED = frozenset(
+    {
+        ConditionType.DEVICES_CONNECTED,
+        ConditionType.CONTROLLER_ANSWERS,
+        ConditionType.CONTROLLER_ABLE,
+        ConditionType.CONTROLLER_FREE,
+        ConditionType.WATCHDOG_THERE,
+        ConditionType.DISK_HAS_ROOM,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found of one condition.
+
+    reason : for programs; message : for people, with the remedy where there is one
+    """
+
+    level: Level
+    reason: str = ""
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One condition as it is now.
+
+    since : UTC, when its level became what it is
+    """
+
+    type: ConditionType
+    level: Level
+    reason: str
+    message: str
+    is_required: bool
+    since: str
+
+    @property
+    def is_obstacle(self) -> bool:
+        """Whether it keeps the machine from being let move."""
+        return self.is_required and self.level is Level.FALSE
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """All that conditions are read from.
+
+    controller : its last reading at rest; None where there is none
+    free_bytes, least_bytes : room on the disk, and how much has to stay
+    clock_step_s : by how much the wall clock has left the monotonic one
+    """
+
+    cell: CellStatus
+    controller: ControllerLevels | None
+    allow_no_watchdog: bool
+    free_bytes: int
+    least_bytes: int
+    clock_step_s: float = 0.0
+
+
+YES, UNTOLD = Finding(Level.TRUE), Finding(Level.UNKNOWN, "not-told")
+
+
+def find_conditions(seen: Observed, now_s: float) -> Mapping[ConditionType, Finding]:
+    """Return what is found; `now_s` is of the monotonic clock."""
+    answers, status = _read_controller(seen, now_s)
+    return {
+        ConditionType.DEVICES_CONNECTED: _find_connection(seen.cell),
+        ConditionType.CONTROLLER_ANSWERS: answers,
+        ConditionType.CONTROLLER_ABLE: _find_ability(status),
+        ConditionType.CONTROLLER_FREE: _find_freedom(status),
+        ConditionType.FEED_OVERRIDE_FULL: _find_override(status),
+        ConditionType.WATCHDOG_THERE: _find_watchdog(seen),
+        ConditionType.DISK_HAS_ROOM: _find_room(seen),
+        ConditionType.CLOCK_STEADY: _find_clock(seen.clock_step_s),
+    }
+
+
+def _find_connection(cell: CellStatus) -> Finding:
+    if cell.connected:
+        return YES
+    text = cell.text or "tracker and controller have not been connected"
+    return Finding(Level.FALSE, cell.state, f"{text}; connect them")
+
+
+def _read_controller(
+    seen: Observed, now_s: float
+) -> tuple[Finding, MotionStatus | None]:
+    """Return whether it answers, and what it shows where that is fresh."""
+    read = seen.controller
+    if seen.cell.state in MOVING:
+        return Finding(Level.TRUE, "measuring"), None
+    if read is None or not seen.cell.connected or now_s - read.read_s > LATE_S:
+        return UNTOLD, None
+    if read.status is None:
+        text = f"{read.text}; check cable and power, then connect again"
+        return Finding(Level.FALSE, "no-answer", text), None
+    return YES, read.status
+
+
+def _find_ability(status: MotionStatus | None) -> Finding:
+    if status is None:
+        return UNTOLD
+    if status.state in UNABLE:
+        said = f" ({status.alarm.strip()})" if status.alarm.strip() else ""
+        why = UNABLE[status.state]
+        return Finding(
+            Level.FALSE, str(status.state), f"{why.text}{said}; {why.remedy}"
+        )
+    return YES
+
+
+def _find_freedom(status: MotionStatus | None) -> Finding:
+    if status is None:
+        return UNTOLD
+    if status.state is MotionState.RUNNING:
+        text = (
+            "the controller runs something else; let it end or stop it at the machine"
+        )
+        return Finding(Level.FALSE, "motion-busy", text)
+    return YES
+
+
+def _find_override(status: MotionStatus | None) -> Finding:
+    if status is None or status.override is None:
+        return UNTOLD
+    if FULL_OVERRIDE[0] <= status.override <= FULL_OVERRIDE[1]:
+        return YES
+    text = f"the feed override is {100 * status.override:.0f} %; set it to 100 %"
+    return Finding(Level.FALSE, "feed-override", text)
+
+
+def _find_watchdog(seen: Observed) -> Finding:
+    if not seen.cell.connected:
+        return UNTOLD
+    if seen.cell.devices.get("motion", {}).get("has_watchdog"):
+        return YES
+    text = "the controller has no watchdog: it would move on if the service died"
+    if seen.allow_no_watchdog:
+        return Finding(Level.TRUE, "allowed-without", f"{text}; that is allowed")
+    return Finding(Level.FALSE, "no-watchdog", f"{text}; give it one")
+
+
+def _find_room(seen: Observed) -> Finding:
+    if seen.free_bytes > seen.least_bytes:
+        return YES
+    text = (
+        f"{seen.free_bytes / 1e6:.0f} MB are free on the disk of the Runs, "
+        f"{seen.least_bytes / 1e6:.0f} MB have to be; free some space"
+    )
+    return Finding(Level.FALSE, "disk-full", text)
+
+
+def _find_clock(step_s: float) -> Finding:
+    if abs(step_s) < CLOCK_STEP_S:
+        return YES
+    text = (
+        f"the clock of this computer was set by {step_s:+.0f} s since the service "
+        "began; times of day before that are off, durations are not"
+    )
+    return Finding(Level.FALSE, "clock-set", text)
+
+
+@dataclass(slots=True)
+class ConditionBoard:
+    """Keeps since when each condition is as it is; for any thread.
+
+    observe : reads what there is, at once
+    """
+
+    observe: Callable[[], Observed]
+    clock: Callable[[], float] = time.monotonic
+    _since: dict[ConditionType, tuple[Level, str]] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def read(self) -> list[Condition]:
+        """Return every condition as it is now."""
+        with self._lock:
+            now_s = self.clock()
+            found = find_conditions(self.observe(), now_s)
+            return [self._note(kind, one) for kind, one in found.items()]
+
+    def list_obstacles(self) -> list[Condition]:
+        """Return what keeps the machine from being let move."""
+        return [condition for condition in self.read() if condition.is_obstacle]
+
+    def _note(self, kind: ConditionType, found: Finding) -> Condition:
+        level, since = self._since.get(kind, (None, ""))
+        if level is not found.level:
+            since = format_utc_now()
+            self._since[kind] = (found.level, since)
+        is_required = kind in REQUIRED
+        return Condition(
+            kind, found.level, found.reason, found.message, is_required, since
+        )

@@ -1,0 +1,57 @@
+/* What has to be so before the machine moves, as the service holds it, asked once a second. */
+import * as api from "../api.js";
+import { h, icon } from "../dom.js";
+import { card } from "../parts.js";
+import { known, t } from "../texts.js";
+
+const ASK_MS = 1000;
+const SHAPES = { true: "check", false: "warning", unknown: "info" };
+
+/** The first condition that keeps the machine from being started; null where none does. */
+export const obstacle = (conditions) =>
+  conditions?.find(({ level, is_required }) => is_required && level === "false") ?? null;
+
+/** A condition in words: what is wrong and what to do. */
+export const wordsOf = ({ reason, message }) => known(`condition.reason.${reason}`, message);
+
+/** Card with all conditions; `close` ends the asking. */
+export function conditionsCard(store) {
+  const list = h("ul", { class: "conditions" });
+  let closed = false;
+  let shown = "";
+
+  async function ask() {
+    if (closed) return;
+    const conditions = await api.conditions().catch(() => null);
+    if (closed) return;
+    store.set({ conditions });
+    setTimeout(ask, ASK_MS);
+  }
+
+  ask();
+  return {
+    element: card(t("condition.title"), list),
+    update(conditions) {
+      const key = JSON.stringify(conditions);
+      if (key === shown) return;
+      shown = key;
+      list.replaceChildren(...(conditions ? conditions.map(row)
+        : [h("li", { class: "empty" }, t("condition.none"))]));
+    },
+    close() {
+      closed = true;
+      store.set({ conditions: null });
+    },
+  };
+}
+
+function row(condition) {
+  const { type, level, is_required, since } = condition;
+  const state = level === "false" && !is_required ? "told" : level;
+  const at = new Date(since).toLocaleTimeString(document.documentElement.lang);
+  return h("li", { "data-level": state, "data-type": type },
+    icon(SHAPES[level]),
+    h("div", {}, h("b", {}, t(`condition.${type}`)),
+      level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition))),
+    h("span", { class: "condition-since" }, t("condition.since", { at })));
+}

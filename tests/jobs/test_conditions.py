@@ -1,0 +1,133 @@
+"""What has to be so before the machine moves: levels, since when, and what forbids."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.conditions import (
+    LATE_S,
+    REQUIRED,
+    ConditionBoard,
+    ConditionType,
+    Level,
+    Observed,
+    find_conditions,
+)
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+
+NOW_S = 1000.0
+CONNECTED = CellStatus("ready", devices={"motion": {"has_watchdog": True}})
+
+
+def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S):
+    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, alarm, "", override)
+    return ControllerLevels(status, "", read_s)
+
+
+GOOD = Observed(CONNECTED, shown(), False, 10**9, 10**8)
+
+
+def levels(seen):
+    return {kind: one.level for kind, one in find_conditions(seen, NOW_S).items()}
+
+
+def only_false(seen):
+    (kind,) = [k for k, level in levels(seen).items() if level is Level.FALSE]
+    return kind, find_conditions(seen, NOW_S)[kind]
+
+
+def test_a_machine_in_order_fulfils_every_condition():
+    assert set(levels(GOOD).values()) == {Level.TRUE}
+
+
+@pytest.mark.parametrize("state", UNABLE)
+def test_a_machine_that_cannot_be_driven_says_why_and_what_to_do(state):
+    kind, found = only_false(replace(GOOD, controller=shown(state, alarm="F 12")))
+    assert kind is ConditionType.CONTROLLER_ABLE
+    assert found.reason == state
+    assert "F 12" in found.message
+    assert found.message.endswith(UNABLE[state].remedy)
+
+
+def test_another_program_that_runs_stands_in_the_way():
+    kind, _ = only_false(replace(GOOD, controller=shown(MotionState.RUNNING)))
+    assert kind is ConditionType.CONTROLLER_FREE
+
+
+def test_an_override_is_told_and_does_not_stand_in_the_way():
+    kind, found = only_false(replace(GOOD, controller=shown(override=0.7)))
+    assert kind not in REQUIRED
+    assert "70 %" in found.message
+
+
+def test_an_override_that_is_not_told_is_unknown():
+    seen = replace(GOOD, controller=shown(override=None))
+    assert levels(seen)[ConditionType.FEED_OVERRIDE_FULL] is Level.UNKNOWN
+
+
+def test_a_controller_that_does_not_answer_is_no_controller_that_is_able():
+    away = ControllerLevels(None, "10.0.0.9 does not answer", NOW_S)
+    kind, found = only_false(replace(GOOD, controller=away))
+    assert kind is ConditionType.CONTROLLER_ANSWERS
+    assert "10.0.0.9" in found.message
+    seen = replace(GOOD, controller=away)
+    assert levels(seen)[ConditionType.CONTROLLER_ABLE] is Level.UNKNOWN
+
+
+def test_an_old_reading_says_nothing_any_more():
+    old = shown(MotionState.IDLE, read_s=NOW_S - LATE_S - 1.0)
+    seen = replace(GOOD, controller=old)
+    assert levels(seen)[ConditionType.CONTROLLER_ABLE] is Level.UNKNOWN
+
+
+def test_devices_that_are_not_connected_stand_in_the_way():
+    away = CellStatus("disconnected", "the port is gone")
+    kind, found = only_false(replace(GOOD, cell=away))
+    assert kind is ConditionType.DEVICES_CONNECTED
+    assert "the port is gone" in found.message
+
+
+def test_a_controller_without_a_watchdog_needs_leave():
+    bare = replace(CONNECTED, devices={"motion": {"has_watchdog": False}})
+    kind, _ = only_false(replace(GOOD, cell=bare))
+    assert kind is ConditionType.WATCHDOG_THERE
+    seen = replace(GOOD, cell=bare, allow_no_watchdog=True)
+    assert levels(seen)[ConditionType.WATCHDOG_THERE] is Level.TRUE
+
+
+@pytest.mark.fault_row(27)
+def test_a_full_disk_stands_in_the_way():
+    kind, found = only_false(replace(GOOD, free_bytes=10**7))
+    assert kind is ConditionType.DISK_HAS_ROOM
+    assert "10 MB" in found.message
+
+
+@pytest.mark.fault_row(29)
+def test_a_clock_that_was_set_is_told():
+    kind, found = only_false(replace(GOOD, clock_step_s=-3600.0))
+    assert kind is ConditionType.CLOCK_STEADY
+    assert kind not in REQUIRED
+    assert "-3600 s" in found.message
+
+
+def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
+    times = iter(f"2026-01-01T00:00:0{n}.000Z" for n in range(10))
+    monkeypatch.setattr(
+        "truepath.app.jobs.conditions.format_utc_now", lambda: next(times)
+    )
+    door = replace(GOOD, controller=shown(MotionState.DOOR))
+    seen = iter([GOOD, GOOD, door, door])
+    board = ConditionBoard(lambda: next(seen), lambda: NOW_S)
+    read = [board.read() for _ in range(4)]
+    able = [
+        one
+        for board in read
+        for one in board
+        if one.type is ConditionType.CONTROLLER_ABLE
+    ]
+    assert able[0].since == able[1].since
+    assert able[2].since == able[3].since > able[1].since
+    assert [one.is_obstacle for one in able] == [False, False, True, True]
