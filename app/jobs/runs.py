@@ -35,11 +35,8 @@ from truepath.app.jobs.job import (
 from truepath.app.jobs.run_reader import RunFacts, RunReader
 from truepath.app.jobs.schema import runs
 from truepath.app.measurement.run_file import hash_file
-from truepath.app.measurement.run_reading import (
-    open_run,
-    read_job_id,
-    repair_run,
-)
+from truepath.app.measurement.run_reading import open_run, read_job_id
+from truepath.app.measurement.run_repair import repair_run
 
 log = structlog.get_logger(__name__)
 

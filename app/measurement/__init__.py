@@ -1,10 +1,10 @@
 """Measuring: drive the machine, record the tracker, leave a Run on disk.
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
-time. `measurement_steps` holds the two ways to measure: the controller drives a path by
-itself while the tracker streams, or the machine stands at points. All waiting is the
-`tick` of `measurement_monitor`, which feeds the controller's watchdog: if the engine
-hangs, the machine holds.
+time. There are two ways to measure: the controller drives a path (`path_steps`) by
+itself while the tracker streams, or the machine stands (`point_steps`). All waiting is
+the `tick` of `measurement_monitor`, which feeds the controller's watchdog: if the
+engine hangs, the machine holds.
 
 A sample's way: the driver decodes it; `stream_reader` collects blocks of 20 ms into
 batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file`)

@@ -164,6 +164,12 @@ NO_WATCHDOG = Fault(
     "give it one, or set allow_no_watchdog and stay at its emergency stop",
     latched=False,
 )
+MOTION_BUSY = Fault(
+    "motion-busy",
+    "the controller already runs something else",
+    "let it end or stop it at the machine",
+    latched=False,
+)
 STOP_NOT_CONFIRMED = Fault(
     "stop-unconfirmed",
     "the controller was told to stop and does not say that it stands",

@@ -19,6 +19,7 @@ from truepath.app.measurement.environment_reader import (
 )
 from truepath.app.measurement.faults import (
     AIR_UNKNOWN,
+    MOTION_BUSY,
     NO_WATCHDOG,
     STOP_NOT_CONFIRMED,
     Aborted,
@@ -39,16 +40,25 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
+from truepath.app.measurement.path_steps import PathSteps
+from truepath.app.measurement.point_steps import PointSteps
 from truepath.app.measurement.progress import LiveView, schedule_rows
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader
 from truepath.app.measurement.target_check import TargetCheck
 from truepath.app.measurement.target_search import TargetSearch
 from truepath.app.measurement.timing import EngineSettings
+from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.errors import DeviceError, Refused
 from truepath.drivers.interfaces.motion import MotionController
-from truepath.drivers.interfaces.records import UNABLE, Identity, MotionState
+from truepath.drivers.interfaces.records import (
+    UNABLE,
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
 from truepath.drivers.interfaces.thermometers import Thermometers
 from truepath.drivers.interfaces.tracker import AnyTracker, TargetFinder
 
@@ -142,33 +152,11 @@ class Measurement:
     def _measure(self) -> None:
         order = self._order
         check_travel(order.machine, order.commanded)
-        is_watched = self._devices["motion"].has_watchdog
-        if not (is_watched or self._settings.allow_no_watchdog):
-            raise NO_WATCHDOG
-        status = self._motion.status()
-        if status.state in UNABLE:
-            raise make_unable_fault(status, latched=False)
-        if status.state is MotionState.RUNNING:
-            raise Fault(
-                "motion-busy",
-                "the controller already runs something else",
-                "let it end or stop it at the machine",
-                latched=False,
-            )
+        status = self._check_controller()
         self._motion.abort()  # what an earlier order has left there must not go on
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
-        header = RunHeader(
-            order.run_name,
-            order.machine,
-            order.commanded,
-            order.rate_hz,
-            self._devices,
-            self._motion.axes,
-            name_channels(self._groups),
-            choose_refraction(self._tracker.capabilities, self._settings.light),
-            order.job_id,
-        )
+        header = self._make_header()
         view = LiveView(
             self._report,
             reports_blocks=order.live,
@@ -180,15 +168,11 @@ class Measurement:
             on_recorded=view.show,
             reserve_bytes=order.reserve_bytes,
         )
-        if not is_watched:
-            self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
-        self._settle_override(status.override)
+        self._tell_limits(header, status)
         self._environment = EnvironmentReader(
             self._groups, self._recorder, self._note_sensor
         )
         self._environment.start()
-        if lacks_air(header.refraction, header.channels):
-            self._report_fault(AIR_UNKNOWN)
         self._monitor = MeasurementMonitor(
             self._tracker,
             self._motion,
@@ -201,8 +185,45 @@ class Measurement:
             TargetCheck(order.machine) if len(order.machine.targets) > 1 else None,
             self._make_search(order.machine),
         )
-        self._steps = MeasurementSteps(self._monitor, order, status.position)
-        self._steps.run(commanded)
+        self._steps = make_steps(self._monitor, order, status.position, commanded)
+        self._steps.run()
+
+    def _check_controller(self) -> MotionStatus:
+        """Return what it shows. Raises Fault where it may not or cannot be driven."""
+        if not (self._is_watched or self._settings.allow_no_watchdog):
+            raise NO_WATCHDOG
+        status = self._motion.status()
+        if status.state in UNABLE:
+            raise make_unable_fault(status, latched=False)
+        if status.state is MotionState.RUNNING:
+            raise MOTION_BUSY
+        return status
+
+    @property
+    def _is_watched(self) -> bool:
+        return self._devices["motion"].has_watchdog
+
+    def _make_header(self) -> RunHeader:
+        order = self._order
+        return RunHeader(
+            order.run_name,
+            order.machine,
+            order.commanded,
+            order.rate_hz,
+            self._devices,
+            self._motion.axes,
+            name_channels(self._groups),
+            choose_refraction(self._tracker.capabilities, self._settings.light),
+            order.job_id,
+        )
+
+    def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:
+        """Say and record what is not as it should be."""
+        if not self._is_watched:
+            self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
+        self._settle_override(status.override)
+        if lacks_air(header.refraction, header.channels):
+            self._report_fault(AIR_UNKNOWN)
 
     def _make_search(self, machine: Machine) -> TargetSearch | None:
         may_search = self._settings.timeouts.search_s > 0.0
@@ -272,3 +293,15 @@ class Measurement:
         if self._recorder is not None:
             with contextlib.suppress(MeasurementFailed):
                 self._recorder.event(kind, text)
+
+
+def make_steps(
+    monitor: MeasurementMonitor,
+    order: MeasurementOrder,
+    start: tuple[float, ...],
+    commanded: Commanded,
+) -> MeasurementSteps:
+    """Return the steps of a path or of points, which are in the controller's axes."""
+    if isinstance(commanded, Path):
+        return PathSteps(monitor, order, start, commanded)
+    return PointSteps(monitor, order, start, commanded)

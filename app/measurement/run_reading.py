@@ -7,14 +7,9 @@ named, a hole in the tracker's counter is named; nothing is joined silently.
 from __future__ import annotations
 
 import json
-import shutil
 import sqlite3
-import tempfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +19,8 @@ from truepath.app.files.bundle import read_bundle
 from truepath.app.files.environment import Series, tabulate_channels
 from truepath.app.files.refraction import correct_refraction
 from truepath.app.files.run import PointRows, Run, RunEvent
-from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.measurement.faults import DAMAGED, NO_WATCHDOG
-from truepath.app.measurement.messages import RunClosed
+from truepath.app.measurement.run_content import open_database, read_content
 from truepath.app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
@@ -36,14 +30,7 @@ from truepath.app.measurement.run_file import (
     TRACKER,
     TRACKER_STREAM,
     Batch,
-    connect,
-    create_run_file,
     decode_header,
-    hash_file,
-    insert_batches,
-    put_manifest,
-    seal,
-    transaction,
     unpack_axes,
     unpack_environment,
     unpack_points,
@@ -56,30 +43,15 @@ from truepath.drivers.interfaces.records import (
 )
 
 _SQLITE = b"SQLite format 3\0"
-_LEAST_ROW_BYTES = 64  # no row of the file is smaller
-_NAMED_PROBLEMS = 100  # beyond them nobody reads on
+NAMED_PROBLEMS = 100  # beyond them nobody reads on
 _ROWS = "row", "count", "covariance_mm2"
-_TORN = "torn"  # outcome of a Run whose writer was killed
+TORN = "torn"  # outcome of a Run whose writer was killed
 _AIR_OF_POINTS = {
     "air_degC": "temperature_degc",
     "pressure_hPa": "pressure_hpa",
     "humidity_percent": "humidity_percent",
 }
 _NOTES = {NO_WATCHDOG.code: "watchdog", DAMAGED.code: "stream"}  # kinds of events
-_NO_RUN = ("no such table", "not a database")
-
-Row = tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """All readable rows of a Run file, and what could not be read."""
-
-    manifest: dict[str, str]
-    batches: list[Batch]
-    events: list[RunEvent]
-    event_rows: list[Row]
-    problems: list[str]
 
 
 def open_run(file: str | Path) -> Run:
@@ -89,7 +61,7 @@ def open_run(file: str | Path) -> Run:
     file is not a Run, or its manifest is lost.
     """
     place = Path(file)
-    content = _read(place)
+    content = read_content(place)
     try:
         header = decode_header(content.manifest, file=place.name)
         closed = json.loads(content.manifest.get(CLOSED, "{}"))
@@ -98,7 +70,7 @@ def open_run(file: str | Path) -> Run:
         raise BundleError(
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
-    tracker, points = _join_points(_tracker(content.batches), content.batches)
+    tracker, points = _join_points(read_samples(content.batches), content.batches)
     temperature, air = tabulate_channels(
         _read_air(tracker, points) | _read_channels(content.batches, header.channels)
     )
@@ -120,7 +92,7 @@ def open_run(file: str | Path) -> Run:
         provenance={
             "source": place.name,
             "started": started,
-            "outcome": closed.get("outcome", _TORN),
+            "outcome": closed.get("outcome", TORN),
             **_describe_notes(content.events),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
@@ -144,37 +116,12 @@ def open_recorded(place: str | Path) -> Run:
 def read_job_id(file: str | Path) -> str:
     """Return the job that recorded a Run, empty where its file does not say."""
     try:
-        with _open_database(Path(file)) as database:
+        with open_database(Path(file)) as database:
             query = "SELECT value FROM manifest WHERE key = 'job'"
             row = database.execute(query).fetchone()
             return str(json.loads(row[0])) if row else ""
     except (sqlite3.Error, OSError, ValueError, TypeError):
         return ""
-
-
-def repair_run(file: str | Path) -> RunClosed:
-    """Make one closed file of a Run whose writer was killed.
-
-    What SQLite itself cannot repair is copied batch by batch into a new file; the
-    damaged one is kept beside it as `.torn`. A closed Run stays as it is.
-    """
-    place = Path(file)
-    content = _read(place)
-    tracker = _tracker(content.batches)
-    failure = "; ".join(content.problems[:_NAMED_PROBLEMS])
-    lost = int(np.diff(tracker.sequence).sum()) - max(len(tracker) - 1, 0)
-    end = {"outcome": _TORN, "samples": len(tracker), "lost_samples": lost}
-    if content.problems:
-        content.manifest.setdefault(CLOSED, json.dumps(end))
-        sha256 = _salvage(place, content)
-    elif CLOSED in content.manifest and not _log(place).exists():
-        sha256 = hash_file(place)
-    else:
-        database = connect(place)
-        if CLOSED not in content.manifest:
-            put_manifest(database, {CLOSED: json.dumps(end)})
-        sha256 = seal(database, place)
-    return RunClosed(str(place), "", len(tracker), lost, sha256, failure)
 
 
 def _is_sqlite(place: Path) -> bool:
@@ -184,101 +131,8 @@ def _is_sqlite(place: Path) -> bool:
         return source.read(len(_SQLITE)) == _SQLITE
 
 
-def _read(file: Path) -> _Content:
-    if not file.is_file():
-        raise BundleError("no such Run", file=str(file), remedy="check the path")
-    try:
-        with _open_database(file) as database:
-            return _rows(database, file)
-    except sqlite3.Error as error:
-        raise BundleError(
-            f"is not a Run file ({error})", file=file.name, remedy="use a copy"
-        ) from error
-
-
-@contextmanager
-def _open_database(file: Path) -> Iterator[sqlite3.Connection]:
-    """Open a Run to read. One with a log left behind is recovered in a copy of both."""
-    log = _log(file)
-    if not log.exists():
-        address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
-        with closing(sqlite3.connect(address, uri=True)) as database:
-            yield database
-        return
-    with tempfile.TemporaryDirectory(prefix="truepath-run-") as folder:
-        copy = Path(folder) / file.name
-        shutil.copyfile(file, copy)
-        shutil.copyfile(log, copy.with_name(log.name))
-        with closing(sqlite3.connect(copy)) as database:
-            yield database
-
-
-def _log(file: Path) -> Path:
-    return file.with_name(file.name + "-wal")
-
-
-def _rows(database: sqlite3.Connection, file: Path) -> _Content:
-    problems: list[str] = []
-    manifest = _read_table(database, "manifest", "key, value", file, problems)
-    columns = "stream, seq0, n, mono_ns, wall_ns, payload, crc32"
-    batches: list[Batch] = []
-    for *row, crc32 in _read_table(database, "batch", columns, file, problems):
-        batch = Batch(*row)
-        if _is_whole(batch, crc32):
-            batches.append(batch)
-        else:
-            problems.append(f"batch of {row[0]} at {row[1]}: its CRC does not match")
-    batches.sort(key=lambda b: (b.stream, b.seq0))
-    event_rows = _read_table(
-        database, "event", "seq, mono_ns, wall_ns, kind, body", file, problems
-    )
-    events = [_event(row, problems) for row in event_rows]
-    return _Content(
-        dict(manifest), batches, [e for e in events if e], event_rows, problems
-    )
-
-
-def _is_whole(batch: Batch, crc32: int) -> bool:
-    try:
-        return batch.crc32 == crc32
-    except (TypeError, AttributeError, ArithmeticError, ValueError):
-        return False  # a damaged page may hold any type in any column
-
-
-def _event(row: Row, problems: list[str]) -> RunEvent | None:
-    seq, mono_ns, _, kind, body = row
-    try:
-        return RunEvent(int(mono_ns), str(kind), str(json.loads(body)["text"]))
-    except (TypeError, ValueError, KeyError):
-        problems.append(f"event {seq} is damaged")
-        return None
-
-
-def _read_table(
-    database: sqlite3.Connection,
-    table: str,
-    columns: str,
-    file: Path,
-    problems: list[str],
-) -> list[Row]:
-    """Return all rows; one by one where a page is damaged."""
-    query = f"SELECT {columns} FROM {table}"  # noqa: S608
-    try:
-        return database.execute(f"{query} ORDER BY rowid").fetchall()
-    except sqlite3.DatabaseError as error:
-        if any(sign in str(error) for sign in _NO_RUN):
-            raise
-    problems.append(f"pages of the table {table} are damaged")
-    rows: list[Row] = []
-    for number in range(1, file.stat().st_size // _LEAST_ROW_BYTES):
-        try:
-            rows += database.execute(f"{query} WHERE rowid = ?", (number,)).fetchall()
-        except sqlite3.DatabaseError:
-            continue
-    return rows
-
-
-def _tracker(batches: list[Batch]) -> TrackerSamples:
+def read_samples(batches: list[Batch]) -> TrackerSamples:
+    """Return the samples of all batches, in order."""
     qualities = {
         b.seq0: unpack_quality(b.payload) for b in batches if b.stream == QUALITY_STREAM
     }
@@ -377,14 +231,14 @@ def _find_gaps(tracker: TrackerSamples) -> list[str]:
     steps = np.diff(tracker.sequence)
     return [
         f"gap: {steps[i] - 1} samples after sequence {tracker.sequence[i]}"
-        for i in np.flatnonzero(steps > 1)[:_NAMED_PROBLEMS]
+        for i in np.flatnonzero(steps > 1)[:NAMED_PROBLEMS]
     ]
 
 
 def _make_events(missing: list[str]) -> list[RunEvent]:
     return [
         RunEvent(0, "gap" if text.startswith("gap") else "bad-batch", text)
-        for text in missing[:_NAMED_PROBLEMS]
+        for text in missing[:NAMED_PROBLEMS]
     ]
 
 
@@ -392,23 +246,3 @@ def _describe_notes(events: list[RunEvent]) -> dict[str, str]:
     """Return what a report has to say of the way it was measured."""
     texts = {event.kind: event.text for event in reversed(events)}
     return {name: texts[kind] for kind, name in _NOTES.items() if kind in texts}
-
-
-def _salvage(file: Path, content: _Content) -> str:
-    """Copy the readable rows into a new file of that name; the old becomes `.torn`."""
-    draft = file.with_name(file.name + ".salvage")
-    draft.unlink(missing_ok=True)
-    database = create_run_file(draft, content.manifest)
-    with transaction(database):
-        insert_batches(database, tuple(content.batches))
-        database.executemany(
-            "INSERT INTO event VALUES (?, ?, ?, ?, ?)", content.event_rows
-        )
-    sha256 = seal(database, draft)
-    file.replace(file.with_name(file.name + ".torn"))
-    if _log(file).exists():
-        _log(file).replace(file.with_name(file.name + ".torn-wal"))
-    file.with_name(file.name + "-shm").unlink(missing_ok=True)
-    draft.replace(file)
-    sync_to_disk(file.parent)
-    return sha256

@@ -41,7 +41,8 @@ from truepath.app.measurement.messages import (
     StateChanged,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.run_repair import repair_run
 from truepath.app.motion.configurations import Configurations
 from truepath.app.planning.default_path import default_path
 from truepath.app.plugins import load

@@ -21,7 +21,8 @@ from truepath.app.files.run import summarize_run
 from truepath.app.measurement import recorder as recorder_module
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader, hash_file
-from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.run_repair import repair_run
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 

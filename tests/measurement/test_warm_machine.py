@@ -22,7 +22,8 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run, repair_run
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.run_repair import repair_run
 from truepath.app.planning.default_path import default_path
 from truepath.simulators.bench import Bench
 from truepath.simulators.hidden.thermal_growth import ThermalGrowth
