@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 
 from truepath.app.api.security import Guard
 from truepath.app.compensation.installed import list_formats
+from truepath.app.jobs.conditions import ConditionType
 from truepath.app.kinematics.effects.catalogue import list_families
 from truepath.app.web.pages import (
     LANGUAGE_COOKIE,
@@ -24,6 +25,7 @@ from truepath.app.web.pages import (
     router,
     static_files,
 )
+from truepath.drivers.interfaces.records import UNABLE
 
 ROOT = Path(__file__).parents[2]
 STATIC = ROOT / "app" / "web" / "static"
@@ -37,7 +39,7 @@ OURS = [
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
 BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.")
 BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
-BUILT_KEYS += ("export.unmeasured_",)
+BUILT_KEYS += ("export.unmeasured_", "condition.")
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
 # Told by the service in English, and so translated into the other languages only.
 TOLD = re.compile(
@@ -159,6 +161,13 @@ def test_every_text_is_used_and_every_used_text_exists():
         if f'"{key}"' not in written and not key.startswith(BUILT_KEYS)
     }
     assert idle == set()
+
+
+def test_every_condition_has_its_words():
+    types = {f"condition.{kind}" for kind in ConditionType}
+    reasons = {f"condition.reason.{state}" for state in UNABLE}
+    for language in LANGUAGES:
+        assert types | reasons <= catalogue(language).keys()
 
 
 def test_nothing_of_ours_names_a_host():
