@@ -50,6 +50,7 @@ from truepath.app.measurement.messages import CellConfig, StreamTimeouts
 from truepath.app.plugins import load
 from truepath.app.service_log import configure_log
 from truepath.app.settings import Settings
+from truepath.app.users.access import Access, AccessRules
 from truepath.app.web import pages
 
 log = structlog.get_logger(__name__)
@@ -69,6 +70,7 @@ def serve(
         open_service(settings) as service,
         bind_socket(settings.host, settings.port) as listener,
     ):
+        _require_users(settings, service)
         address = format_address(listener)
         _print_addresses(settings, address)
         app = create_application(
@@ -101,6 +103,8 @@ def open_service(settings: Settings) -> Iterator[Service]:
         reconciliation.start()
         if context.cell is not None:
             context.cell.start()
+        access = Access(database, _make_rules(settings))
+        stack.callback(access.close)
         service = Service(
             version=version("truepath"),
             simulated=settings.simulated,
@@ -115,6 +119,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             conditions=context.conditions,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
+            access=access,
         )
         stack.callback(service.end_streams)
         yield service
@@ -169,6 +174,26 @@ def _make_conditions(
         )
 
     return ConditionBoard(observe)
+
+
+def _require_users(settings: Settings, service: Service) -> None:
+    access = service.access
+    if not settings.log_in_required or access.accounts.list_all():
+        return
+    raise BadInput(
+        "nobody could log in: there is no user yet; on this computer, run "
+        "`truepath users add NAME --role administrator` with the same settings"
+    )
+
+
+def _make_rules(settings: Settings) -> AccessRules:
+    return AccessRules(
+        log_in_required=settings.log_in_required,
+        arming_by_key=settings.allow_arming_by_key,
+        session_s=settings.session_hours * 3600.0,
+        # A browser keeps no such cookie of a plain address beyond its own computer.
+        secure_cookie=settings.tls_cert is not None or not settings.allow_plain_http,
+    )
 
 
 def _load_machine(

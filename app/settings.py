@@ -42,7 +42,17 @@ class Settings(BaseSettings):
     port: int = Field(8411, ge=0, le=65535)
     """0 lets the system choose; the address is printed."""
     allow_plain_http: bool = False
-    """Listen beyond this computer although nothing is encrypted and nobody logs in."""
+    """Listen beyond this computer although nothing is encrypted."""
+    log_in: Literal["beyond-this-computer", "always", "never"] = "beyond-this-computer"
+    """Who has to log in: nobody as long as only this computer can reach the service.
+    `never` is for a container whose port is published on this computer only, or behind
+    a proxy that asks for a log-in."""
+    session_hours: float = Field(12.0, gt=0, le=720)
+    allow_arming_by_key: bool = False
+    """Let a program with an API key set the machine in motion."""
+    tls_cert: Path | None = None
+    """Certificate of this computer (PEM), with those that lead to its root."""
+    tls_key: Path | None = None
     trusted_hosts: tuple[str, ...] = ()
     """Names browsers may call this computer by, beside localhost and IP addresses."""
 
@@ -112,12 +122,18 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _require_loopback(self) -> Self:
-        if not self.is_loopback and not self.allow_plain_http:
+        if not (self.is_loopback or self.tls_cert or self.allow_plain_http):
             raise ValueError(
                 f"host {self.host} can be reached from other computers, without "
-                "encryption or log-in; listen on 127.0.0.1 behind a proxy that adds "
-                "both, or accept the risk with --allow-plain-http"
+                "encryption; give tls_cert and tls_key (`truepath tls create` makes "
+                "them), or accept the risk with --allow-plain-http"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _require_both_of_tls(self) -> Self:
+        if (self.tls_cert is None) != (self.tls_key is None):
+            raise ValueError("tls_cert and tls_key go together; give both or neither")
         return self
 
     @property
@@ -131,6 +147,13 @@ class Settings(BaseSettings):
             return Light(**stated, is_group=is_group)
         except (TypeError, ValueError) as error:
             raise ValueError(f"tracker_light: {error}") from error
+
+    @property
+    def log_in_required(self) -> bool:
+        """Whether somebody has to log in."""
+        if self.log_in == "beyond-this-computer":
+            return not self.is_loopback
+        return self.log_in == "always"
 
     @property
     def is_loopback(self) -> bool:

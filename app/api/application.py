@@ -29,8 +29,12 @@ from truepath.app.api import (
     problems,
     results,
     runs,
+    session,
+    users,
 )
+from truepath.app.api.access_control import AccessControl
 from truepath.app.api.models.base import PREFIX
+from truepath.app.api.route_roles import describe_roles
 from truepath.app.api.security import Guard
 from truepath.app.api.service import Service
 
@@ -63,6 +67,7 @@ _TAGS = [
     {"name": "runs", "description": "What was recorded, as measurement bundles."},
     {"name": "machines", "description": "The machine and its devices."},
     {"name": "events", "description": "What happens, as it happens."},
+    {"name": "users", "description": "Who may do what, and who did what."},
     {"name": "system", "description": "The service itself."},
 ]
 
@@ -70,7 +75,9 @@ _TAGS = [
 class _Application(FastAPI):
     def openapi(self) -> dict[str, Any]:
         if self.openapi_schema is None:
-            self.openapi_schema = problems.add_problems(super().openapi())
+            self.openapi_schema = describe_roles(
+                problems.add_problems(super().openapi())
+            )
         return self.openapi_schema
 
 
@@ -98,6 +105,7 @@ def create_application(
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
+    app.add_middleware(AccessControl, access=service.access if service else None)
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)
     problems.install_handlers(app)
     app.include_router(_api(), max_body_size=MAX_BODY_BYTES)
@@ -125,6 +133,8 @@ def _api() -> APIRouter:
         runs.router,
         machine.machines,
         machine.system,
+        session.router,
+        users.router,
         events.router,
     ):
         api.include_router(router)

@@ -31,6 +31,7 @@ from truepath.app.api.request_headers import (
     make_key,
 )
 from truepath.app.api.service import ServiceDep
+from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
 from truepath.app.jobs.job import Job
 from truepath.app.jobs.live_notice import OnNotice
@@ -48,11 +49,14 @@ def create_job(
     request: JobRequest,
     response: Response,
     service: ServiceDep,
+    actor: ActorDep,
     idempotency_key: IdempotencyKeyHeader = None,
 ) -> JobOut:
     """Take on a job. A measuring job then waits, `ready`, until it is armed."""
     key = make_key(idempotency_key, "", request)
-    job, _ = service.dispatcher.create(request.to_requested_job(), key)
+    job, _ = service.dispatcher.create(
+        request.to_requested_job(), key, owner=owner_of(actor)
+    )
     response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
     return _describe(job, response)
 

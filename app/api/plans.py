@@ -20,6 +20,7 @@ from truepath.app.api.models.plan import (
 from truepath.app.api.problems import declare_problems, describe_failure
 from truepath.app.api.request_headers import IdempotencyKeyHeader, format_etag, make_key
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.jobs.errors import NoMachine
@@ -125,6 +126,7 @@ def create_plan(
     request: PlanRequest,
     response: Response,
     service: ServiceDep,
+    actor: ActorDep,
     idempotency_key: IdempotencyKeyHeader = None,
 ) -> PlanResource:
     """Choose the measurement that tells most in its time. Nothing moves.
@@ -139,7 +141,7 @@ def create_plan(
         plan_request=request.order(),
     )
     key = make_key(idempotency_key, "plan ", request)
-    job, _ = service.dispatcher.create(requested, key)
+    job, _ = service.dispatcher.create(requested, key, owner=owner_of(actor))
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
     return _describe(job, response, service)
 

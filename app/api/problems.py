@@ -8,6 +8,7 @@ request's identifier, never in the answer.
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from truepath.app import errors as app_errors
 from truepath.app.api.models.base import Problem
 from truepath.app.jobs import errors as job_errors
 from truepath.app.jobs.job import Failure
+from truepath.app.users import errors as user_errors
 
 MAX_ERRORS = 20
 MEDIA_TYPE = "application/problem+json"
@@ -167,8 +169,18 @@ def find_kind_of_status(status: int) -> ProblemKind:
     return ProblemKind(status, known.code, known.title, known.action)
 
 
+def make_error_response(error: Exception, scope: Scope) -> Response:
+    """Return the problem that an error is, as the answer to the request of a scope."""
+    headers: dict[str, str] = {}
+    if isinstance(error, user_errors.NotLoggedIn):
+        headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(error, user_errors.TooManyTries):
+        headers["Retry-After"] = str(math.ceil(error.retry_after_s))
+    return make_problem_response(describe_error(error), scope, headers)
+
+
 def _handle_family(request: Request, error: Exception) -> Response:
-    return make_problem_response(describe_error(error), request.scope)
+    return make_error_response(error, request.scope)
 
 
 def _handle_validation(request: Request, error: Exception) -> Response:
@@ -207,4 +219,4 @@ def _find_example_kind(status: int) -> ProblemKind:
     """Return a kind of problem with that status, as an example."""
     by_family = (kind for kind in PROBLEM_KINDS.values() if kind.status == status)
     plain = BY_STATUS.get(status, INTERNAL)
-    return plain if status == 422 else next(by_family, plain)
+    return plain if status in (422, 429) else next(by_family, plain)

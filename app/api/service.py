@@ -19,6 +19,7 @@ from truepath.app.jobs.job import JobEvent
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.kinematics.machine import Machine
+from truepath.app.users.access import Access
 
 LEAST_FREE_BYTES = 500 << 20
 
@@ -27,6 +28,7 @@ LEAST_FREE_BYTES = 500 << 20
 class Service:
     """Everything behind the routes.
 
+    access : users, roles and audit log
     closing : set when the service is about to end; open streams then end
     """
 
@@ -40,6 +42,7 @@ class Service:
     event_bus: EventBus
     machine: Machine | None
     cell: CellSupervisor | None
+    access: Access
     conditions: ConditionBoard | None = None
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64

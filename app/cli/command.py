@@ -20,6 +20,7 @@ from truepath.app.cli import (
     result_commands,
     service_commands,
     trend_commands,
+    user_commands,
 )
 from truepath.app.errors import BadInput, TruepathError
 from truepath.app.thread_limits import choose_thread_limits
@@ -90,6 +91,9 @@ app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
+app.add_typer(user_commands.users, name="users")
+app.add_typer(user_commands.keys, name="keys")
+app.add_typer(user_commands.audit, name="audit")
 
 
 def run_command(call: Callable[[], int | None]) -> int:

@@ -45,7 +45,7 @@ def serve(
     allow_plain_http: Annotated[
         bool,
         typer.Option(
-            "--allow-plain-http", help="Listen beyond this computer, unencrypted."
+            "--allow-plain-http", help="Listen beyond this computer without TLS."
         ),
     ] = False,
 ) -> None:
@@ -64,6 +64,11 @@ def serve(
     )
     if measure and not settings.simulated:  # nobody has looked at the machine
         raise BadInput("--measure moves the machine at once; it needs --simulated")
+    if measure and (settings.log_in_required or settings.tls_cert):
+        raise BadInput(
+            "--measure begins with nobody logged in; leave it out, or listen on this "
+            "computer only, without TLS"
+        )
     if hide and not settings.simulated:
         raise BadInput("--hide is for simulated devices; it needs --simulated")
     serve(settings, listening=calibrate if measure else None)

@@ -76,9 +76,15 @@ class Dispatcher:
         return any(active.kind.measures for active in list(self._active.values()))
 
     def create(
-        self, request: RequestedJob, key: IdempotencyKey | None = None
+        self,
+        request: RequestedJob,
+        key: IdempotencyKey | None = None,
+        *,
+        owner: str | None = None,
     ) -> tuple[Job, bool]:
         """Take a job on; False if this key has made it before.
+
+        owner : name of the user who asks for it
 
         Raises BadInput, NotFound, CellBusy, KeyReused, NoMachine, QueueFull.
         """
@@ -90,7 +96,7 @@ class Dispatcher:
             raise CellDown("the service is ending")
         if len(self._active) >= MAX_WAITING:
             raise QueueFull(f"{MAX_WAITING} jobs are under way already")
-        job, is_new = self._context.store.create(new, key, plan)
+        job, is_new = self._context.store.create(replace(new, owner=owner), key, plan)
         if is_new:
             self._begin(job)
         return job, is_new

@@ -167,6 +167,7 @@ class Job:
     station : of a measurement from several places of the tracker
     on_notice : what is done where its live estimate notices a change
     notices : what it has noticed
+    owner : name of the user who asked for it; None where nobody logs in
     attempts : how often it was begun, restarts of the service in between
     """
 
@@ -193,6 +194,7 @@ class Job:
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None
+    owner: str | None = None
     attempts: int = 0
 
     @property

@@ -53,6 +53,7 @@ jobs = sa.Table(
     sa.Column("progress", sa.JSON, nullable=False),
     sa.Column("health", sa.JSON, nullable=False),
     sa.Column("failure", sa.JSON, nullable=True),
+    sa.Column("owner", sa.String(64), nullable=True),
     sa.Column("attempts", sa.Integer, nullable=True),
     sa.Column("created", sa.String(32), nullable=False),
     sa.Column("started", sa.String(32), nullable=True),

@@ -30,6 +30,7 @@ from truepath.app.jobs.store import Store
 from truepath.app.planning.default_path import default_path
 from truepath.app.reporting.analysis_files import render_analysis, write_analysis
 from truepath.app.results.analysis import analyse
+from truepath.app.users.access import Access, AccessRules
 from truepath.simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
@@ -159,6 +160,7 @@ def service(
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
+    access = Access(database, AccessRules())
     yield Service(
         version="1.2.3",
         simulated=True,
@@ -170,12 +172,14 @@ def service(
         event_bus=event_bus,
         machine=context.machine,
         cell=cell,
+        access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,
     )
     dispatcher.close()
     if cell is not None:
         cell.close()
+    access.close()
     database.close()
 
 

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from truepath.app.api.application import describe_interface
 
-PATHS = sorted(json.loads(describe_interface())["paths"])
+DESCRIBED = json.loads(describe_interface())["paths"]
+PATHS = sorted(DESCRIBED)
 GET_PATHS = sorted(
     path
-    for path, methods in json.loads(describe_interface())["paths"].items()
+    for path, methods in DESCRIBED.items()
     if "get" in methods and not path.endswith("/events")
 )
 relaxed = settings(
@@ -142,4 +143,5 @@ def test_any_damage_to_a_bundle(idle, bundle, cut, flip):
 def test_any_method(client, path, method):
     answer = client.request(method, path.replace("{job_id}", "a"))
     is_sound(answer)
-    assert answer.status_code in (404, 405)
+    if method.lower() not in DESCRIBED[path]:
+        assert answer.status_code in (404, 405)

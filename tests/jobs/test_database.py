@@ -21,6 +21,7 @@ from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
 from truepath.app.jobs.schema import metadata
 from truepath.app.jobs.store import Store
+from truepath.app.users import tables as _tables_of_users  # noqa: F401 (into metadata)
 
 MIGRATIONS = Path(migrations.__file__).parent
 

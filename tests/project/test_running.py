@@ -114,6 +114,7 @@ def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
         "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
         "TRUEPATH_PORT": str(free_port),
         "TRUEPATH_ALLOW_PLAIN_HTTP": "true",  # as the compose file has it
+        "TRUEPATH_LOG_IN": "never",
     }
     check = json.loads(instruction("HEALTHCHECK").partition(" CMD ")[2])
     check = [word.replace(":8411/", f":{free_port}/") for word in check]

@@ -167,6 +167,10 @@ class JobOut(BaseModel):
     notices: list[NoticeOut] = Field(
         description="What its live estimate has noticed, by number."
     )
+    owner: str | None = Field(
+        examples=["anna"],
+        description="Who asked for it; null where nobody logs in.",
+    )
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     started: str | None
     ended: str | None

@@ -1,0 +1,175 @@
+"""Who sends a request, whether the role suffices, and the audit log of it.
+
+Plain ASGI, before the routes: nothing of a request is read, and no stream opens, before
+it is known who sends it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import suppress
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+from anyio.to_thread import run_sync
+from starlette.datastructures import Headers, State
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from truepath.app.api.models.base import PREFIX
+from truepath.app.api.problems import make_error_response
+from truepath.app.api.route_roles import (
+    ABORT,
+    ANYBODY,
+    MOVES,
+    NEVER_LIMITED,
+    STOP,
+    find_least_role,
+    find_route,
+)
+from truepath.app.errors import TruepathError
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.users.access import Access, require_person, require_role
+from truepath.app.users.audit import Entry
+from truepath.app.users.roles import LOCAL, Actor, Role
+
+COOKIE = "truepath_session"
+AUDIT_PATIENCE_S = 1.0
+"""How long an answer waits for its row of the audit log."""
+
+_READS = frozenset({"GET", "HEAD", "OPTIONS"})
+_NOT_LOGGED_IN = 401
+
+
+class AccessControl:
+    """Lets a request through to the routes with its `actor`, or refuses it.
+
+    access : None only to describe the interface
+    """
+
+    def __init__(self, app: ASGIApp, access: Access | None) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        state = scope.setdefault("state", {})
+        state["actor"] = LOCAL
+        access = self._access
+        if access is None:
+            await self._app(scope, receive, send)
+            return
+        method = scope.get("method", "GET")
+        route = find_route(method, scope["path"])
+        audited = _AuditedAnswer(access, scope, send, route)
+        try:
+            state["actor"] = await _let_in(access, scope, method, route)
+        except TruepathError as error:
+            state["actor"] = None
+            if scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": 1008})
+            else:
+                await make_error_response(error, scope)(scope, receive, audited.send)
+            return
+        await self._app(scope, receive, audited.send if method not in _READS else send)
+
+
+async def _let_in(
+    access: Access, scope: Scope, method: str, route: str
+) -> Actor | None:
+    """Return who sends the request. Raises NotLoggedIn, RoleTooLow, TooManyRequests."""
+    least = find_least_role(method, route)
+    is_open = least is ANYBODY
+    if is_open and (route == STOP or not scope["path"].startswith(PREFIX)):
+        return None
+    try:
+        actor = await run_sync(access.identify, read_token(scope))
+    except StorageUnavailable:
+        if route == ABORT:  # not refused because of a disk
+            return None
+        raise
+    scope["state"]["known"] = actor
+    if is_open:
+        return actor
+    actor = require_role(actor, least or Role.ADMINISTRATOR)
+    if route in MOVES:
+        require_person(actor, access.rules)
+    if method not in _READS and route not in NEVER_LIMITED:
+        access.limit_changes(actor)
+    return actor
+
+
+def read_token(scope: Scope) -> str:
+    """Return the token of a request, of its header or of its cookie; else nothing."""
+    headers = Headers(scope=scope)
+    scheme, _, token = headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return token.strip()
+    with suppress(CookieError):
+        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        return morsel.value if morsel else ""
+    return ""
+
+
+def note_change(
+    request: HTTPConnection, *, old: Mapping[str, Any], new: Mapping[str, Any]
+) -> None:
+    """Say for the audit log what the request changes."""
+    state: State = request.state
+    state.old, state.new = old, new
+
+
+class _AuditedAnswer:
+    """Sends an answer once the audit log has its row; after a second in any case."""
+
+    def __init__(self, access: Access, scope: Scope, send: Send, route: str) -> None:
+        self._access, self._scope, self._send = access, scope, send
+        self._route = route
+
+    async def send(self, message: Message) -> None:
+        """Send one message; the row is written before the first one."""
+        if message["type"] == "http.response.start":
+            await self._record(message)
+        await self._send(message)
+
+    async def _record(self, message: Message) -> None:
+        status = message["status"]
+        if self._scope["method"] in _READS and status == _NOT_LOGGED_IN:
+            return  # a page whose session has ended asks again and again
+        done = self._access.audit_writer.record(self._make_entry(message))
+        if self._route not in NEVER_LIMITED:
+            with suppress(TimeoutError):
+                waiting = asyncio.shield(asyncio.wrap_future(done))
+                await asyncio.wait_for(waiting, AUDIT_PATIENCE_S)
+
+    def _make_entry(self, message: Message) -> Entry:
+        scope, state = self._scope, self._scope["state"]
+        actor: Actor | None = state.get("known") or state.get("actor")
+        sent, answered = Headers(scope=scope), Headers(raw=message["headers"])
+        old = state.get("old") or _pick(version=sent.get("if-match"))
+        new = state.get("new") or _pick(
+            version=answered.get("etag"), made=answered.get("location")
+        )
+        return Entry(
+            who=actor.name if actor else "",
+            role=actor.role if actor else "",
+            source=find_source(scope),
+            request_id=state.get("request_id", ""),
+            what=f"{scope['method']} {scope['path']}"[:400],
+            outcome=str(message["status"]),
+            old=old,
+            new=new,
+        )
+
+
+def find_source(scope: Scope) -> str:
+    """Return the address of the computer that a request comes from."""
+    client = scope.get("client")
+    return client[0][:64] if client else ""
+
+
+def _pick(**found: str | None) -> dict[str, str] | None:
+    return {name: value for name, value in found.items() if value} or None

@@ -1,0 +1,148 @@
+"""The least role of every route, in one table; a test holds it against the routes.
+
+`ANYBODY` needs no log-in. `POST /stop` is among them: a stop must never be refused, and
+a session that has ended, a forgotten password or a catalogue that does not answer must
+not stand between a person and the stop. The worst a stranger can do by it is to hold
+the feed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from starlette.routing import compile_path
+
+from truepath.app.api.models.base import PREFIX
+from truepath.app.users.roles import Role
+
+ANYBODY = None
+_VIEWER, _OPERATOR = Role.VIEWER, Role.OPERATOR
+_METROLOGIST, _ADMINISTRATOR = Role.METROLOGIST, Role.ADMINISTRATOR
+
+STOP = f"POST {PREFIX}/stop"
+ABORT = f"POST {PREFIX}/jobs/{{job_id}}/abort"
+NEVER_LIMITED = frozenset({STOP, ABORT})
+"""Whatever the rate, and before the audit log is written."""
+
+MOVES = frozenset(
+    {f"POST {PREFIX}/jobs/{{job_id}}/arm", f"POST {PREFIX}/jobs/{{job_id}}/resume"}
+)
+"""Sets the machine in motion: by a person."""
+
+_OF_INTERFACE: Mapping[str, Role | None] = {
+    "POST /stop": ANYBODY,
+    "GET /session": ANYBODY,
+    "POST /session": ANYBODY,
+    "DELETE /session": ANYBODY,
+    "GET /openapi.json": ANYBODY,
+    "POST /jobs": _OPERATOR,
+    "GET /jobs": _VIEWER,
+    "GET /jobs/{job_id}": _VIEWER,
+    "POST /jobs/{job_id}/arm": _OPERATOR,
+    "POST /jobs/{job_id}/pause": _OPERATOR,
+    "POST /jobs/{job_id}/resume": _OPERATOR,
+    "POST /jobs/{job_id}/abort": _VIEWER,
+    "GET /jobs/{job_id}/plan": _VIEWER,
+    "GET /jobs/{job_id}/estimate": _VIEWER,
+    "GET /jobs/{job_id}/result": _VIEWER,
+    "GET /jobs/{job_id}/result/error-tables.json": _VIEWER,
+    "GET /jobs/{job_id}/result/error-tables.csv": _VIEWER,
+    "GET /jobs/{job_id}/result/report.html": _VIEWER,
+    "GET /jobs/{job_id}/discovery": _VIEWER,
+    "GET /jobs/{job_id}/discovery/report.html": _VIEWER,
+    "GET /jobs/{job_id}/trend": _VIEWER,
+    "GET /jobs/{job_id}/trend/report.html": _VIEWER,
+    "GET /jobs/{job_id}/plan/grade": _VIEWER,
+    "GET /jobs/{job_id}/nc-program": _VIEWER,
+    "GET /jobs/{job_id}/compensations": _VIEWER,
+    "GET /jobs/{job_id}/compensations/{compensation_id}": _VIEWER,
+    "GET /jobs/{job_id}/compensations/{compensation_id}/files/{name}": _VIEWER,
+    "GET /jobs/{job_id}/compensations/{compensation_id}/archive": _VIEWER,
+    "GET /jobs/{job_id}/events": _VIEWER,
+    "POST /jobs/{job_id}/compensations": _METROLOGIST,
+    "GET /nc-dialects": _VIEWER,
+    "GET /compensation-formats": _VIEWER,
+    "GET /models": _VIEWER,
+    "GET /models/{model_id}": _VIEWER,
+    "GET /models/{model_id}/versions": _VIEWER,
+    "GET /models/{model_id}/difference": _VIEWER,
+    "POST /plans": _OPERATOR,
+    "POST /plans:validate": _VIEWER,
+    "GET /plans/{plan_id}": _VIEWER,
+    "GET /plans/{plan_id}/nc-program": _VIEWER,
+    "GET /runs": _VIEWER,
+    "POST /runs": _OPERATOR,
+    "GET /runs/{run_id}": _VIEWER,
+    "GET /runs/{run_id}/bundle": _VIEWER,
+    "GET /machines/current": _VIEWER,
+    "POST /machines/current:connect": _OPERATOR,
+    "GET /machines/current/conditions": _VIEWER,
+    "GET /system": _VIEWER,
+    "GET /events": _VIEWER,
+    "GET /users": _ADMINISTRATOR,
+    "POST /users": _ADMINISTRATOR,
+    "PATCH /users/{name}": _ADMINISTRATOR,
+    "DELETE /users/{name}": _ADMINISTRATOR,
+    "GET /keys": _ADMINISTRATOR,
+    "POST /keys": _ADMINISTRATOR,
+    "DELETE /keys/{name}": _ADMINISTRATOR,
+    "GET /audit": _ADMINISTRATOR,
+}
+
+_BESIDE: Mapping[str, Role | None] = {
+    "GET /": ANYBODY,
+    "GET /assets/plotly.min.js": ANYBODY,
+    "GET /static/{path:path}": ANYBODY,
+    "GET /docs": ANYBODY,
+    "GET /docs/begin.js": ANYBODY,
+    "GET /docs/assets/{path:path}": ANYBODY,
+    "GET /healthz": ANYBODY,
+    "GET /readyz": ANYBODY,
+}
+"""The page, its files and the probes say nothing of a machine."""
+
+LEAST_ROLES: Mapping[str, Role | None] = {
+    **{route.replace(" ", f" {PREFIX}", 1): r for route, r in _OF_INTERFACE.items()},
+    **_BESIDE,
+}
+
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+# Addresses without a parameter first: `/plans:validate` is no plan of that name.
+_MATCHERS = [
+    (route.split(" ")[0], compile_path(route.split(" ")[1])[0], route)
+    for route in sorted(LEAST_ROLES, key=lambda route: route.count("{"))
+]
+
+
+def find_route(method: str, path: str) -> str:
+    """Return the key of `LEAST_ROLES` that a request is for; empty for none."""
+    wanted = "GET" if method == "HEAD" else method
+    found = (r for m, pattern, r in _MATCHERS if m == wanted and pattern.match(path))
+    return next(found, "")
+
+
+def find_least_role(method: str, route: str) -> Role | None:
+    """Return the least role of a route; `ANYBODY` is None.
+
+    What is not declared is closed: to read it needs a log-in, else an administrator.
+    """
+    if route in LEAST_ROLES:
+        return LEAST_ROLES[route]
+    return Role.VIEWER if method in _SAFE else Role.ADMINISTRATOR
+
+
+def describe_roles(document: dict[str, Any]) -> dict[str, Any]:
+    """Return an OpenAPI document in which every operation names its least role."""
+    schemes = document["components"].setdefault("securitySchemes", {})
+    schemes["bearer"] = {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "Token of a session or an API key, where log-in is required.",
+    }
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            least = LEAST_ROLES.get(f"{method.upper()} {path}", Role.ADMINISTRATOR)
+            operation["x-least-role"] = least or "anybody"
+            operation["security"] = [{"bearer": []}] if least else []
+    return document

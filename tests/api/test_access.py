@@ -1,0 +1,385 @@
+"""Every route and every role; sessions, keys, users and audit log over HTTP."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+
+import anyio
+import pytest
+from fastapi.routing import iter_route_contexts
+from pydantic import TypeAdapter
+from scripted_cell import wait_until
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse
+from starlette.routing import Route
+from starlette.testclient import TestClient
+
+from truepath.app.api.access_control import COOKIE, AccessControl
+from truepath.app.api.application import create_application
+from truepath.app.api.models.job_request import JobRequest
+from truepath.app.api.route_roles import (
+    ANYBODY,
+    LEAST_ROLES,
+    MOVES,
+    STOP,
+    find_least_role,
+    find_route,
+)
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.users.access import Access, AccessRules
+from truepath.app.users.back_off import RateLimit
+from truepath.app.users.roles import PERSONAL_ROLES, Role, includes
+from truepath.app.web import pages
+
+PASSWORD = "a long sentence is easy"
+API = "/api/v1"
+
+
+@pytest.fixture
+def rules():
+    return AccessRules(log_in_required=True)
+
+
+@pytest.fixture
+def access(service, rules):
+    """A user of each role, named as the role, and a program."""
+    access = Access(service.database, rules)
+    yield access
+    access.close()
+
+
+@pytest.fixture
+def tokens(access, monkeypatch):
+    """The token of each role."""
+    monkeypatch.setattr(
+        "truepath.app.users.accounts.hash_password", lambda password: password
+    )
+    for role in PERSONAL_ROLES:
+        access.accounts.add(role, role, PASSWORD)
+    found = {role: access.tokens.open_session(role) for role in PERSONAL_ROLES}
+    found[Role.SERVICE] = access.tokens.create_key("plant", Role.SERVICE)
+    return found
+
+
+@pytest.fixture
+def client(service, access):
+    """Overrides the client of a service without users."""
+    app = create_application(replace(service, access=access))
+    with TestClient(app, base_url="https://127.0.0.1:8411") as client:
+        yield client
+
+
+@pytest.fixture
+def reached(access):
+    """A client of the access control alone: what it lets through is reached."""
+
+    def answer(_):
+        return PlainTextResponse("reached")
+
+    methods = ["GET", "POST", "PATCH", "PUT", "DELETE"]
+    inner = Starlette(routes=[Route("/{path:path}", answer, methods=methods)])
+    app = AccessControl(inner, access)
+    with TestClient(app, base_url="https://127.0.0.1:8411") as client:
+        yield client
+
+
+def bearer(token):
+    return {"Authorization": f"Bearer {token}"}
+
+
+def list_routes():
+    app = create_application(pages=pages.router)
+    app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
+    found = set()
+    for route in iter_route_contexts(app.routes):
+        methods = set(route.methods or {"GET"}) - {"HEAD"}
+        path = route.path if route.methods else f"{route.path}/{{path:path}}"
+        found |= {f"{method} {path}" for method in methods}
+    return found
+
+
+def test_every_route_declares_its_least_role_and_no_other_is_declared():
+    routes = list_routes()
+    assert routes - set(LEAST_ROLES) == set(), "declare them in route_roles.py"
+    assert set(LEAST_ROLES) - routes == set(), "no such route any more"
+    assert len(routes) > 50
+
+
+def test_what_is_not_declared_is_closed():
+    assert find_least_role("GET", find_route("GET", "/api/v1/new")) is Role.VIEWER
+    unknown = find_route("POST", "/api/v1/new")
+    assert find_least_role("POST", unknown) is Role.ADMINISTRATOR
+
+
+def address_of(route):
+    method, path = route.split(" ")
+    return method, path.replace("{path:path}", "x").replace("{", "").replace("}", "")
+
+
+def test_an_address_leads_to_the_role_of_its_route():
+    for route in LEAST_ROLES:
+        assert find_route(*address_of(route)) == route
+    assert find_route("HEAD", "/api/v1/jobs") == "GET /api/v1/jobs"
+
+
+def test_each_route_refuses_each_role_that_is_too_low_and_takes_the_others(
+    reached, tokens, monkeypatch, access
+):
+    monkeypatch.setattr(access.audit_writer, "record", lambda _: done())
+    wrong = []
+    for route, least in LEAST_ROLES.items():
+        for role in (None, *Role):
+            headers = bearer(tokens[role]) if role else {}
+            answer = reached.request(*address_of(route), headers=headers)
+            expected = expect_status(route, least, role)
+            if answer.status_code != expected:
+                wrong.append((route, role, answer.status_code, expected))
+    assert wrong == []
+
+
+def expect_status(route, least, role):
+    if least is ANYBODY:
+        return 200
+    if role is None:
+        return 401
+    moves_alone = role is Role.SERVICE and route in MOVES
+    return 200 if includes(role, least) and not moves_alone else 403
+
+
+def done():
+    future = Future()
+    future.set_result(None)
+    return future
+
+
+def test_nobody_is_told_how_to_log_in(client):
+    answer = client.get(f"{API}/jobs")
+    assert answer.status_code == 401
+    assert answer.headers["WWW-Authenticate"] == "Bearer"
+    assert answer.json()["code"] == "not-logged-in"
+    assert "/api/v1/session" in answer.json()["action"]
+
+
+@pytest.mark.parametrize("path", ["/events", "/jobs/x/events"])
+def test_no_stream_opens_for_nobody(client, path):
+    assert client.get(API + path).status_code == 401
+    assert client.get(API + path, headers=bearer("wrong")).status_code == 401
+
+
+def test_a_web_socket_is_refused_before_it_opens(access):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "websocket", "path": f"{API}/live", "headers": []}
+    control = AccessControl(None, access)
+    anyio.run(control, scope, None, send)
+    assert sent == [{"type": "websocket.close", "code": 1008}]
+
+
+def test_a_role_too_low_is_named_with_the_one_that_is_needed(client, tokens):
+    refused = client.post(f"{API}/jobs", headers=bearer(tokens[Role.VIEWER]))
+    assert refused.status_code == 403
+    assert "needs the role operator; viewer is viewer" in refused.json()["detail"]
+
+
+def test_a_program_logs_in_for_a_token(client, access):
+    access.accounts.add("anna", Role.OPERATOR, PASSWORD)
+    opened = client.post(f"{API}/session", json={"name": "anna", "password": PASSWORD})
+    assert opened.status_code == 200
+    assert "set-cookie" not in opened.headers
+    headers = bearer(opened.json()["token"])
+    shown = client.get(f"{API}/session", headers=headers).json()
+    assert shown == {
+        "log_in_required": True,
+        "name": "anna",
+        "role": "operator",
+        "is_person": True,
+    }
+    assert client.get(f"{API}/jobs", headers=headers).status_code == 200
+    assert client.delete(f"{API}/session", headers=headers).status_code == 204
+    assert client.get(f"{API}/jobs", headers=headers).status_code == 401
+    assert client.get(f"{API}/session", headers=headers).json()["name"] is None
+
+
+def test_a_browser_logs_in_for_a_cookie_that_no_script_reads(client, access):
+    access.accounts.add("anna", Role.OPERATOR, PASSWORD)
+    body = {"name": "anna", "password": PASSWORD, "cookie": True}
+    opened = client.post(f"{API}/session", json=body)
+    assert opened.json()["token"] is None
+    cookie = opened.headers["set-cookie"].lower()
+    assert cookie.startswith(f"{COOKIE}=tp_")
+    for word in ("secure", "httponly", "samesite=strict", "path=/"):
+        assert word in cookie
+    assert client.get(f"{API}/session").json()["name"] == "anna"
+    assert client.get(f"{API}/jobs").status_code == 200
+
+
+def test_a_wrong_password_is_refused_and_at_length_waits(client, access):
+    access.accounts.add("anna", Role.OPERATOR, PASSWORD)
+    body = {"name": "anna", "password": "wrong"}
+    tries = [client.post(f"{API}/session", json=body) for _ in range(6)]
+    assert [t.status_code for t in tries] == [401] * 5 + [429]
+    assert int(tries[-1].headers["Retry-After"]) >= 1
+    assert tries[-1].json()["code"] == "too-many-tries"
+
+
+def test_whoever_comes_may_stop_whatever_the_catalogue_says(
+    client, access, armed_by_hand, make_cell, monkeypatch
+):
+    def away(*_):
+        raise StorageUnavailable("the catalogue is away")
+
+    monkeypatch.setattr(access.tokens, "find", away)
+    assert client.get(f"{API}/jobs", headers=bearer("any")).status_code == 503
+    stopped = client.post(f"{API}/stop", headers=bearer("wrong"))
+    assert stopped.status_code == 202
+    assert [job["id"] for job in stopped.json()["jobs"]] == [armed_by_hand]
+
+
+@pytest.fixture
+def armed_by_hand(service, make_cell, order, rows_of_order):
+    """A job whose machine moves."""
+    job, _ = service.dispatcher.create(rows_of_order)
+    ready = wait_until(
+        lambda: (now := service.store.get(job.id)).state == "ready" and now
+    )
+    service.dispatcher.arm(job.id, ready.version)
+    assert make_cell.cell.begun.wait(5)
+    return job.id
+
+
+@pytest.fixture
+def rows_of_order(order):
+    return TypeAdapter(JobRequest).validate_python(order).to_requested_job()
+
+
+def test_any_user_may_abort_even_while_no_session_can_be_read(
+    client, access, tokens, armed_by_hand, monkeypatch
+):
+    path = f"{API}/jobs/{armed_by_hand}/abort"
+    assert client.post(path).status_code == 401
+
+    def away(*_):
+        raise StorageUnavailable("the catalogue is away")
+
+    monkeypatch.setattr(access.tokens, "find", away)
+    assert client.post(path, headers=bearer("any")).status_code == 202
+    monkeypatch.undo()
+    assert client.post(path, headers=bearer(tokens[Role.VIEWER])).status_code == 202
+
+
+def test_stop_and_abort_have_no_rate(reached, access, tokens, monkeypatch):
+    monkeypatch.setattr(access, "_changes", RateLimit(2, 0.001))
+    headers = bearer(tokens[Role.OPERATOR])
+
+    def post(path):
+        return reached.post(API + path, headers=headers).status_code
+
+    assert [post("/plans") for _ in range(4)] == [200, 200, 429, 429]
+    assert [post("/stop"), post("/jobs/x/abort"), post("/stop")] == [200] * 3
+
+
+def test_a_job_has_its_owner(client, tokens, order):
+    headers = bearer(tokens[Role.OPERATOR])
+    made = client.post(f"{API}/jobs", json=order, headers=headers)
+    assert made.json()["owner"] == "operator"
+    shown = client.get(made.headers["Location"], headers=headers)
+    assert shown.json()["owner"] == "operator"
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_a_program_arms_only_where_that_is_set(reached, tokens, access, allowed):
+    access.rules = replace(access.rules, arming_by_key=allowed)
+    for verb in ("arm", "resume"):
+        path = f"{API}/jobs/x/{verb}"
+        answer = reached.post(path, headers=bearer(tokens[Role.SERVICE]))
+        assert answer.status_code == (200 if allowed else 403)
+        assert allowed or answer.json()["code"] == "person-needed"
+
+
+def test_administrators_manage_users_and_keys(client, tokens):
+    headers = bearer(tokens[Role.ADMINISTRATOR])
+
+    def ask(method, path, body=None, status=200):
+        answer = client.request(method, API + path, json=body, headers=headers)
+        assert answer.status_code == status, answer.text
+        return answer.json() if answer.content else None
+
+    user = {"name": "ben", "role": "viewer", "password": PASSWORD}
+    assert ask("POST", "/users", user, 201)["role"] == "viewer"
+    assert ask("POST", "/users", user, 409)["code"] == "user-conflict"
+    assert ask("POST", "/users", {**user, "role": "service"}, 422)
+    changed = ask("PATCH", "/users/ben", {"role": "operator", "password": PASSWORD})
+    assert {"ben": "operator"}.items() <= {
+        user["name"]: user["role"] for user in changed["items"]
+    }.items()
+    assert len(ask("GET", "/users")["items"]) == 5
+    assert ask("DELETE", "/users/ben", status=204) is None
+    assert ask("DELETE", "/users/ben", status=404)["code"] == "not-found"
+    made = ask("POST", "/keys", {"name": "robot", "days": 1}, 201)
+    whose = client.get(f"{API}/session", headers=bearer(made["token"])).json()
+    assert (whose["name"], whose["role"], whose["is_person"]) == (
+        "robot",
+        "service",
+        False,
+    )
+    assert [key["name"] for key in ask("GET", "/keys")["items"]] == ["plant", "robot"]
+    ask("DELETE", "/keys/robot", status=204)
+    assert client.get(f"{API}/jobs", headers=bearer(made["token"])).status_code == 401
+
+
+def test_the_audit_log_has_what_was_done_and_what_was_refused(client, tokens, access):
+    headers = bearer(tokens[Role.ADMINISTRATOR])
+    client.post(f"{API}/session", json={"name": "anna", "password": "wrong!"})
+    client.post(f"{API}/plans", headers=bearer(tokens[Role.VIEWER]))
+    client.patch(f"{API}/users/viewer", json={"role": "operator"}, headers=headers)
+    client.get(f"{API}/jobs", headers=headers)
+    client.post(f"{API}/stop")
+    access.close()  # the row of a stop is written behind it
+    rows = client.get(f"{API}/audit", headers=headers).json()["items"]
+    shown = [(row["who"], row["what"], row["outcome"]) for row in reversed(rows)]
+    assert shown == [
+        ("", "POST /api/v1/session", "401"),
+        ("viewer", "POST /api/v1/plans", "403"),
+        ("administrator", "PATCH /api/v1/users/viewer", "200"),
+        ("", "POST /api/v1/stop", "202"),
+    ]
+    assert rows[1]["old"] == {"role": "viewer"}
+    assert rows[1]["new"] == {"role": "operator"}
+    assert rows[1]["source"] == "testclient"
+    assert rows[3]["new"] == {"name": "anna"}
+    assert "wrong!" not in str(rows)
+    assert access.audit_log.verify() == []
+    page = client.get(f"{API}/audit?limit=2", headers=headers).json()
+    more = client.get(f"{API}/audit?before={page['next']}", headers=headers).json()
+    assert [row["seq"] for row in page["items"] + more["items"]] == [4, 3, 2, 1]
+
+
+def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
+    reached, access, tokens, monkeypatch
+):
+    monkeypatch.setattr("truepath.app.api.access_control.AUDIT_PATIENCE_S", 0.05)
+    monkeypatch.setattr(access.audit_writer, "record", lambda _: Future())
+    headers = bearer(tokens[Role.OPERATOR])
+    assert reached.post(f"{API}/plans", headers=headers).status_code == 200
+
+
+def test_where_nobody_logs_in_whoever_comes_may_everything(service, order):
+    access = Access(service.database, AccessRules())
+    app = create_application(replace(service, access=access))
+    with TestClient(app, base_url="http://127.0.0.1:8411") as client:
+        made = client.post(f"{API}/jobs", json=order)
+        assert made.status_code == 202
+        assert made.json()["owner"] is None
+        assert client.get(f"{API}/session").json()["log_in_required"] is False
+        rows = client.get(f"{API}/audit").json()["items"]
+        assert [row["what"] for row in rows] == ["POST /api/v1/jobs"]
+        assert rows[0]["new"]["made"] == made.headers["Location"]
+    access.close()
+
+
+def test_stopping_needs_no_role():
+    assert LEAST_ROLES[STOP] is ANYBODY

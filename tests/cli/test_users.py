@@ -1,0 +1,134 @@
+"""`users`, `keys` and `audit`, on the computer of the service itself."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+from sqlalchemy import text
+
+from truepath.app.cli.command import run
+from truepath.app.jobs.database import Database
+from truepath.app.users.access import Access, AccessRules
+from truepath.app.users.roles import Actor, Role
+
+PASSWORD = "a long sentence is easy"
+
+
+@pytest.fixture(autouse=True)
+def logged_plainly(plain_log):
+    """Migrating writes to the log."""
+
+
+@pytest.fixture
+def command(tmp_path, capsys, monkeypatch):
+    """Run a command on a data folder; return status and what was printed."""
+
+    def call(*words, says=""):
+        monkeypatch.setattr("sys.stdin", io.StringIO(says))
+        status = run([*words, "--data-dir", str(tmp_path)])
+        said = capsys.readouterr()
+        return status, said.out if status == 0 else said.err
+
+    return call
+
+
+@pytest.fixture
+def catalogue(tmp_path):
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+    yield database
+    database.close()
+
+
+def add(command, name, role):
+    words = ("users", "add", name, "--role", role, "--password-stdin")
+    return command(*words, says=f"{PASSWORD}\n")
+
+
+def test_the_first_user_is_added_before_the_service_was_ever_started(
+    command, catalogue
+):
+    assert add(command, "anna", "administrator") == (0, "anna is administrator\n")
+    access = Access(catalogue, AccessRules(log_in_required=True))
+    assert access.log_in("anna", PASSWORD, "")[1] == Actor("anna", Role.ADMINISTRATOR)
+    access.close()
+    _, listed = command("users", "list", "--json")
+    (user,) = json.loads(listed)["users"]
+    assert (user["name"], user["role"]) == ("anna", "administrator")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("add", "anna", "--role", "chief"), "--role chief: not one of viewer"),
+        (("add", "anna", "--role", "viewer"), "no terminal to ask for a password"),
+        (("remove", "anna"), "there is no user anna"),
+    ],
+)
+def test_what_cannot_be_is_one_line(command, words, said):
+    status, line = command("users", *words)
+    assert status != 0
+    assert said in line
+    assert line.count("\n") == 1
+
+
+def test_users_change_and_go(command):
+    add(command, "anna", "administrator")
+    add(command, "ben", "viewer")
+    assert command("users", "set-role", "ben", "--role", "operator")[0] == 0
+    words = ("users", "set-password", "ben", "--password-stdin")
+    assert command(*words, says="quite another sentence\n")[0] == 0
+    assert "operator" in command("users", "list")[1]
+    assert command("users", "remove", "ben")[0] == 0
+    assert "ben" not in command("users", "list")[1]
+
+
+def test_a_key_is_printed_once_and_revoked(command, catalogue):
+    _, token = command("keys", "create", "plant", "--days", "2")
+    access = Access(catalogue, AccessRules(log_in_required=True))
+    assert access.identify(token.strip()).role is Role.SERVICE
+    _, listed = command("keys", "list")
+    assert "plant" in listed
+    assert "2.0 days left" in listed
+    assert token.strip() not in listed
+    assert command("keys", "revoke", "plant")[0] == 0
+    assert access.identify(token.strip()) is None
+    access.close()
+
+
+def test_the_audit_log_is_verified_and_exported(command, catalogue, tmp_path):
+    add(command, "anna", "administrator")
+    command("keys", "create", "plant")
+    status, said = command("audit", "verify")
+    assert (status, said[:31]) == (0, "2 rows, each as it was written;")
+    command("audit", "export", "-o", str(tmp_path / "audit.jsonl"))
+    lines = (tmp_path / "audit.jsonl").read_text().splitlines()
+    assert [json.loads(line)["what"] for line in lines] == [
+        "users add anna",
+        "keys create plant",
+    ]
+    assert command("audit", "export")[1].splitlines() == lines
+    with catalogue.engine.begin() as connection:
+        connection.execute(text("DROP TRIGGER audit_no_delete"))
+        connection.execute(text("DELETE FROM audit WHERE seq = 1"))
+    status, said = command("audit", "verify")
+    assert status == 1
+    assert "row 1 is missing" in said
+
+
+def test_a_service_that_needs_a_log_in_does_not_start_without_a_user(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("TRUEPATH_LOG_IN", "always")
+    assert run(["serve", "--data-dir", str(tmp_path), "--port", "0"]) == 2
+    assert "truepath users add NAME --role administrator" in capsys.readouterr().err
+
+
+def test_nobody_has_logged_in_when_a_service_begins_to_measure(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("TRUEPATH_LOG_IN", "always")
+    words = ["serve", "--simulated", "--measure", "--data-dir", str(tmp_path)]
+    assert run(words) == 2
+    assert "--measure begins with nobody logged in" in capsys.readouterr().err

@@ -1,0 +1,81 @@
+"""Users and their passwords."""
+
+from __future__ import annotations
+
+import pytest
+from sqlalchemy import text
+
+from truepath.app.errors import BadInput, NotFound
+from truepath.app.users.errors import UserConflict
+from truepath.app.users.passwords import is_password
+from truepath.app.users.roles import Role, includes
+
+PASSWORD = "a long sentence is easy"
+
+
+def test_a_password_is_kept_as_argon2id_only(accounts, database):
+    _, kept = accounts.find("anna")
+    assert kept.startswith("$argon2id$")
+    assert is_password(PASSWORD, kept)
+    assert not is_password("another sentence", kept)
+    with database.read() as connection:
+        rows = connection.execute(text("SELECT * FROM users")).all()
+    assert PASSWORD not in str(rows)
+
+
+def test_nobody_has_a_password(accounts):
+    assert not is_password("the password of nobody", None)
+
+
+@pytest.mark.parametrize("name", ["", "-x", "a b", "a\nb", "ä/ö", "x" * 65])
+def test_what_is_no_name_is_refused(accounts, name):
+    with pytest.raises(BadInput, match="is no name"):
+        accounts.add(name, Role.VIEWER, PASSWORD)
+
+
+def test_a_short_password_is_refused(accounts):
+    with pytest.raises(BadInput, match="9 characters; choose 10"):
+        accounts.add("ben", Role.VIEWER, "x" * 9)
+
+
+def test_a_name_is_taken_once(accounts):
+    with pytest.raises(UserConflict, match="anna already"):
+        accounts.add("anna", Role.VIEWER, PASSWORD)
+
+
+def test_no_person_has_the_role_of_a_program(accounts):
+    with pytest.raises(BadInput, match="role of programs"):
+        accounts.add("ben", Role.SERVICE, PASSWORD)
+
+
+def test_the_last_administrator_stays(accounts):
+    with pytest.raises(UserConflict, match="last administrator"):
+        accounts.remove("anna")
+    with pytest.raises(UserConflict, match="last administrator"):
+        accounts.set_role("anna", Role.VIEWER)
+    accounts.add("ben", Role.ADMINISTRATOR, PASSWORD)
+    accounts.remove("anna")
+    assert [user.name for user in accounts.list_all()] == ["ben"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda accounts: accounts.remove("ben"),
+        lambda accounts: accounts.set_password("ben", PASSWORD),
+        lambda accounts: accounts.set_role("ben", Role.VIEWER),
+    ],
+)
+def test_who_is_not_there_is_not_changed(accounts, change):
+    with pytest.raises(NotFound, match="no user ben"):
+        change(accounts)
+
+
+def test_each_role_may_what_those_before_it_may():
+    ladder = [Role.VIEWER, Role.OPERATOR, Role.METROLOGIST, Role.ADMINISTRATOR]
+    for i, role in enumerate(ladder):
+        assert [includes(role, least) for least in ladder] == [
+            j <= i for j in range(len(ladder))
+        ]
+    assert includes(Role.SERVICE, Role.OPERATOR)
+    assert not includes(Role.SERVICE, Role.METROLOGIST)

@@ -1,0 +1,111 @@
+"""The audit log: only added to; what was changed or taken out is named."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import DatabaseError
+
+from truepath.app.users.audit import Entry
+from truepath.app.users.audit_writer import AuditWriter
+
+ENTRY = Entry(
+    "anna",
+    "operator",
+    "192.0.2.17",
+    "6f0e4c1b9a7d4e52",
+    "POST /api/v1/jobs",
+    "202",
+    old={"version": "3"},
+    new={"made": "ä"},
+)
+
+
+@pytest.fixture
+def five(audit_log):
+    for number in range(5):
+        audit_log.append(replace(ENTRY, outcome=f"20{number}"))
+    return audit_log
+
+
+def tamper(database, *statements):
+    """Change the file as somebody would who has it in hand."""
+    with database.engine.begin() as connection:
+        for verb in ("update", "delete"):
+            connection.execute(text(f"DROP TRIGGER audit_no_{verb}"))
+        for statement in statements:
+            connection.execute(text(statement))
+
+
+def test_what_was_written_is_whole(five):
+    assert five.verify() == []
+    assert [row.entry.outcome for row in five.read()] == [f"20{n}" for n in range(5)]
+    assert [row.seq for row in five.read(after=2, limit=2)] == [3, 4]
+    assert [row.seq for row in five.read_newest(before=4, limit=2)] == [3, 2]
+    (first,) = five.read(limit=1)
+    assert replace(first.entry, at="") == replace(ENTRY, outcome="200")
+
+
+def test_an_empty_log_is_whole(audit_log):
+    assert audit_log.verify() == []
+
+
+@pytest.mark.parametrize("verb", ["UPDATE audit SET who = 'ben'", "DELETE FROM audit"])
+def test_the_database_refuses_to_change_a_row(five, database, verb):
+    with (
+        pytest.raises(DatabaseError, match="never changed"),
+        database.engine.begin() as connection,
+    ):
+        connection.execute(text(verb))
+
+
+@pytest.mark.parametrize(
+    "column", ["at", "who", "role", "source", "request_id", "what", "outcome"]
+)
+def test_a_row_that_was_changed_is_named(five, database, column):
+    tamper(database, f"UPDATE audit SET {column} = 'x' WHERE seq = 3")
+    assert five.verify() == ["row 3 has been changed"]
+
+
+@pytest.mark.parametrize(
+    ("gone", "said"),
+    [
+        ("seq = 3", "row 3 is missing"),
+        ("seq = 1", "row 1 is missing"),
+        ("seq = 5", "row 5 is missing"),
+        ("seq > 3", "rows 4 to 5 are missing"),
+        ("seq > 0", "rows 1 to 5 are missing"),
+    ],
+)
+def test_a_row_that_was_taken_out_is_named(five, database, gone, said):
+    tamper(database, f"DELETE FROM audit WHERE {gone}")
+    assert five.verify() == [said]
+
+
+def test_a_row_with_a_hash_made_anew_is_found_by_the_next(five, database):
+    hashes = {row.seq: row.hash for row in five.read()}
+    forged = hashes[3][::-1]
+    tamper(database, f"UPDATE audit SET hash = '{forged}' WHERE seq = 3")
+    assert five.verify() == ["row 3 has been changed", "row 4 has been changed"]
+
+
+def test_entries_wait_for_a_locked_catalogue_in_their_order(audit_log, database):
+    writer = AuditWriter(audit_log)
+    with database.engine.connect() as raw:
+        holder = raw.execution_options(truepath_writes=True)
+        with holder.begin():
+            begun = time.monotonic()
+            done = [
+                writer.record(replace(ENTRY, outcome=str(number)))
+                for number in range(3)
+            ]
+            assert time.monotonic() - begun < 0.1
+            assert not done[0].done()
+    for entry in done:
+        entry.result(timeout=10)
+    writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["0", "1", "2"]
+    assert audit_log.verify() == []
