@@ -51,6 +51,7 @@ from truepath.app.plugins import load
 from truepath.app.service_log import configure_log
 from truepath.app.settings import Settings
 from truepath.app.users.access import Access, AccessRules
+from truepath.app.users.certificates import TlsFiles, check_tls_files
 from truepath.app.web import pages
 
 log = structlog.get_logger(__name__)
@@ -66,18 +67,19 @@ def serve(
     Raises BadInput, InUse.
     """
     configure_log(settings.log_level, settings.log_format)
+    tls = _check_tls(settings)
     with (
         open_service(settings) as service,
         bind_socket(settings.host, settings.port) as listener,
     ):
         _require_users(settings, service)
-        address = format_address(listener)
+        address = format_address(listener, is_encrypted=tls is not None)
         _print_addresses(settings, address)
         app = create_application(
             service, trusted_hosts=settings.trusted_hosts, pages=pages.router
         )
         app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
-        server = Server(app, service, address, listening)
+        server = Server(app, service, address, listening, tls=tls)
         with ignore_raised_signals():
             server.run(sockets=[listener])
     log.info("service ended")
@@ -174,6 +176,15 @@ def _make_conditions(
         )
 
     return ConditionBoard(observe)
+
+
+def _check_tls(settings: Settings) -> TlsFiles | None:
+    if settings.tls_cert is None or settings.tls_key is None:
+        return None
+    files = TlsFiles(settings.tls_cert, settings.tls_key)
+    until = check_tls_files(files)
+    log.info("certificate", file=str(files.cert), holds_until=f"{until:%Y-%m-%d}")
+    return files
 
 
 def _require_users(settings: Settings, service: Service) -> None:

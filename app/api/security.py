@@ -48,6 +48,7 @@ _HEADERS = {
 }
 """Of every answer, unless its route has set them otherwise."""
 
+_ONLY_TLS = "max-age=31536000"
 _UNSAFE = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _REQUEST_ID = re.compile(r"^[\w.-]{1,64}$")
 
@@ -125,6 +126,8 @@ class _Answer:
             self._is_bare = is_plain and self._status >= 400
             for name, value in _HEADERS.items():
                 headers.setdefault(name, value)
+            if self._scope.get("scheme") == "https":
+                headers["Strict-Transport-Security"] = _ONLY_TLS
             headers["X-Request-ID"] = self._request_id
         if not self._is_bare:
             await self._send(message)

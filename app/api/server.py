@@ -15,6 +15,7 @@ from fastapi import FastAPI
 
 from truepath.app.api.service import Service
 from truepath.app.errors import BadInput
+from truepath.app.users.certificates import TlsFiles
 
 GRACE_S = 3
 """How long an answer under way may take once the service has to end."""
@@ -32,6 +33,7 @@ class Server(uvicorn.Server):
 
     address : where it answers
     listening : receives the address once it answers, in a thread of its own
+    tls : None for plain HTTP
     """
 
     def __init__(
@@ -40,6 +42,8 @@ class Server(uvicorn.Server):
         service: Service,
         address: str,
         listening: Callable[[str], None] | None,
+        *,
+        tls: TlsFiles | None = None,
     ) -> None:
         config = uvicorn.Config(
             app,
@@ -48,6 +52,8 @@ class Server(uvicorn.Server):
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=GRACE_S,
+            ssl_certfile=tls.cert if tls else None,
+            ssl_keyfile=tls.key if tls else None,
         )
         super().__init__(config)
         self._service, self._address, self._listening = service, address, listening
@@ -97,9 +103,9 @@ def bind_socket(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def format_address(listener: socket.socket) -> str:
+def format_address(listener: socket.socket, *, is_encrypted: bool = False) -> str:
     """Return where a program on this computer reaches it."""
     bound, port = listener.getsockname()[:2]
     host = _OWN.get(bound, str(bound))
     shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{port}"
+    return f"{'https' if is_encrypted else 'http'}://{shown}:{port}"

@@ -19,6 +19,7 @@ from truepath.app.cli import (
     planning_commands,
     result_commands,
     service_commands,
+    tls_commands,
     trend_commands,
     user_commands,
 )
@@ -91,6 +92,7 @@ app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
+app.add_typer(tls_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")
 app.add_typer(user_commands.keys, name="keys")
 app.add_typer(user_commands.audit, name="audit")

@@ -132,3 +132,19 @@ def test_nobody_has_logged_in_when_a_service_begins_to_measure(
     words = ["serve", "--simulated", "--measure", "--data-dir", str(tmp_path)]
     assert run(words) == 2
     assert "--measure begins with nobody logged in" in capsys.readouterr().err
+
+
+def test_a_certificate_is_made_with_its_settings(command, tmp_path):
+    status, said = command("tls", "create", "localhost", "192.0.2.10")
+    assert status == 0
+    assert said.splitlines() == [
+        f'tls_cert = "{tmp_path}/tls/cert.pem"',
+        f'tls_key = "{tmp_path}/tls/key.pem"',
+    ]
+
+
+def test_a_certificate_that_is_not_there_is_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("TRUEPATH_TLS_CERT", str(tmp_path / "c.pem"))
+    monkeypatch.setenv("TRUEPATH_TLS_KEY", str(tmp_path / "k.pem"))
+    assert run(["serve", "--data-dir", str(tmp_path / "data"), "--port", "0"]) == 2
+    assert "setting tls_cert" in capsys.readouterr().err
