@@ -13,6 +13,7 @@ import typer
 from truepath.app.cli import (
     analysis_commands,
     catalogue_commands,
+    doctor_command,
     driver_commands,
     format_commands,
     import_command,
@@ -91,6 +92,7 @@ app.command()(trend_commands.trend)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
+app.command()(doctor_command.doctor)
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
 app.add_typer(tls_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")

@@ -1,0 +1,5 @@
+"""What is asked about an installation rather than a machine: is all here in order?
+
+`doctor` lists findings of the computer, the storage, the service and the devices, each
+with what to do about it. It changes nothing and moves nothing.
+"""

@@ -1,0 +1,80 @@
+"""The service itself: its port, and whether one runs on this data folder already."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+from truepath.app.errors import BadInput
+from truepath.app.jobs.data_folder import hold_folder
+from truepath.app.jobs.errors import InUse
+from truepath.app.operation.finding import Finding, Grade
+from truepath.app.settings import Settings
+
+_ANSWER_S = 5.0
+_ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
+
+
+@dataclass(frozen=True, slots=True)
+class RunningService:
+    """Whether a service holds the data folder, and what it says of itself.
+
+    system : its `GET /system`; None where it does not answer at the address set
+    """
+
+    is_there: bool
+    system: dict[str, Any] | None = None
+
+
+def find_service(settings: Settings) -> RunningService:
+    """Return the service that holds the data folder of these settings, if any does."""
+    if not settings.data_dir.exists():
+        return RunningService(is_there=False)
+    try:
+        with hold_folder(settings.data_dir):
+            return RunningService(is_there=False)
+    except InUse:
+        return RunningService(is_there=True, system=_ask(settings))
+    except BadInput:  # the folder cannot be written; told of the folder
+        return RunningService(is_there=False)
+
+
+def _ask(settings: Settings) -> dict[str, Any] | None:
+    host = _ANY.get(settings.host, settings.host)
+    link = http.client.HTTPConnection(host, settings.port, timeout=_ANSWER_S)
+    try:
+        link.request("GET", "/api/v1/system")
+        answer = link.getresponse()
+        told = (
+            json.loads(answer.read()) if answer.status == http.HTTPStatus.OK else None
+        )
+    except (OSError, ValueError, http.client.HTTPException):
+        return None
+    finally:
+        link.close()
+    return told if isinstance(told, dict) else None
+
+
+def look_at_service(settings: Settings, running: RunningService) -> Finding:
+    """Return whether the service runs, or could listen where it is set to."""
+    place = f"{settings.host} port {settings.port}"
+    if running.system is not None:
+        text = f"runs at {place}, version {running.system['version']}"
+        return Finding("service", Grade.OK, text)
+    if running.is_there:
+        text = f"a service holds {settings.data_dir} and does not answer at {place}"
+        remedy = "give the settings it was started with, or look at its log"
+        return Finding("service", Grade.WARNING, text, remedy)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            settings.host, settings.port, type=socket.SOCK_STREAM
+        )[0]
+        socket.create_server(address[:2], family=family).close()
+    except OSError as error:
+        remedy = "stop what listens there, or set another port"
+        text = f"cannot listen on {place}: {error.strerror}"
+        return Finding("service", Grade.WRONG, text, remedy)
+    return Finding("service", Grade.OK, f"does not run; could listen on {place}")
