@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import socket
+import ssl
 from dataclasses import dataclass
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from typing import Any
 
 from truepath.app.errors import BadInput
@@ -22,10 +24,12 @@ _ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this o
 class RunningService:
     """Whether a service holds the data folder, and what it says of itself.
 
-    system : its `GET /system`; None where it does not answer at the address set
+    answers : at the address that is set
+    system : its `GET /system`; None where it does not answer or wants a log-in first
     """
 
     is_there: bool
+    answers: bool = False
     system: dict[str, Any] | None = None
 
 
@@ -37,25 +41,33 @@ def find_service(settings: Settings) -> RunningService:
         with hold_folder(settings.data_dir):
             return RunningService(is_there=False)
     except InUse:
-        return RunningService(is_there=True, system=_ask(settings))
+        answers = _ask(settings, "/healthz") is not None
+        system = _ask(settings, "/api/v1/system") if answers else None
+        return RunningService(True, answers, system)
     except BadInput:  # the folder cannot be written; told of the folder
         return RunningService(is_there=False)
 
 
-def _ask(settings: Settings) -> dict[str, Any] | None:
-    host = _ANY.get(settings.host, settings.host)
-    link = http.client.HTTPConnection(host, settings.port, timeout=_ANSWER_S)
+def _ask(settings: Settings, path: str) -> dict[str, Any] | None:
+    link = _connect(settings)
     try:
-        link.request("GET", "/api/v1/system")
+        link.request("GET", path)
         answer = link.getresponse()
-        told = (
-            json.loads(answer.read()) if answer.status == http.HTTPStatus.OK else None
-        )
-    except (OSError, ValueError, http.client.HTTPException):
+        told = json.loads(answer.read()) if answer.status == HTTPStatus.OK else None
+    except (OSError, ValueError, HTTPException):
         return None
     finally:
         link.close()
     return told if isinstance(told, dict) else None
+
+
+def _connect(settings: Settings) -> HTTPConnection:
+    host = _ANY.get(settings.host, settings.host)
+    if settings.tls_cert is None:
+        return HTTPConnection(host, settings.port, timeout=_ANSWER_S)
+    context = ssl.create_default_context(cafile=settings.tls_cert)
+    context.check_hostname = False  # asked by address; the certificate bears a name
+    return HTTPSConnection(host, settings.port, timeout=_ANSWER_S, context=context)
 
 
 def look_at_service(settings: Settings, running: RunningService) -> Finding:
@@ -64,6 +76,8 @@ def look_at_service(settings: Settings, running: RunningService) -> Finding:
     if running.system is not None:
         text = f"runs at {place}, version {running.system['version']}"
         return Finding("service", Grade.OK, text)
+    if running.answers:
+        return Finding("service", Grade.OK, f"runs at {place}; it wants a log-in")
     if running.is_there:
         text = f"a service holds {settings.data_dir} and does not answer at {place}"
         remedy = "give the settings it was started with, or look at its log"

@@ -153,6 +153,19 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
         holder.stdin.close()
 
 
+@pytest.mark.parametrize(
+    ("running", "words"),
+    [
+        (RunningService(True, True, {"version": "7.1"}), "version 7.1"),
+        (RunningService(True, True), "log-in"),
+    ],
+)
+def test_a_service_that_answers_is_in_order(settings, running, words):
+    found = look_at_service(settings(), running)
+    assert found.grade is Grade.OK
+    assert words in found.text
+
+
 def test_devices_that_answer_are_named_and_those_that_do_not_say_what_to_do(
     settings, tmp_path, free_port
 ):
