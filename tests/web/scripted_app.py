@@ -35,11 +35,28 @@ def problem(status: int, code: str, title: str, detail: str, action: str) -> Res
     return JSONResponse(body, status, media_type="application/problem+json")
 
 
+class RefuseNobody:
+    """Lets a request through where nobody has to log in, or somebody has."""
+
+    def __init__(self, app: Any, service: ScriptedService) -> None:
+        self._app, self._service = app, service
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        path = scope.get("path", "")
+        is_open = not path.startswith(API) or path in (f"{API}/stop", f"{API}/session")
+        if is_open or self._service.user or not self._service.log_in_required:
+            await self._app(scope, receive, send)
+            return
+        refused = problem(401, "not-logged-in", "Nobody is logged in", "", "")
+        await refused(scope, receive, send)
+
+
 def scripted_app(service: ScriptedService) -> FastAPI:
     """Return the page and the REST interface that the script plays."""
     app = FastAPI(docs_url=None, redoc_url=None)
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
+    app.add_middleware(RefuseNobody, service=service)
     app.add_middleware(Guard)
 
     def machine() -> dict[str, Any]:
@@ -51,6 +68,29 @@ def scripted_app(service: ScriptedService) -> FastAPI:
             "tracker": TRACKER if known else None,
             "motion": MOTION if known else None,
         }
+
+    def describe_session() -> dict[str, Any]:
+        name = service.user[0] if service.user else None
+        role = service.user[1] if service.user else None
+        required = service.log_in_required
+        return {"log_in_required": required, "name": name, "role": role}
+
+    @app.get(f"{API}/session")
+    def session() -> dict[str, Any]:
+        return describe_session()
+
+    @app.post(f"{API}/session")
+    async def log_in(request: Request) -> Any:
+        given = await request.json()
+        assert given["cookie"] is True
+        if given["password"] != "right":
+            return problem(401, "wrong-password", "The log-in is refused", "", "")
+        service.user = given["name"], given["name"]
+        return describe_session()
+
+    @app.delete(f"{API}/session", status_code=204)
+    def log_out() -> None:
+        service.user = None
 
     @app.get(f"{API}/system")
     def system() -> dict[str, Any]:

@@ -40,6 +40,8 @@ class ScriptedService:
         self.connected = False
         self.silent = False
         self.refuse_connect = False
+        self.log_in_required = False
+        self.user: tuple[str, str] | None = None
         self.conditions: list[dict[str, Any]] = []
         self.deaf_to_stop = False
         self.stops = 0

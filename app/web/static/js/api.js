@@ -30,6 +30,7 @@ async function call(method, path, { json, form, version, key, patience_ms = PATI
     throw new Problem(0, { code: "unreachable" });
   }
   const content = read(text, answer);
+  if (content.code === "not-logged-in") document.dispatchEvent(new CustomEvent("truepath:logged-out"));
   if (!answer.ok) throw new Problem(answer.status, content);
   return content;
 }
@@ -45,6 +46,12 @@ function read(text, { ok }) {
 }
 
 const items = (page) => page.items ?? page;
+
+/** Who works here, and whether anybody has to log in. */
+export const session = () => call("GET", "/session");
+/** Log in; the session is in a cookie that no script reads. */
+export const logIn = (name, password) => call("POST", "/session", { json: { name, password, cookie: true } });
+export const logOut = () => call("DELETE", "/session");
 
 export const system = () => call("GET", "/system");
 

@@ -2,9 +2,11 @@
 import { createActions, NO_COURSE } from "./actions.js";
 import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isMeasuring, isMoving, place, stepOf } from "./flow.js";
+import { check as checkSession, enter, leave } from "./session.js";
 import { updateBar, updateLead, updateProblems, updateSteps } from "./shell.js";
 import { createStore } from "./store.js";
 import { listen, STALE_MS } from "./stream.js";
+import { t } from "./texts.js";
 import * as check from "./views/check.js";
 import * as connect from "./views/connect.js";
 import * as discover from "./views/discover.js";
@@ -64,8 +66,16 @@ function render(state) {
   updateBar(state);
   updateSteps(state, current);
   updateProblems(state, actions.dismiss);
-  updateLead(VIEWS[current].lead(state, context), state.link, state.job);
+  updateLead(permitted(VIEWS[current].lead(state, context)), state.link, state.job);
   mounted.update(state);
+}
+
+const NEEDS_OPERATOR = new Set(["connect", "prepare", "arm", "extra", "follow", "discover", "ask"]);
+
+/** Offer a viewer only what leads elsewhere. */
+function permitted(lead) {
+  const isClosed = document.body.dataset.role === "viewer" && NEEDS_OPERATOR.has(lead.next?.key);
+  return isClosed ? { ...lead, next: null, reason: t("session.viewer_only") } : lead;
 }
 
 let seen = {};
@@ -90,6 +100,7 @@ function follow({ job, asked }) {
 
 function hear(type, data) {
   const { job } = store.get();
+  if (type === "refused") checkSession();
   if (type === "job") actions.hear(data);
   if (type === "open" && job) actions.fetchEstimate();
   const own = job && !hasEnded(job) && (data.job_id ?? job.id) === job.id;
@@ -157,6 +168,8 @@ document.getElementById("open-settings").addEventListener("click", () => {
 document.addEventListener("truepath:themed", () => {
   if (mounted) show(current, false);
 });
+document.addEventListener("truepath:logged-out", leave);
+await enter(root);
 addEventListener("hashchange", route);
 store.listen(render);
 listen(hear, age);

@@ -7,7 +7,8 @@ const CHECK_MS = 250;
 
 /** Listen to the service; `hear(type, data)` for each event, `age(link)` as time passes.
  *
- * "open" is heard when events begin: what was told before is to be asked for.
+ * "open" is heard when events begin: what was told before is to be asked for; "refused"
+ * when the service answers without a stream.
  * link: {stale: bool, last: ms of the wall clock of the last event or null}
  */
 export function listen(hear, age) {
@@ -34,6 +35,7 @@ export function listen(hear, age) {
   function reopen() {
     if (source.readyState !== EventSource.CLOSED) return;
     source.close();
+    hear("refused", {});
     setTimeout(open, REOPEN_MS);
   }
 

@@ -8,7 +8,7 @@ export function dropZone(store, actions) {
     "aria-label": t("upload.choose"), tabindex: "-1" });
   const button = h("button", { class: "button", type: "button", onclick: () => input.click() },
     icon("upload"), t("upload.choose"));
-  const zone = h("div", { class: "drop" }, h("p", {}, t("upload.text")), input, button);
+  const zone = h("div", { class: "drop", "data-needs": "operator" }, h("p", {}, t("upload.text")), input, button);
   const send = async (file) => {
     if (!file) return;
     button.disabled = true;

@@ -30,6 +30,7 @@ export function exportCard(job, result) {
     h("div", { class: "choice-beside" }, h("span", {}, t("export.unmeasured")), beyond), said);
   element.hidden = true;
   element.dataset.card = "export";
+  element.dataset.needs = "metrologist";
   // Without the list there is no card: the result stands all the same.
   api.formats().then((formats) => {
     choices.append(...formats.map((format) => choice(format, () => choose({ format: format.name }))));

@@ -33,7 +33,7 @@ function describe(one, job) {
 /** Lines are driven again only while the button is held: the machine moves. */
 function choice(actions) {
   const button = (then) => {
-    const element = h("button", { class: "button", type: "button", id: `then-${then}` },
+    const element = h("button", { class: "button", type: "button", id: `then-${then}`, "data-needs": "operator" },
       icon("play"), t(`notice.then_${then}`));
     holdToConfirm(element, () => actions.resume(then));
     return element;

@@ -64,7 +64,7 @@ function runTable({ runs, busy }, actions) {
     h("td", {}, run.name ?? run.id), h("td", {}, dateTime(run.created ?? run.started)),
     h("td", { class: "number" }, number(run.samples)),
     h("td", {}, h("div", { class: "row-actions" },
-      h("button", { class: "button", type: "button", disabled: Boolean(busy),
+      h("button", { class: "button", type: "button", "data-needs": "operator", disabled: Boolean(busy),
         onclick: () => actions.analyse(run.id) }, t("records.analyse")),
       linkButton(links.bundle(run.id), "download", t("result.bundle"), { download: `${run.id}.zip` }))))));
 }

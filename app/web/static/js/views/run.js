@@ -224,9 +224,9 @@ function healthCard(strip) {
 
 /** Pause at a touch, resume held: absolute verbs on two buttons, never a toggle. */
 function motionButtons(actions) {
-  const pause = h("button", { class: "button", type: "button", id: "pause", onclick: actions.pause },
+  const pause = h("button", { class: "button", type: "button", id: "pause", "data-needs": "operator", onclick: actions.pause },
     icon("pause"), t("run.pause"));
-  const resume = h("button", { class: "button", type: "button", id: "resume" },
+  const resume = h("button", { class: "button", type: "button", id: "resume", "data-needs": "operator" },
     icon("play"), t("run.resume"));
   holdToConfirm(resume, () => actions.resume());
   const element = h("div", { class: "motion-buttons" }, pause, resume);

@@ -2,6 +2,7 @@
 import { h } from "../dom.js";
 import { segments } from "../parts.js";
 import { prefer, preference, rememberLanguage } from "../preferences.js";
+import { isLoggedIn, logOut } from "../session.js";
 import { closeSheet, openSheet } from "../sheets.js";
 import { currentLanguage, languages, speak, t } from "../texts.js";
 
@@ -41,6 +42,7 @@ function fill(sheet, changed) {
       ["auto", "light", "dark"].map((v) => [v, t(`settings.${v}`)]), preference("theme"), set("theme", themed))),
     field(t("settings.language"), segments(t("settings.language"),
       languages.map((v) => [v, NAMES[v] ?? v]), currentLanguage(), spoken)),
+    isLoggedIn() && h("div", { class: "field" }, h("button", { class: "button", type: "button", onclick: logOut }, t("session.log_out"))),
     h("p", { class: "quiet", style: "margin-top: 20px" }, t("settings.note")),
     h("p", { class: "quiet number" }, `Truepath ${document.body.dataset.version}`),
   );

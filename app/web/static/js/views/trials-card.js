@@ -16,6 +16,6 @@ export function trialsCard(job, result, actions) {
 
 function asking(job, actions) {
   return card(t("trials.title"), h("p", { class: "quiet" }, t("trials.text")),
-    h("div", {}, h("button", { class: "button", type: "button", onclick: () => actions.validate(job.run_id) },
+    h("div", {}, h("button", { class: "button", type: "button", "data-needs": "operator", onclick: () => actions.validate(job.run_id) },
       icon("check"), h("span", {}, t("trials.ask")))));
 }
