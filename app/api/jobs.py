@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Response
+from pydantic import AwareDatetime
+from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.models.base import PREFIX, Problem
 from truepath.app.api.models.job import (
@@ -33,9 +35,19 @@ from truepath.app.api.request_headers import (
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
-from truepath.app.jobs.job import Job
+from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.transitions import State
+
+_WHEN = ["2026-01-31T08:00:00Z"]
+Since = Annotated[
+    AwareDatetime | SkipJsonSchema[None],
+    Query(description="Created not before this time.", examples=_WHEN),
+]
+Until = Annotated[
+    AwareDatetime | SkipJsonSchema[None],
+    Query(description="Created before this time.", examples=_WHEN),
+]
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 stop = APIRouter(tags=["jobs"])
@@ -66,9 +78,15 @@ def list_jobs(
     paging: PagingDep,
     service: ServiceDep,
     state: Annotated[list[State], Query(description="Only in these states.")] = [],  # noqa: B006
+    kind: Annotated[list[JobKind], Query(description="Only of these kinds.")] = [],  # noqa: B006
+    since: Since = None,
+    until: Until = None,
 ) -> JobPage:
     """List jobs, the newest first."""
-    jobs, after = paging.read(partial(service.store.list_page, states=state))
+    list_page = partial(
+        service.store.list_page, states=state, kinds=kind, since=since, until=until
+    )
+    jobs, after = paging.read(list_page)
     shown = [service.dispatcher.show(job) for job in jobs]
     return JobPage(items=[describe_job(job) for job in shown], next=after)
 

@@ -11,6 +11,7 @@ import hashlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import (
@@ -37,6 +38,7 @@ from truepath.app.jobs.job import (
     Stage,
     decode_job,
     encode_job,
+    format_utc,
     format_utc_now,
     make_id,
 )
@@ -139,8 +141,13 @@ class Store:
         before_seq: int | None = None,
         states: Sequence[State] = (),
         kinds: Sequence[JobKind] = (),
+        since: datetime | None = None,
+        until: datetime | None = None,
     ) -> list[Job]:
-        """Return jobs, the newest first, older than `before_seq`."""
+        """Return jobs, the newest first, older than `before_seq`.
+
+        since, until : created not before the one and before the other, with a zone
+        """
         query = _JOBS.order_by(jobs.c.seq.desc()).limit(limit)
         if before_seq is not None:
             query = query.where(jobs.c.seq < before_seq)
@@ -148,6 +155,10 @@ class Store:
             query = query.where(jobs.c.state.in_([str(state) for state in states]))
         if kinds:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
+        if since is not None:
+            query = query.where(jobs.c.created >= format_utc(since))
+        if until is not None:
+            query = query.where(jobs.c.created < format_utc(until))
         return self._read(query)
 
     def list_unfinished(self) -> list[Job]:

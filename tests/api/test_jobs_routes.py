@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 import time
+from datetime import datetime, timedelta, timezone
 
 import pytest
 from scripted_cell import wait_until
@@ -249,13 +250,42 @@ def test_lists_come_in_pages_that_lead_to_each_other(client, order, until):
     assert client.get("/api/v1/jobs?state=ready").json()["items"] == []
 
 
+def test_jobs_are_found_by_kind_and_by_when_they_were_created(client, order, until):
+    jobs = []
+    for _ in range(3):
+        job = until(client.post("/api/v1/jobs", json=order).json(), "ready")
+        client.post(f"/api/v1/jobs/{job['id']}/abort")
+        jobs.append(until(job, "aborted"))
+
+    def find(**query):
+        items = client.get("/api/v1/jobs", params=query).json()["items"]
+        return [item["id"] for item in items][::-1]
+
+    ids, middle = [job["id"] for job in jobs], jobs[1]["created"]
+    assert find(kind=order["kind"]) == ids
+    assert find(kind=["plan", "trend"]) == []
+    assert find(since=middle) == ids[1:]
+    assert find(until=middle) == ids[:1]
+    shifted = datetime.fromisoformat(middle).astimezone(timezone(timedelta(hours=5)))
+    assert find(since=shifted.isoformat()) == ids[1:]
+
+
 @pytest.mark.parametrize("after", ["czpub25l", "bm9wZQ==", "Zm9vOjE=", "====", "_"])
 def test_a_cursor_of_somebody_elses_is_bad_input(client, is_problem, after):
     is_problem(client.get(f"/api/v1/jobs?after={after}"), 422, "bad-input")
 
 
 @pytest.mark.parametrize(
-    "query", ["limit=0", "limit=many", "state=asleep", "after=%0a"]
+    "query",
+    [
+        "limit=0",
+        "limit=many",
+        "state=asleep",
+        "after=%0a",
+        "kind=dance",
+        "since=yesterday",
+        "until=2026-01-31T08:00:00",
+    ],
 )
 def test_a_query_that_is_not_as_documented_is_named(client, is_problem, query):
     problem = is_problem(client.get(f"/api/v1/jobs?{query}"), 422, "validation")
