@@ -12,7 +12,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
 
 from truepath.app.errors import BadInput
 from truepath.app.jobs import database as databases
@@ -21,7 +21,10 @@ from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
 from truepath.app.jobs.schema import metadata
 from truepath.app.jobs.store import Store
-from truepath.app.users import tables as _tables_of_users  # noqa: F401 (into metadata)
+from truepath.app.users.accounts import Accounts
+from truepath.app.users.audit import AuditLog, Entry
+from truepath.app.users.roles import Actor, Role
+from truepath.app.users.tokens import Tokens
 
 MIGRATIONS = Path(migrations.__file__).parent
 
@@ -206,3 +209,28 @@ def test_a_full_disk_is_told_at_once(sqlite_database):
     with pytest.raises(StorageFull, match=r"cannot be written: .*disk is full"):
         sqlite_database.write(refuse)
     assert len(tries) == 1
+
+
+@pytest.mark.parametrize("verb", ["UPDATE audit SET who = 'ben'", "DELETE FROM audit"])
+def test_a_row_of_the_audit_log_is_never_changed(database, verb):
+    log = AuditLog(database)
+    for outcome in ("202", "403"):
+        log.append(Entry("anna", "operator", "", "", "POST /stop", outcome))
+    with (
+        pytest.raises(DBAPIError, match="never changed"),
+        database.engine.begin() as connection,
+    ):
+        connection.execute(text(verb))
+    assert log.verify() == []
+    assert [row.entry.outcome for row in log.read()] == ["202", "403"]
+
+
+def test_users_and_tokens_are_the_same_on_every_database(database):
+    Accounts(database).add("anna", Role.OPERATOR, "a long sentence is easy")
+    tokens = Tokens(database, session_s=60.0)
+    session = tokens.open_session("anna")
+    assert tokens.find(session) == Actor("anna", Role.OPERATOR)
+    Accounts(database).set_role("anna", Role.VIEWER)
+    assert tokens.find(session) == Actor("anna", Role.VIEWER)
+    tokens.end(session)
+    assert tokens.find(session) is None
