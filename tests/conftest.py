@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import structlog
 from truepath.app.files.bundle import zip_bundle
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.run import Run
+from truepath.app.jobs.database import Database
 from truepath.app.jobs.run_reader import RunReader
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.machine import (
@@ -31,6 +33,19 @@ from truepath.drivers.interfaces.records import Path, TrackerSamples
 from truepath.simulators import paths, synthetic
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
+
+sys.path.append(str(FilePath(__file__).parent))
+from postgres_server import PostgresServer
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let the rooms of jobs and API be tested on either database."""
+    parser.addoption(
+        "--database",
+        choices=("sqlite", "postgresql"),
+        default="sqlite",
+        help="what the catalogues of tests/jobs and tests/api stand on",
+    )
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,70 @@ def run_reader() -> Iterator[RunReader]:
     reader = RunReader()
     yield reader
     reader.close()
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[PostgresServer]:
+    """Start a server of PostgreSQL, gone at the end."""
+    try:
+        server = PostgresServer()
+    except FileNotFoundError:
+        pytest.skip("PostgreSQL is not installed")
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def empty_postgres(postgres_server: PostgresServer) -> str:
+    """Name a migrated database to copy: migrating takes longer than most tests."""
+    name = postgres_server.make_database()
+    database = Database(postgres_server.url(name))
+    database.migrate()
+    database.close()
+    return name
+
+
+@pytest.fixture(scope="session")
+def empty_catalogue(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+    """A migrated file to copy: migrating takes longer than most tests."""
+    file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
+    database = Database(f"sqlite:///{file}")
+    database.migrate()
+    database.close()
+    return file
+
+
+@pytest.fixture
+def make_catalogue_url(
+    request: pytest.FixtureRequest, tmp_path: FilePath
+) -> Iterator[Callable[[str], str]]:
+    """Make an empty catalogue of the newest schema; give its address."""
+    made: list[str] = []
+
+    def make(kind: str) -> str:
+        if kind == "sqlite":
+            file = tmp_path / "catalogue.sqlite"
+            shutil.copyfile(request.getfixturevalue("empty_catalogue"), file)
+            return f"sqlite:///{file}"
+        server = request.getfixturevalue("postgres_server")
+        made.append(server.make_database(request.getfixturevalue("empty_postgres")))
+        return server.url(made[-1])
+
+    yield make
+    for name in made:
+        request.getfixturevalue("postgres_server").drop_database(name)
+
+
+@pytest.fixture
+def database_kind(request: pytest.FixtureRequest) -> str:
+    """Say what catalogues stand on; overridden by tests of one of both."""
+    return str(request.config.getoption("--database"))
+
+
+@pytest.fixture
+def catalogue_url(make_catalogue_url: Callable[[str], str], database_kind: str) -> str:
+    """Give the address of an empty catalogue."""
+    return make_catalogue_url(database_kind)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 import socket
 import sys
 import threading
@@ -89,16 +88,6 @@ def has_machine():
     return True
 
 
-@pytest.fixture(scope="session")
-def empty_catalogue(tmp_path_factory):
-    """A migrated catalogue to copy: migrating takes longer than most tests."""
-    file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
-    database = Database(f"sqlite:///{file}")
-    database.migrate()
-    database.close()
-    return file
-
-
 @pytest.fixture
 def planner():
     """Plans the usual path at once; overridden by tests of real plans."""
@@ -126,14 +115,13 @@ def service(
     follower,
     planner,
     has_machine,
-    empty_catalogue,
+    catalogue_url,
     tmp_path,
     estimates,
     run_reader,
 ):
     """Everything behind the routes."""
-    shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
-    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+    database = Database(catalogue_url)
     event_bus = EventBus()
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     results = tmp_path / "results"

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import pwd
-import shutil
-import subprocess
 import sys
-import tempfile
 import threading
 from pathlib import Path
 
@@ -28,66 +23,10 @@ sys.path.append(str(Path(__file__).parent))
 from scripted_cell import CellMaker, Inline, Science, wait_until
 
 
-def _postgres_programs() -> dict[str, str] | None:
-    found = {name: _program(name) for name in ("initdb", "pg_ctl")}
-    return {k: v for k, v in found.items() if v} if all(found.values()) else None
-
-
-def _program(name: str) -> str | None:
-    places = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
-    return shutil.which(name) or (str(places[-1]) if places else None)
-
-
-def _unprivileged() -> str | None:
-    """PostgreSQL refuses to run as root: name the account its package has made."""
-    if os.geteuid() != 0:
-        return None
-    return pwd.getpwnam("postgres").pw_name
-
-
-@pytest.fixture(scope="session")
-def postgres_url():
-    """Address of a PostgreSQL server on a socket of its own, gone at the end."""
-    programs = _postgres_programs()
-    if programs is None:
-        pytest.skip("PostgreSQL is not installed")
-    folder = Path(tempfile.mkdtemp(prefix="pg"))
-    user = _unprivileged()
-    if user:
-        shutil.chown(folder, user)
-    data = folder / "data"
-
-    def run(*command):
-        subprocess.run(
-            command, check=True, user=user, cwd=folder, capture_output=True, timeout=60
-        )
-
-    try:
-        run(programs["initdb"], "-D", data, "-A", "trust", "-U", "truepath", "-N")
-        options = f"-k {folder} -c listen_addresses= -c fsync=off"
-        log = folder / "log"
-        run(programs["pg_ctl"], "-D", data, "-o", options, "-l", log, "-w", "start")
-        try:
-            yield f"postgresql+psycopg://truepath@/postgres?host={folder}"
-        finally:
-            run(programs["pg_ctl"], "-D", data, "-m", "immediate", "-w", "stop")
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 @pytest.fixture(params=["sqlite", "postgresql"])
-def database(request, tmp_path):
-    """An empty catalogue of the newest schema."""
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path / 'catalogue.sqlite'}"
-    else:
-        url = request.getfixturevalue("postgres_url")
-    database = Database(url)
-    if request.param == "postgresql":
-        with database.engine.begin() as connection:
-            connection.exec_driver_sql("DROP SCHEMA public CASCADE")
-            connection.exec_driver_sql("CREATE SCHEMA public")
-    database.migrate()
+def database(request, make_catalogue_url):
+    """An empty catalogue of the newest schema, on either."""
+    database = Database(make_catalogue_url(request.param))
     yield database
     database.close()
 
@@ -140,20 +79,10 @@ def scheduler():
         yield cluster.scheduler_address
 
 
-@pytest.fixture(scope="session")
-def empty_catalogue(tmp_path_factory):
-    """A migrated catalogue to copy: migrating takes longer than most tests."""
-    file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
-    database = Database(f"sqlite:///{file}")
-    database.migrate()
-    database.close()
-    return file
-
-
 @pytest.fixture
-def sqlite_catalogue(empty_catalogue, tmp_path):
-    shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
-    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+def catalogue(catalogue_url):
+    """An empty catalogue on the database of the whole session."""
+    database = Database(catalogue_url)
     yield database
     database.close()
 
@@ -170,16 +99,14 @@ def science():
 
 
 @pytest.fixture
-def context(
-    sqlite_catalogue, event_bus, make_cell, science, machine, tmp_path, run_reader
-):
+def context(catalogue, event_bus, make_cell, science, machine, tmp_path, run_reader):
     """Everything a job works with; the cell is not started yet."""
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
     yield JobContext(
-        store=Store(sqlite_catalogue, event_bus.publish),
-        runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs", run_reader),
+        store=Store(catalogue, event_bus.publish),
+        runs=RunCatalogue(catalogue, tmp_path / "runs", run_reader),
         results=results,
         executor=Inline(),
         science=science,

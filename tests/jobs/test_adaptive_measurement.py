@@ -84,7 +84,7 @@ def faults():
 
 
 @pytest.fixture
-def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path, run_reader):
+def followed(faults, machine, catalogue, event_bus, tmp_path, run_reader):
     told = []
     event_bus.subscribe(told.append)
     with Bench(seed=1, speed=SPEED, faults=faults) as bench:
@@ -95,8 +95,8 @@ def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path, run_reader)
         results = tmp_path / "results"
         results.mkdir()
         context = JobContext(
-            store=Store(sqlite_catalogue, event_bus.publish),
-            runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs", run_reader),
+            store=Store(catalogue, event_bus.publish),
+            runs=RunCatalogue(catalogue, tmp_path / "runs", run_reader),
             results=results,
             executor=Inline(),
             science=analyse_recorded,

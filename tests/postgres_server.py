@@ -1,0 +1,112 @@
+"""A PostgreSQL server of the tests' own, reached by a socket in its folder only."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import tempfile
+import uuid
+from pathlib import Path
+
+import psutil
+from sqlalchemy import create_engine, text
+
+_USER = "truepath"
+_PATIENCE_S = 60
+
+
+class PostgresServer:
+    """Made by `initdb`, started at once, gone with its folder after `close`.
+
+    Raises FileNotFoundError where PostgreSQL is not installed.
+    """
+
+    def __init__(self) -> None:
+        self._initdb, self._pg_ctl = _program("initdb"), _program("pg_ctl")
+        self._user = pwd.getpwnam("postgres").pw_name if os.geteuid() == 0 else None
+        self._folder = Path(tempfile.mkdtemp(prefix="pg"))
+        if self._user:
+            shutil.chown(self._folder, self._user)
+        self._data = self._folder / "data"
+        self._run(self._initdb, "-D", self._data, "-A", "trust", "-U", _USER, "-N")
+        self.start()
+
+    def start(self) -> None:
+        """Start the server, and wait until it answers."""
+        options = f"-k {self._folder} -c listen_addresses= -c fsync=off"
+        log = self._folder / "log"
+        self._control("-o", options, "-l", log, "start")
+
+    def stop(self, mode: str = "fast") -> None:
+        """Stop the server: `fast` ends its connections, `immediate` crashes it."""
+        self._control("-m", mode, "stop")
+
+    def freeze(self) -> None:
+        """Stop every process of the server where it stands."""
+        self._signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let every process of the server go on."""
+        self._signal(signal.SIGCONT)
+
+    def close(self) -> None:
+        """Stop the server if it runs, and remove it."""
+        try:
+            if (self._data / "postmaster.pid").exists():
+                self.stop("immediate")
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def url(self, name: str = "postgres") -> str:
+        """Return the address of one of its databases."""
+        return f"postgresql+psycopg://{_USER}@/{name}?host={self._folder}"
+
+    def make_database(self, template: str = "template1") -> str:
+        """Make a database of a name of its own, as its template is; return the name."""
+        name = f"test_{uuid.uuid4().hex}"
+        self._execute(f"CREATE DATABASE {name} TEMPLATE {template}")
+        return name
+
+    def drop_database(self, name: str) -> None:
+        """Remove a database, whoever is connected."""
+        self._execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+    def _execute(self, query: str) -> None:
+        engine = create_engine(self.url(), isolation_level="AUTOCOMMIT")
+        try:
+            with engine.connect() as connection:
+                connection.execute(text(query))
+        finally:
+            engine.dispose()
+
+    def _control(self, *options: str | Path) -> None:
+        self._run(self._pg_ctl, "-D", self._data, "-w", *options)
+
+    def _run(self, *command: str | Path) -> None:
+        # Output of a server that goes on must not hold a pipe of ours.
+        subprocess.run(
+            command,
+            check=True,
+            user=self._user,
+            cwd=self._folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            timeout=_PATIENCE_S,
+        )
+
+    def _signal(self, number: signal.Signals) -> None:
+        first = (self._data / "postmaster.pid").read_text().split()[0]
+        main = psutil.Process(int(first))
+        for process in (main, *main.children(recursive=True)):
+            process.send_signal(number)
+
+
+def _program(name: str) -> Path:
+    places = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
+    found = shutil.which(name) or (places[-1] if places else None)
+    if found is None:
+        raise FileNotFoundError(f"{name} of PostgreSQL")
+    return Path(found)
