@@ -94,8 +94,13 @@ class Database:
         if before is not None:
             self._copy_aside(before)
         with _as_storage_errors(), self.engine.begin() as connection:
+            if _is_psycopg(self.engine):
+                from truepath.app.jobs.postgres_connection import wait_for_migration
+
+                wait_for_migration(connection)
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
+        self.engine.dispose()  # that connection is more patient than any request
         log.info("catalogue migrated", before=before, now=head)
 
     @property
@@ -226,7 +231,15 @@ def _engine(url: str) -> Engine:
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
+    elif _is_psycopg(engine):
+        from truepath.app.jobs.postgres_connection import limit_waits
+
+        limit_waits(engine)
     return engine
+
+
+def _is_psycopg(engine: Engine) -> bool:
+    return engine.dialect.driver == "psycopg"
 
 
 def _prepare_sqlite(dbapi_connection: Any, _: ConnectionPoolEntry) -> None:
