@@ -51,9 +51,11 @@ coverage: setup-system setup ## the same tests, counting lines and branches: a t
 	  --cov --cov-report= --cov-fail-under=90
 
 .PHONY: test-long
-test-long: setup ## the tests that need minutes
+test-long: setup ## the tests that need minutes; API and jobs on PostgreSQL
 	@.ci/system-packages test-long
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m long --timeout 900
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" \
+	  --database postgresql tests/api tests/jobs
 
 .PHONY: bench
 bench: setup ## the numbers that count, as ratios

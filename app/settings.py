@@ -28,6 +28,7 @@ from truepath.app.errors import BadInput
 from truepath.drivers.interfaces.tracker_records import Light
 
 _PATIENCE = ("silent", "dead", "beam", "late", "point", "search")
+_DASK = "dask://"
 _LONGEST_S = 3600.0
 
 
@@ -90,7 +91,9 @@ class Settings(BaseSettings):
 
     analysis_workers: int = Field(1, ge=1, le=64)
     executor: Literal["processes", "dask"] = "processes"
-    """Who computes what can be cut into blocks, such as Monte Carlo trials."""
+    """Who computes what can be cut into blocks, such as Monte Carlo trials.
+
+    `dask://host:8786` stands for `dask` and that scheduler."""
     executor_workers: int = Field(0, ge=0, le=1024)
     """Blocks under way together; 0 is one a core, or a thread of the Dask cluster."""
     dask_scheduler: str = ""
@@ -114,6 +117,20 @@ class Settings(BaseSettings):
             if not (is_off or 0.0 < value < _LONGEST_S):
                 raise ValueError(f"{name} is {value:g} s, not in 0 to {_LONGEST_S:g} s")
         return given
+
+    @model_validator(mode="before")
+    @classmethod
+    def _split_executor(cls, given: dict[str, Any]) -> dict[str, Any]:
+        executor, known = given.get("executor"), given.get("dask_scheduler")
+        if not (isinstance(executor, str) and executor.startswith(_DASK)):
+            return given
+        scheduler = f"tcp://{executor.removeprefix(_DASK)}"
+        if known and known != scheduler:
+            raise ValueError(
+                f"executor {executor} and dask_scheduler {known} name two schedulers; "
+                "give one of them"
+            )
+        return {**given, "executor": "dask", "dask_scheduler": scheduler}
 
     @model_validator(mode="after")
     def _require_light(self) -> Self:

@@ -66,13 +66,15 @@ def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
     """
     workers.check()
     if workers.kind == "dask":
-        from truepath.app.jobs.dask_workers import dask_executor
+        from truepath.app.jobs.dask_workers import dask_map
 
-        with dask_executor(workers.scheduler, workers.patience_s) as (
-            executor,
-            threads,
-        ):
-            yield map_in_order(executor, workers.count or threads)
+        with dask_map(
+            workers.scheduler,
+            workers.count,
+            workers.patience_s,
+            lambda: ProcessWorkers(os.cpu_count() or 1),
+        ) as mapper:
+            yield mapper
         return
     count = workers.count or os.cpu_count() or 1
     executor = ProcessWorkers(count)

@@ -198,3 +198,12 @@ scale = 0.1
 def test_a_light_that_cannot_be_is_named(toml, light):
     with pytest.raises(BadInput, match="tracker_light"):
         load_settings(toml(f"tracker_light = {light}\n"))
+
+
+def test_a_dask_address_names_executor_and_scheduler(monkeypatch):
+    monkeypatch.setenv("TRUEPATH_EXECUTOR", "dask://192.0.2.20:8786")
+    workers = choose_workers(load_settings())
+    assert (workers.kind, workers.scheduler) == ("dask", "tcp://192.0.2.20:8786")
+    monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.21:8786")
+    with pytest.raises(BadInput, match="name two schedulers"):
+        load_settings()

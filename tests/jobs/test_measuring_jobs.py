@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import threading
 import time
 from dataclasses import replace
@@ -756,7 +755,7 @@ def full(context):
 
     def refuse(connection, cursor, statement, *_):
         if full.is_set() and not statement.startswith(("SELECT", "BEGIN", "PRAGMA")):
-            raise sqlite3.OperationalError("database or disk is full")
+            raise engine.dialect.loaded_dbapi.OperationalError("the disk is full")
 
     event.listen(engine, "before_cursor_execute", refuse)
     yield full
