@@ -8,11 +8,7 @@ import pytest
 from postgres_server import PostgresServer
 from service_process import arm, create, moving, process, wait_for
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.timeout(300),
-    pytest.mark.fault_row(37),
-]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 FROZEN_S = 10.0
 ENDED = ("succeeded", "paused", "failed", "faulted", "aborted", "interrupted")
@@ -41,6 +37,7 @@ def job(service):
     return job["id"]
 
 
+@pytest.mark.fault_row(37)
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
 def test_a_measurement_goes_on_over_a_restart_of_the_database(
     server, service, job, mode
@@ -58,6 +55,7 @@ def test_a_measurement_goes_on_over_a_restart_of_the_database(
     )
 
 
+@pytest.mark.fault_row(37)
 def test_a_frozen_database_bounds_every_answer_and_stop_works(server, service, job):
     server.freeze()
     try:

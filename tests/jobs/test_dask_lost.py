@@ -17,11 +17,7 @@ from truepath.app.jobs.errors import WorkerDied
 from truepath.app.jobs.workers import Workers, open_workers
 
 pytest.importorskip("distributed")
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.timeout(120),
-    pytest.mark.fault_row(38),
-]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(120)]
 
 PATIENCE_S = 5.0
 BOUND_S = 45.0
@@ -131,6 +127,7 @@ def _freeze_scheduler(running, folder):
     running[0].send_signal(signal.SIGSTOP)
 
 
+@pytest.mark.fault_row(38)
 @pytest.mark.parametrize(
     "harm", [_kill_worker, _kill_workers, _kill_scheduler, _freeze_scheduler]
 )
@@ -153,6 +150,7 @@ def test_whoever_dies_the_same_bits_come_out_in_bounded_time(
     assert told == expected
 
 
+@pytest.mark.fault_row(38)
 def test_a_block_that_ends_every_worker_is_given_up_by_name(tasks, cluster):
     workers = Workers("dask", scheduler=cluster[0], patience_s=20.0)
     with (

@@ -13,7 +13,7 @@ from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.store import Store
 
-pytestmark = [pytest.mark.long, pytest.mark.fault_row(37)]
+pytestmark = [pytest.mark.long]
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,7 @@ def store(server):
     database.close()
 
 
+@pytest.mark.fault_row(37)
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
 def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store, mode):
     """Writes wait for the server; each that was confirmed stands once."""
@@ -57,6 +58,7 @@ def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store
     assert set(written) <= set(kept)
 
 
+@pytest.mark.fault_row(37)
 def test_a_frozen_server_is_unavailable_in_bounded_time(server, store):
     job, _ = store.create(Job(JobKind.ANALYSE))
     server.freeze()
