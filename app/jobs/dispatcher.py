@@ -107,7 +107,7 @@ class Dispatcher:
         Raises StaleVersion, IllegalTransition, NotInOrder.
         """
         active = self._find_active(job_id, Verb.ARM)
-        apply_verb(Verb.ARM, active.state)
+        apply_verb(Verb.ARM, self._context.store.get(job_id).state)
         self._require_order()
         job = active.apply_verb(Verb.ARM, version)
         active.arm()

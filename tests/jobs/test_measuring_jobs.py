@@ -18,11 +18,14 @@ from truepath.app.files.commanded_file import (
 from truepath.app.files.verdict import Reason, Verdict
 from truepath.app.jobs import active_job, cell_measurement, workflow
 from truepath.app.jobs import database as databases
+from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.conditions import ConditionBoard, ConditionType, Observed
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import (
     CellBusy,
     CellDown,
     NoMachine,
+    NotInOrder,
     StaleVersion,
     StorageUnavailable,
 )
@@ -163,6 +166,34 @@ def test_arming_needs_the_version_that_was_read(dispatcher, ready, make_cell):
     with pytest.raises(StaleVersion):
         dispatcher.arm(ready.id, ready.version - 1)
     assert "begin" not in make_cell.cell.heard
+
+
+def test_a_job_is_armed_by_its_stored_state_which_a_thread_may_not_know_yet(
+    dispatcher, ready, make_cell
+):
+    dispatcher._active[ready.id].state = State.PREPARING
+    assert dispatcher.arm(ready.id, ready.version).state is State.RUNNING
+    assert make_cell.cell.begun.wait(5)
+
+
+def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
+    context, event_bus, until, make_cell
+):
+    context.cell.start()
+    seen = Observed(CellStatus("ready"), None, False, 10**9, 10**8)
+    board = ConditionBoard(lambda: seen)
+    dispatcher = Dispatcher(replace(context, conditions=board), event_bus)
+    try:
+        job, _ = dispatcher.create(OTF)
+        job = until(job, "ready")
+        with pytest.raises(NotInOrder, match="connect them") as refused:
+            dispatcher.arm(job.id, job.version)
+        (obstacle,) = refused.value.obstacles
+        assert obstacle.type is ConditionType.DEVICES_CONNECTED
+        assert context.store.get(job.id) == job
+        assert not make_cell.cell.begun.is_set()
+    finally:
+        dispatcher.close()
 
 
 def test_arming_twice_is_refused(dispatcher, running):
