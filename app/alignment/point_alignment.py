@@ -14,6 +14,7 @@ from jaxtyping import Int64
 
 from truepath.app.alignment.cell_blocks import CellBlock
 from truepath.app.alignment.cell_observations import join_blocks
+from truepath.app.alignment.known_seats import KnownSeats
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.measured_points import (
     find_measured,
@@ -27,7 +28,6 @@ from truepath.app.alignment.sequence import (
     TOLERANCE_MM,
     is_wide,
     match_stops,
-    seat_places,
 )
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointBlock, PointRows, Run
@@ -43,7 +43,6 @@ class PointAlignment:
     """Holds measured points against their rows while they come in. One thread.
 
     pose : workpiece to tracker from the points so far, None before it is known
-    seats : targets that sit far off their places, and by how much, as known so far
     """
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
@@ -53,12 +52,16 @@ class PointAlignment:
         self._near: list[int] = []  # points that are where their rows are
         self._waiting: list[int] = []  # of these, whose targets' seats are not known
         self._astray: list[LeftOut] = []
-        self._settled: frozenset[str] = frozenset()
+        self._known = KnownSeats()
         self._reach_mm = TOLERANCE_MM
         self._is_over = False
         self.pose: RigidTransform | None = None
-        self.seats: Seats = {}
         self._know_rows()
+
+    @property
+    def seats(self) -> Seats:
+        """Targets that sit far off their places, and by how much, as known so far."""
+        return self._known.seats
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""
@@ -69,8 +72,9 @@ class PointAlignment:
         machine, commanded = self._run.machine, self._run.commanded
         nominal = compute_nominal_path(machine, commanded)
         self._first = nominal.first
-        self._place_mm = self._seated_mm = nominal.place_mm
-        self._seating = find_seating(machine, commanded, nominal.first)
+        self._place_mm = nominal.place_mm
+        seating = find_seating(machine, commanded, nominal.first)
+        self._known.expect(nominal.place_mm, seating)
         if self._near:
             self._refine_pose()
 
@@ -106,7 +110,8 @@ class PointAlignment:
         if not _FEWEST <= len(measured) <= _TRIES:
             return
         places, waypoints = self._places_of(measured), self._waypoints_of(measured)
-        seating = self._seating.select(waypoints) if self._seating else None
+        seating = self._known.seating
+        seating = seating.select(waypoints) if seating else None
         try:
             found = match_stops(
                 list_as_stops(places),
@@ -128,7 +133,7 @@ class PointAlignment:
         for sample in measured.tolist():
             assert self.pose is not None  # noqa: S101 (the callers have asked)
             (waypoint,) = self._waypoints_of(np.array([sample]))
-            expected_mm = self.pose.apply(self._seated_mm[[waypoint]])[0]
+            expected_mm = self.pose.apply(self._known.seated_mm[[waypoint]])[0]
             place_mm = self._run.tracker.position_mm[sample]
             off_mm = float(np.linalg.norm(place_mm - expected_mm))
             if off_mm > self._find_reach_mm(int(waypoint)):
@@ -145,17 +150,9 @@ class PointAlignment:
     def _refine_pose(self) -> None:
         near = np.array(self._near)
         places, waypoints = self._places_of(near), self._waypoints_of(near)
-        if self._seating is not None:
-            self._seated_mm, found = seat_places(
-                places, self._place_mm, waypoints, self._seating
-            )
-            settled = self._seating.list_settled(waypoints)
-            if settled != self._settled:
-                # All anew with each target: the estimate is linear in the rest.
-                self._settled = settled
-                self.seats = {n: found[n] for n in found if n in settled}
+        self._known.refine(places, waypoints)
         if len(near) >= _FEWEST:
-            self.pose = fit_rigid(self._seated_mm[waypoints], places)
+            self.pose = fit_rigid(self._known.seated_mm[waypoints], places)
 
     def _deliver(self) -> list[CellBlock]:
         ready = [s for s in self._waiting if self._is_settled(s)]
@@ -164,18 +161,11 @@ class PointAlignment:
 
     def _is_settled(self, sample: int) -> bool:
         (waypoint,) = self._waypoints_of(np.array([sample]))
-        return self._is_over or self._is_seat_known(int(waypoint))
-
-    def _is_seat_known(self, waypoint: int) -> bool:
-        if self._seating is None:
-            return True
-        return self._seating.names[self._seating.target[waypoint]] in self._settled
+        return self._is_over or self._known.is_known(int(waypoint))
 
     def _find_reach_mm(self, waypoint: int) -> float:
         """Return how far off its place a point may be."""
-        if self._seating is None or self._is_seat_known(waypoint):
-            return self._reach_mm
-        return self._reach_mm + float(self._seating.reach_mm[waypoint])
+        return self._reach_mm + self._known.find_reach_mm(waypoint)
 
     def _places_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
         return self._run.tracker.position_mm[samples]

@@ -20,6 +20,7 @@ from truepath.app.alignment.cell_blocks import (
 )
 from truepath.app.alignment.cell_observations import join_blocks
 from truepath.app.alignment.cleaning import find_valid_samples
+from truepath.app.alignment.known_seats import KnownSeats
 from truepath.app.alignment.left_out import LeftOut, describe_unusable
 from truepath.app.alignment.nominal_path import compute_nominal_path
 from truepath.app.alignment.observations import Observations, Pass
@@ -30,7 +31,6 @@ from truepath.app.alignment.sequence import (
     Matching,
     is_wide,
     match_stops,
-    seat_places,
 )
 from truepath.app.alignment.stop_chains import SKIP
 from truepath.app.alignment.stops import StopStream, join_stops
@@ -54,13 +54,12 @@ class StreamingAlignment:
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._seats: Seats = {}
-        self._settled: frozenset[str] = frozenset()  # targets whose seats are known
+        self._known = KnownSeats()
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._know_rows()
         self._raw = TrackerSamples.empty()
         self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
-        self._known = 0  # standstills that have been looked at
+        self._looked_at = 0  # standstills
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self._is_over = False
@@ -70,7 +69,7 @@ class StreamingAlignment:
     @property
     def seats(self) -> Seats:
         """Targets that sit far off their places, and by how much, as known so far."""
-        return self._seats
+        return self._known.seats
 
     @property
     def samples_kept(self) -> int:
@@ -85,9 +84,10 @@ class StreamingAlignment:
     def _know_rows(self) -> None:
         machine, commanded = self._run.machine, self._run.commanded
         self._nominal = compute_nominal_path(machine, commanded)
-        self._place_mm = self._seated_mm = self._nominal.place_mm
-        self._seating = find_seating(machine, commanded, self._nominal.first)
-        if self._matched and self._seating:
+        self._place_mm = self._nominal.place_mm
+        seating = find_seating(machine, commanded, self._nominal.first)
+        self._known.expect(self._place_mm, seating)
+        if self._matched and seating:
             self._refine_pose()
         self._seat_path()
 
@@ -123,7 +123,7 @@ class StreamingAlignment:
         begin_s = min(float(part.cells.time_s[0]) for part in parts)
         end_s = max(float(part.cells.time_s[-1]) for part in parts)
         said = [x for x in self._unusable if begin_s <= x.begin_s <= end_s]
-        return join_blocks(self._run, list(parts), self.pose, passes, self._seats, said)
+        return join_blocks(self._run, list(parts), self.pose, passes, self.seats, said)
 
     def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
@@ -134,8 +134,8 @@ class StreamingAlignment:
     def _recognise(self) -> list[CellBlock]:
         """Look at new standstills; return what lies between matched ones."""
         stops = self._stream.stops
-        for index in range(self._known, len(stops)):
-            self._known = index + 1
+        for index in range(self._looked_at, len(stops)):
+            self._looked_at = index + 1
             if self.pose is None:
                 self._match_first()
             else:
@@ -155,7 +155,8 @@ class StreamingAlignment:
             return
         first = slice(len(stops) + _TRIES)
         nominal_mm = self._place_mm[first]
-        seating = self._seating.select(first) if self._seating else None
+        seating = self._known.seating
+        seating = seating.select(first) if seating else None
         names = "path.csv" if self._run.mode == "otf" else "points.csv"
         try:
             found = match_stops(
@@ -176,46 +177,36 @@ class StreamingAlignment:
         begin = waypoint + 1
         ahead = slice(begin, begin + SKIP + 1)
         place = self._stream.stops[index].position_mm
-        off = np.linalg.norm(self.pose.apply(self._seated_mm[ahead]) - place, axis=1)
+        off = np.linalg.norm(
+            self.pose.apply(self._known.seated_mm[ahead]) - place, axis=1
+        )
         near = np.flatnonzero(off < TOLERANCE_MM + self._find_reach_mm(ahead))
         if len(near):
             self._matched.append((index, begin + int(near[0])))
             self._refine_pose()
 
-    def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"] | float:
+    def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
         """Return how far off targets may be whose seats are not known yet."""
-        if self._seating is None:
-            return 0.0
         ahead = range(*places.indices(len(self._place_mm)))
-        new = np.array([not self._is_settled(waypoint) for waypoint in ahead])
-        return new * self._seating.reach_mm[places]
+        if self._is_over or self._known.seating is None:
+            return np.zeros(len(ahead))
+        return np.array([self._known.find_reach_mm(waypoint) for waypoint in ahead])
 
     def _is_settled(self, waypoint: int) -> bool:
-        """Tell whether it is known where the target at a waypoint sits."""
-        if self._seating is None or self._is_over:
-            return True
-        return self._seating.names[self._seating.target[waypoint]] in self._settled
+        return self._is_over or self._known.is_known(waypoint)
 
     def _refine_pose(self) -> None:
         waypoints = np.array([w for _, w in self._matched])
         stops = [self._stream.stops[k] for k, _ in self._matched]
         places = np.array([stop.position_mm for stop in stops])
-        if self._seating is not None:
-            self._seated_mm, found = seat_places(
-                places, self._place_mm, waypoints, self._seating
-            )
-            settled = self._seating.list_settled(waypoints)
-            if settled != self._settled:
-                # All anew with each target: the estimate is linear in the rest.
-                self._settled = settled
-                self._seats = {n: found[n] for n in found if n in settled}
-                self._seat_path()
-        self.pose = fit_rigid(self._seated_mm[waypoints], places)
+        if self._known.refine(places, waypoints):
+            self._seat_path()
+        self.pose = fit_rigid(self._known.seated_mm[waypoints], places)
 
     def _seat_path(self) -> None:
-        if self._seats:
+        if self.seats:
             self._nominal = compute_nominal_path(
-                seat_targets(self._run.machine, self._seats),
+                seat_targets(self._run.machine, self.seats),
                 self._run.commanded,
                 self._nominal.first,
             )
