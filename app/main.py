@@ -140,6 +140,10 @@ def _make_context(
     if config is not None:
         cell = CellSupervisor(lambda: Cell(config))
         stack.callback(cell.close)
+    conditions = _make_conditions(settings, cell)
+    if conditions is not None:
+        stack.callback(conditions.close)
+        conditions.start()
     reader = RunReader(ReadingLimits(settings.upload_memory_mb))
     stack.callback(reader.close)
     results = settings.data_dir / "results"
@@ -153,7 +157,7 @@ def _make_context(
         workers=workers,
         machine=machine,
         cell=cell,
-        conditions=_make_conditions(settings, cell),
+        conditions=conditions,
         live=LiveEstimation,
     )
 

@@ -235,6 +235,8 @@ class CellSupervisor:
             self._on_event(event)
 
     def _follow_state(self, state: CellState) -> None:
+        if state in MOVING:
+            self.controller = None  # a measurement reads it; that is old afterwards
         is_well = state in MOVING or state is CellState.READY
         text = "" if is_well else self.status.text
         devices = {} if state is CellState.FAULTED else self.status.devices

@@ -1,9 +1,10 @@
 """What has to be so before the machine may be let move, as levels and not as events.
 
-Each condition is read anew whenever somebody asks, from what the cell has read in its
-own cycle: a device that does not answer delays nobody. `since` is when its status
-changed last. What a device does not tell is unknown; only what is known to be wrong
-stands in the way, since the measurement looks at everything again before it moves.
+Each condition is read from what the cell has read in its own cycle: a device that does
+not answer delays nobody. The board looks once a second, so that `since` is when a level
+changed and not when somebody asked. What a device does not tell is unknown; only what
+is known to be wrong stands in the way, and a controller that the cell has not read for
+a while is wrong. The measurement looks at everything again before it moves.
 """
 
 from __future__ import annotations
@@ -14,12 +15,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import structlog
+
 from truepath.app.jobs.cell_supervisor import MOVING, CellStatus, ControllerLevels
 from truepath.app.jobs.job import format_utc_now
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
+log = structlog.get_logger(__name__)
+
 LATE_S = 10.0
-"""A reading of the controller that is older says nothing any more."""
+"""The cell reads a controller at rest more often; an older reading says nothing."""
+LOOK_S = 1.0
 FULL_OVERRIDE = (0.9995, 1.0005)
 CLOCK_STEP_S = 2.0
 
@@ -138,8 +144,14 @@ def _read_controller(
     read = seen.controller
     if seen.cell.state in MOVING:
         return Finding(Level.TRUE, "measuring"), None
-    if read is None or not seen.cell.connected or now_s - read.read_s > LATE_S:
+    if read is None or not seen.cell.connected:
         return UNTOLD, None
+    if now_s - read.read_s > LATE_S:
+        text = (
+            f"the controller was read {now_s - read.read_s:.0f} s ago; "
+            "look at its link, then connect again"
+        )
+        return Finding(Level.FALSE, "late", text), None
     if read.status is None:
         text = f"{read.text}; check cable and power, then connect again"
         return Finding(Level.FALSE, "no-answer", text), None
@@ -214,12 +226,31 @@ class ConditionBoard:
     """Keeps since when each condition is as it is; for any thread.
 
     observe : reads what there is, at once
+    look_s : between two looks, once it has been started
     """
 
     observe: Callable[[], Observed]
     clock: Callable[[], float] = time.monotonic
+    look_s: float = LOOK_S
     _since: dict[ConditionType, tuple[Level, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
+    _closing: threading.Event = field(default_factory=threading.Event)
+
+    def start(self) -> None:
+        """Look every so often, so that each change has its time."""
+        threading.Thread(target=self._run, name="conditions", daemon=True).start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._closing.set()
+
+    def _run(self) -> None:
+        """Body of the thread."""
+        while not self._closing.wait(self.look_s):
+            try:
+                self.read()
+            except OSError as error:  # the disk of the data cannot be asked
+                log.warning("conditions are not read", reason=str(error))
 
     def read(self) -> list[Condition]:
         """Return every condition as it is now."""

@@ -34,7 +34,7 @@ from truepath.app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
-BOOKS_S = 1.0  # that whoever stops the machine waits for the catalogue
+BOOKS_S = 0.7  # that whoever stops the machine waits for the catalogue
 MAX_WAITING = 100
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from scripted_cell import wait_until
 
 from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
 from truepath.app.jobs.conditions import (
@@ -77,10 +78,38 @@ def test_a_controller_that_does_not_answer_is_no_controller_that_is_able():
     assert levels(seen)[ConditionType.CONTROLLER_ABLE] is Level.UNKNOWN
 
 
-def test_an_old_reading_says_nothing_any_more():
+def test_a_controller_that_was_not_read_for_a_while_stands_in_the_way():
     old = shown(MotionState.IDLE, read_s=NOW_S - LATE_S - 1.0)
+    kind, found = only_false(replace(GOOD, controller=old))
+    assert kind is ConditionType.CONTROLLER_ANSWERS
+    assert kind in REQUIRED
+    assert "11 s ago" in found.message
     seen = replace(GOOD, controller=old)
     assert levels(seen)[ConditionType.CONTROLLER_ABLE] is Level.UNKNOWN
+
+
+def test_a_controller_that_a_measurement_reads_is_not_called_late():
+    old = shown(MotionState.IDLE, read_s=NOW_S - 100.0)
+    measuring = CellStatus("running", devices=CONNECTED.devices)
+    seen = replace(GOOD, controller=old, cell=measuring)
+    assert levels(seen)[ConditionType.CONTROLLER_ANSWERS] is Level.TRUE
+
+
+def test_a_level_has_its_time_although_nobody_asks():
+    seen = [GOOD]
+    board = ConditionBoard(lambda: seen[0], lambda: NOW_S, look_s=0.01)
+    looks = board._since
+    board.start()
+    try:
+        able = ConditionType.CONTROLLER_ABLE
+        wait_until(lambda: able in looks, "a first look")
+        seen[0] = replace(GOOD, controller=shown(MotionState.DOOR))
+        wait_until(lambda: looks[able][0] is Level.FALSE, "the change")
+        noted = looks[able][1]
+    finally:
+        board.close()
+    (asked,) = [one for one in board.read() if one.type is able]
+    assert asked.since == noted
 
 
 def test_devices_that_are_not_connected_stand_in_the_way():
