@@ -57,6 +57,13 @@ test-long: setup ## the tests that need minutes; API and jobs on PostgreSQL
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" \
 	  --database postgresql tests/api tests/jobs
 
+.PHONY: reliability
+reliability: setup ## runs every test of a fault; writes the table of docs/reliability.md
+	@.ci/system-packages test
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m fault_row --timeout 900 tests \
+	  --measured docs/reliability-measured.json
+	$(BIN)/python docs/write_reliability.py
+
 .PHONY: bench
 bench: setup ## the numbers that count, as ratios
 	$(BIN)/python benchmarks/run.py

@@ -1,19 +1,26 @@
-"""Writes the table of reliability.md from the marks of the tests.
+"""Writes the table of reliability.md: marks of the tests and what they measured.
 
 python docs/write_reliability.py [--check]
+
+`make reliability` runs the marked tests, writes what they measured to
+reliability-measured.json, and then the table.
 """
 
 from __future__ import annotations
 
 import ast
+import json
 import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 PAGE = Path(__file__).with_name("reliability.md")
 TESTS = Path(__file__).parents[1] / "tests"
+MEASURED = PAGE.with_name("reliability-measured.json")
+MOST_TEXTS = 8
 BEGIN, END = "<!-- rows -->", "<!-- end of rows -->"
 _ROW = re.compile(r"pytest\.mark\.fault_row\((\d+)\)")
 ROWS = (
@@ -100,13 +107,36 @@ def _find_tests() -> dict[int, list[str]]:
     return found
 
 
+def _read_measured() -> dict[int, list[str]]:
+    """Return what was measured of each row, in the order of the tests."""
+    if not MEASURED.is_file():
+        return {}
+    content = json.loads(MEASURED.read_text(encoding="utf-8"))
+    return {
+        int(row): list(dict.fromkeys(chain.from_iterable(tests.values())))
+        for row, tests in content.items()
+    }
+
+
+def _join_measured(texts: list[str]) -> str:
+    if not texts:
+        return "not measured yet"
+    more = len(texts) - MOST_TEXTS
+    shown = [text.replace("|", "/") for text in texts[:MOST_TEXTS]]
+    return "; ".join(shown) + (f"; and {more} more" if more > 0 else "")
+
+
 def write_table() -> str:
     """Return the table of all rows."""
-    found = _find_tests()
-    lines = ["| row | fault | what happens | tests |", "| --- | --- | --- | --- |"]
+    found, measured = _find_tests(), _read_measured()
+    lines = [
+        "| row | fault | what happens | measured | tests |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for number, (fault, answer) in enumerate(ROWS, 1):
         tests = "<br>".join(found.get(number, ["none yet"]))
-        lines.append(f"| {number} | {fault} | {answer} | {tests} |")
+        numbers = _join_measured(measured.get(number, []))
+        lines.append(f"| {number} | {fault} | {answer} | {numbers} | {tests} |")
     return "\n".join(lines)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -46,6 +47,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default="sqlite",
         help="what the catalogues of tests/jobs and tests/api stand on",
     )
+    parser.addoption(
+        "--measured",
+        type=FilePath,
+        help="JSON file that takes what tests of faults have measured",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Collect what tests measure where a file for it is named."""
+    file = config.getoption("--measured")
+    if file is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Measured(file))
 
 
 @dataclass(frozen=True)
@@ -59,8 +72,55 @@ class Truth:
         return self.recording.truth.deviation_mm(position_mm)
 
 
+MEASURED = "measured"
+
+
+class Measured:
+    """Keeps what passed tests have measured; those that did not run keep theirs."""
+
+    def __init__(self, file: FilePath) -> None:
+        self._file = file
+        self._texts: dict[str, dict[str, list[str]]] = {}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take what a test that has passed noted."""
+        if report.when != "call" or not report.passed:
+            return
+        for name, value in report.user_properties:
+            if name == MEASURED:
+                row, text = value
+                tests = self._texts.setdefault(str(row), {})
+                tests.setdefault(report.nodeid, []).append(text)
+
+    def pytest_sessionfinish(self) -> None:
+        """Write it beside what the file has of other tests."""
+        content = {}
+        if self._file.is_file():
+            content = json.loads(self._file.read_text(encoding="utf-8"))
+        for row, tests in self._texts.items():
+            content[row] = dict(sorted({**content.get(row, {}), **tests}.items()))
+        ordered = {row: content[row] for row in sorted(content, key=int)}
+        text = json.dumps(ordered, indent=1, ensure_ascii=False) + "\n"
+        self._file.write_text(text, encoding="utf-8")
+
+
 Recorded = tuple[Run, Truth]
 Record = Callable[..., Recorded]
+
+
+@pytest.fixture
+def measured(request: pytest.FixtureRequest) -> Callable[[str], None]:
+    """Note what a test of a fault has measured, for the table of docs/reliability.md.
+
+    It is told under every row that the test proves.
+    """
+    rows = [mark.args[0] for mark in request.node.iter_markers("fault_row")]
+    notes: list[tuple[str, object]] = request.node.user_properties
+
+    def note(text: str) -> None:
+        notes.extend((MEASURED, [row, text]) for row in rows)
+
+    return note
 
 
 @pytest.fixture

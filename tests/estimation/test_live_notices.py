@@ -43,7 +43,7 @@ def test_nothing_is_noticed_where_nothing_changes(usual):
 
 
 @pytest.mark.fault_row(11)
-def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual):
+def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual, measured):
     run, share = usual
     late = share > 0.7
     told = follow(shift(run, late[:, None] * np.array([0.006, -0.006, 0.006])))
@@ -58,6 +58,10 @@ def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual):
     assert notice.noticed_s == pytest.approx(first_s, abs=3.0)
     assert abs(1e3 * notice.size_mm - 10.4) < 4e3 * notice.sigma_mm
     assert 1e3 * notice.sigma_mm < 1.5
+    measured(
+        f"10.4 µm stated as {1e3 * notice.size_mm:.1f} ± "
+        f"{2e3 * notice.sigma_mm:.1f} µm, {first_s - knocked_s:.0f} s after it"
+    )
 
 
 def test_a_knock_half_way_on_a_line_is_one_change(usual):

@@ -76,14 +76,18 @@ def on_lines(model, lines, travel, points=60):
 @pytest.mark.parametrize("travel", TRAVELS)
 @pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
 @pytest.mark.fault_row(39)
-def test_rank_of_one_two_and_three_tool_offsets(rng, travel, offsets, expected):
+def test_rank_of_one_two_and_three_tool_offsets(
+    rng, travel, offsets, expected, measured
+):
     model = every_motion(machine(travel))
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
     rows = [
         model.jacobian(make_standstill(model.machine, position, np.tile(o, (400, 1))))
         for o in offsets
     ]
-    assert rank(np.concatenate(rows)) == expected
+    found = rank(np.concatenate(rows))
+    assert found == expected
+    measured(f"target offsets: {len(offsets)}, rank {found} of 108")
 
 
 @pytest.mark.parametrize("travel", TRAVELS)

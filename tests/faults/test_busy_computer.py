@@ -65,7 +65,7 @@ def order_of(bench: Bench, tmp_path, lines: int) -> MeasurementOrder:
 
 @pytest.mark.long
 @pytest.mark.fault_row(31)
-def test_every_sample_is_recorded_or_counted_as_lost(tmp_path):
+def test_every_sample_is_recorded_or_counted_as_lost(tmp_path, measured):
     with Bench(seed=12) as bench, hogs(2 * (psutil.cpu_count() or 2)):
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
@@ -76,6 +76,7 @@ def test_every_sample_is_recorded_or_counted_as_lost(tmp_path):
     run = open_run(closed.run_file)
     gaps = int((np.diff(run.tracker.sequence) - 1).sum())
     assert closed.lost_samples >= gaps
+    measured(f"{closed.lost_samples} of {closed.samples} samples lost, all counted")
     step_s = np.diff(run.tracker.device_time_s) / np.diff(run.tracker.sequence)
     np.testing.assert_allclose(step_s, 0.002, rtol=1e-3)
     if closed.outcome == "faulted":

@@ -74,7 +74,9 @@ def order_of(bench: Bench, folder: Path) -> MeasurementOrder:
 
 @pytest.mark.long
 @pytest.mark.fault_row(16)
-def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(tmp_path):
+def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(
+    tmp_path, measured
+):
     with (
         Bench(seed=12, speed=4.0, rtu=False) as bench,
         LinkProxy(bench.motion_options, seed=3) as proxy,
@@ -83,7 +85,9 @@ def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(tmp_path):
         config = CellConfig("streaming", bench.tracker_options, "modbus", proxy.options)
         with Measuring(config, order_of(bench, tmp_path)) as measuring:
             proxy.harm(to_host=HOLE, to_device=HOLE)
+            begun_s = time.monotonic()
             measuring.until(lambda: onlooker.status().state == "held", within_s=3.0)
+            measured(f"held after {time.monotonic() - begun_s:.2f} s")
             assert onlooker.status().hold_reason == "watchdog"
             measuring.until(lambda: bool(measuring.faults), within_s=4.0)
             closed = measuring.until_closed()

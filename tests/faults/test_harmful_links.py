@@ -82,13 +82,14 @@ def require_true(read: TrackerSamples, truth: TrackerSamples) -> None:
         ),
     ],
 )
-def test_harm_costs_samples_and_makes_none_wrong(bench, harm):
+def test_harm_costs_samples_and_makes_none_wrong(bench, harm, measured):
     with LinkProxy(bench.tracker_options, seed=4) as proxy:
         read = stream_through(proxy, harm, 0.8)
         assert proxy.harmed > 3
         truth = sent(proxy)
     require_true(read, truth)
     assert 0.3 * len(truth) < len(read) <= len(truth)
+    measured(f"{len(read)} of {len(truth)} samples read, none wrong")
 
 
 @pytest.mark.parametrize(
@@ -102,13 +103,14 @@ def test_harm_costs_samples_and_makes_none_wrong(bench, harm):
         ),
     ],
 )
-def test_what_comes_late_or_in_pieces_is_the_same(bench, harm):
+def test_what_comes_late_or_in_pieces_is_the_same(bench, harm, measured):
     with LinkProxy(bench.tracker_options, seed=5) as proxy:
         read = stream_through(proxy, harm, 0.8)
         truth = sent(proxy)
     require_true(read, truth)
     assert (np.diff(read.sequence) == 1).all()
     np.testing.assert_allclose(np.diff(read.device_time_s), 1 / RATE_HZ, rtol=1e-3)
+    measured(f"{len(read)} samples, all as sent")
 
 
 @pytest.fixture(scope="module")

@@ -113,12 +113,15 @@ def test_a_pause_of_the_recording_process_costs_no_sample(bench, tmp_path, stall
 
 
 @pytest.mark.fault_row(31)
-def test_samples_of_a_pause_beyond_the_buffers_are_counted_and_told(bench, tmp_path):
+def test_samples_of_a_pause_beyond_the_buffers_are_counted_and_told(
+    bench, tmp_path, measured
+):
     recording = Recording(bench, tmp_path, rate_hz=5000.0)
     closed = recording.record(lambda: hold_the_interpreter(1.0))
     run = recording.read()
     missing = np.diff(run.tracker.sequence) - 1
     assert closed.lost_samples == missing.sum() > 1000
     assert recording.overflows >= 1
+    measured(f"5 kHz, 1 s pause: {closed.lost_samples} lost, all counted and named")
     told = " ".join(event.text for event in run.events if event.kind == "gap")
     assert all(f"{gap} " in told for gap in missing[missing > 0])

@@ -101,7 +101,7 @@ def test_the_table_of_states_is_kept_by_the_store(store):
 
 
 @pytest.mark.fault_row(33)
-def test_of_many_writers_with_one_version_one_wins(store):
+def test_of_many_writers_with_one_version_one_wins(store, measured):
     job, _ = store.create(ANALYSE)
     outcomes = []
 
@@ -118,6 +118,7 @@ def test_of_many_writers_with_one_version_one_wins(store):
         thread.join()
     assert len([o for o in outcomes if o is not None]) == 1
     assert store.get(job.id).version == 2
+    measured(f"1 of {len(outcomes)} writers with one version wins")
 
 
 def test_a_change_behind_the_back_of_the_process_is_seen(store, database):

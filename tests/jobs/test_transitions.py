@@ -38,8 +38,9 @@ def test_every_state_can_be_reached_from_the_first():
 
 @pytest.mark.parametrize("state", sorted(set(State) - FINAL))
 @pytest.mark.fault_row(34)
-def test_abort_is_accepted_in_every_state_that_is_not_final(state):
+def test_abort_is_accepted_in_every_state_that_is_not_final(state, measured):
     assert apply_verb(Verb.ABORT, state) is State.ABORTING
+    measured(f"abort from {state}")
 
 
 @pytest.mark.parametrize("state", sorted(FINAL))

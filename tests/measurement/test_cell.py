@@ -442,7 +442,7 @@ def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
 
 
 @pytest.mark.fault_row(5)
-def test_a_short_silence_is_lived_through(bench, watchful, long_order):
+def test_a_short_silence_is_lived_through(bench, watchful, long_order, measured):
     watchful.cell.begin(long_order)
     watchful.until_line(1)
     bench.inject(f"tracker:silence+{1.2 * SPEED}s")
@@ -450,6 +450,7 @@ def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     assert closed.outcome == "finished"
     assert set(watchful.faults) == {"tracker-silent"}
     assert closed.lost_samples > 0.5 * SPEED * 500
+    measured(f"{closed.lost_samples} samples lost and counted, Run finished")
 
 
 @pytest.mark.fault_row(16)
@@ -525,7 +526,7 @@ def suspended(*process_ids: int) -> Iterator[None]:
 )
 @pytest.mark.fault_row(30)
 def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
-    bench, watchful, long_order, who, for_s
+    bench, watchful, long_order, who, for_s, measured
 ):
     ids = bench.process_ids | {"cell": watchful.cell.process_id}
     watchful.cell.begin(long_order)
@@ -539,6 +540,7 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
     assert moves(run) >= len(long_order.commanded) - 1
+    measured(f"{who} for {for_s} s: {closed.lost_samples} samples lost")
 
 
 @pytest.mark.long
@@ -571,16 +573,18 @@ def test_a_process_that_stands_for_ten_seconds_ends_in_a_machine_that_stands(
 
 @pytest.mark.fault_row(23)
 def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
-    bench, watchful, long_order, machine_state
+    bench, watchful, long_order, machine_state, measured
 ):
     watchful.cell.begin(long_order)
     watchful.until_line(1)
     with suspended(watchful.cell.process_id):
-        held_by_s = time.monotonic() + HELD_S
+        begun_s = time.monotonic()
+        held_by_s = begun_s + HELD_S
         while (status := machine_state()).state != "held":
             assert time.monotonic() < held_by_s
             time.sleep(0.01)
         assert status.hold_reason == "watchdog"
+        measured(f"held {time.monotonic() - begun_s:.2f} s after the cell stood")
     watchful.until_state("paused")
     watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
     assert "watchdog" in watchful.of(FaultReported)[-1].text
@@ -627,7 +631,7 @@ def test_a_target_that_only_a_search_finds_needs_nobody(bench, searching, order)
 
 
 @pytest.mark.fault_row(19)
-def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
+def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order, measured):
     faults = ["cnc:alarm@row2"]
     with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:
         driven = Driven(config_of(bench))
@@ -637,6 +641,7 @@ def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
             driven.cell.begin(order)
             closed = driven.until_closed()
             assert (closed.outcome, closed.lost_samples) == ("faulted", 0)
+            measured(f"{closed.samples} samples kept, none lost")
             assert driven.faults == ["motion-alarm"]
             (told,) = driven.of(FaultReported)
             assert "Servo alarm: following error of an axis" in told.text
@@ -653,12 +658,15 @@ def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
 
 
 @pytest.mark.fault_row(20)
-def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, long_order):
+def test_a_hold_at_the_panel_is_a_pause_that_ends_there(
+    bench, connected, long_order, measured
+):
     connected.cell.begin(long_order)
     connected.until_line(1)
     bench.inject(f"cnc:feed-hold+{SPEED}s")
     closed = connected.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    measured(f"{closed.samples} samples, none lost")
     assert connected.states[2:] == ["running", "paused", "running", "finished"]
     assert connected.faults == ["held-at-machine"]
     assert "operator" in connected.of(FaultReported)[0].text
@@ -685,14 +693,16 @@ def test_an_override_of_nothing_is_named_and_ends_where_it_is_turned_up(
 
 
 @pytest.mark.fault_row(7)
-def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path):
+def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path, measured):
     faults = ["tracker:wrong-identity"]
     with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:
         driven = Driven(config_of(bench))
         driven.cell.start()
         try:
+            begun_s = time.monotonic()
             with pytest.raises(WrongDevice):
                 driven.cell.connect()
+            measured(f"refused after {time.monotonic() - begun_s:.2f} s")
         finally:
             driven.cell.close()
 

@@ -164,7 +164,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 @pytest.mark.fault_row(9)
 def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
-    begin, finder, motion, order, journal
+    begin, finder, motion, order, journal, measured
 ):
     running = begin(finder, order)
     running.until_moving()
@@ -189,6 +189,8 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
     again = journal.of(LinesDamaged)[0].again
     assert again is not None
     assert len(run.commanded) > len(order.commanded)
+    beside_mm = level * abs(azimuth - np.arctan2(y, x))
+    measured(f"aimed {beside_mm:.0f} mm beside it, found at try 2")
     assert motion.calls.count("start") == 2
     suffered = summarize_run(run).interruptions
     assert (suffered.searches, suffered.found) == (1, 1)

@@ -272,7 +272,7 @@ def test_points_are_stepped_through_with_a_dwell_at_each(
 @pytest.mark.fault_row(22)
 @pytest.mark.parametrize("comes_back", [True, False])
 def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
-    begin, order, square, motion, journal, calm, comes_back
+    begin, order, square, motion, journal, calm, comes_back, measured
 ):
     """Somebody jogs the machine while it is measured where it stands."""
     points = Configurations(square.axes, square.position[:2], np.full(2, 60.0))
@@ -291,6 +291,7 @@ def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
         assert "row 1: moved while it was measured" in done
         until_s = float(next(t for t in done if " until " in t).split()[3])
         assert until_s > left_s + 60.0
+        measured(f"measured anew for {until_s - left_s:.0f} s of 60 s asked for")
     else:
         assert running.ended() == "faulted"
         assert journal.faults == ["ended-early"]
@@ -625,7 +626,7 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
 
 @pytest.mark.fault_row(29)
 def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
-    begin, long_order, journal, calm, monkeypatch
+    begin, long_order, journal, calm, monkeypatch, measured
 ):
     wall_ns = time.time_ns
     running = begin(long_order, clock=calm.clock)
@@ -646,6 +647,7 @@ def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
     assert (np.diff(run.axis_samples.host_time_s) > 0.0).all()
     times_ns = [event.mono_ns for event in run.events]
     assert times_ns == sorted(times_ns)
+    measured("+1 h, -1 h and back to 1970: no gap, order and durations as without")
 
 
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
@@ -1216,7 +1218,7 @@ def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
 
 @pytest.mark.fault_row(28)
 def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
-    begin, long_order, motion, journal, monkeypatch
+    begin, long_order, motion, journal, monkeypatch, measured
 ):
     running = begin(long_order)
     running.until_moving()
@@ -1234,6 +1236,7 @@ def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
     slow.set()
     running.finished()
     assert journal.of(RunClosed)[0].lost_samples == 0
+    measured(f"{journal.of(RunClosed)[0].samples} samples, none lost")
 
 
 def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_path):

@@ -255,7 +255,9 @@ def test_a_path_is_refused_before_anything_moves(measure, order, square, motion)
 
 
 @pytest.mark.fault_row(10)
-def test_warnings_of_the_instrument_are_told_and_recorded(measure, polled, journal):
+def test_warnings_of_the_instrument_are_told_and_recorded(
+    measure, polled, journal, measured
+):
     warning = TrackerEvent(TrackerEventKind.WARNING, "battery low", "plug it in")
     polled.before = lambda asked: polled.events.append(warning) if asked == 2 else None
     state, run = measure()
@@ -263,3 +265,4 @@ def test_warnings_of_the_instrument_are_told_and_recorded(measure, polled, journ
     assert journal.of(FaultReported)[0].text == "battery low"
     assert ("tracker-warning", "battery low") in [(e.kind, e.text) for e in run.events]
     assert summarize_run(run).told == ("battery low",)
+    measured("1 of 1 told, in the Run and in its result")

@@ -112,12 +112,13 @@ def test_a_rotary_move_is_timed_by_its_degrees():
 
 
 @pytest.mark.fault_row(24)
-def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy():
+def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(measured):
     with pytest.raises(OutOfTravel) as caught:
         check_travel(machine(), line((0, 0, 0), (612.4, 0, 0)))
     text = str(caught.value)
     assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
     assert "shorten the plan" in text
+    measured(f"“{text}”")
 
 
 def test_a_position_below_the_travel_is_refused():

@@ -116,12 +116,15 @@ def test_a_recording_that_begins_late_says_so(record):
 
 @pytest.mark.fault_row(21)
 @pytest.mark.parametrize("share", [1.0, 0.5])
-def test_what_is_driven_beyond_the_last_row_is_taken_for_no_line(record, share):
+def test_what_is_driven_beyond_the_last_row_is_taken_for_no_line(
+    record, share, measured
+):
     """It goes on to further places, or through the last one without a stop."""
     run, _ = record(6)
     whole = {each.row: each for each in align(run).passes}
     begun = {each.row: each for each in align(ended_at(run, 18, share)).passes}
     last = 17 if share == 1.0 else 16
+    measured(f"{len(begun)} of {len(whole)} lines taken, {last} driven")
     assert sorted(begun) == list(range(1, last + 1))
     for row, each in begun.items():
         assert (each.first, each.last) == (whole[row].first, whole[row].last)

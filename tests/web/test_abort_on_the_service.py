@@ -100,11 +100,13 @@ def stages(page: Page) -> set[str]:
 
 
 @pytest.mark.fault_row(32)
-def test_a_stop_is_confirmed_once_the_machine_stands(rig, client, page):
+def test_a_stop_is_confirmed_once_the_machine_stands(rig, client, page, measured):
     job = begin_to_move(client, rig)
     assert moves(rig)
+    begun_s = time.monotonic()
     page.locator("#abort").click()
     expect(page.locator("#abort-title")).to_have_text("Motion stopped", timeout=10_000)
+    measured(f"confirmed {time.monotonic() - begun_s:.2f} s after the click")
     assert not moves(rig)
     assert client.get(f"/api/v1/jobs/{job}").json()["state"] == "aborted"
 

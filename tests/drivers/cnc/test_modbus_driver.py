@@ -292,11 +292,13 @@ def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
 
 
 @pytest.mark.fault_row(17)
-def test_a_command_that_is_never_taken_is_a_fault(tcp_peer):
+def test_a_command_that_is_never_taken_is_a_fault(tcp_peer, measured):
     with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
         tcp_peer.model.takes_commands = False
+        begun_s = time.monotonic()
         with pytest.raises(MotionFault, match=r"START was not taken in 0\.1 s"):
             controller.start()
+        measured(f"told after {time.monotonic() - begun_s:.2f} s")
 
 
 @pytest.mark.fault_row(14)
@@ -373,7 +375,9 @@ def test_numbers_go_on_where_the_device_is_and_skip_zero(peer):
 
 @pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
 @pytest.mark.fault_row(14)
-def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangled):
+def test_bad_replies_are_a_timeout_within_half_a_second(
+    peer, controller, mangled, measured
+):
     noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
     peer.mangle = {
         "nothing": lambda reply: b"",
@@ -390,6 +394,7 @@ def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangle
         if took_s[-1] < 0.5:
             break
     assert min(took_s) < 0.5
+    measured(f"{mangled}: told after {min(took_s):.2f} s")
     peer.mangle = lambda reply: reply
     assert controller.status().state is MotionState.IDLE
 
@@ -405,7 +410,9 @@ def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
 
 
 @pytest.mark.fault_row(15)
-def test_a_reply_to_an_older_transaction_is_not_taken(tcp_peer, tcp_controller):
+def test_a_reply_to_an_older_transaction_is_not_taken(
+    tcp_peer, tcp_controller, measured
+):
     tcp_peer.mangle = lambda reply: b"\x7f\xff" + reply[2:]
     with pytest.raises(DeviceTimeout):
         tcp_controller.status()
@@ -418,6 +425,7 @@ def test_a_reply_to_an_older_transaction_is_not_taken(tcp_peer, tcp_controller):
     tcp_peer.mangle = late
     for _ in range(3):
         assert tcp_controller.status().state is MotionState.IDLE
+    measured(f"{len(stale) - 1} late replies before the right one, none taken")
 
 
 def test_a_long_silence_does_not_break_the_link(tcp_peer, tcp_controller):
@@ -463,11 +471,13 @@ def test_a_busy_device_is_asked_again(peer, controller, code):
 
 
 @pytest.mark.fault_row(13)
-def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
+def test_a_device_that_stays_busy_is_a_timeout(tcp_peer, measured):
     with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
         tcp_peer.exceptions = [6] * 1000
+        begun_s = time.monotonic()
         with pytest.raises(DeviceTimeout, match="busy"):
             controller.status()
+        measured(f"busy for good: told after {time.monotonic() - begun_s:.2f} s")
         tcp_peer.exceptions = []
 
 
@@ -484,11 +494,12 @@ def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
     ],
 )
 @pytest.mark.fault_row(18)
-def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text):
+def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text, measured):
     for address, word in words.items():
         peer.model.words[address] = word
     with pytest.raises(WrongDevice, match=text):
         ModbusController(**peer.options).connect()
+    measured(f"“{text}”")
 
 
 @pytest.mark.parametrize("code", [1, 2, 3])
@@ -576,7 +587,7 @@ def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_control
 @pytest.mark.parametrize("is_busy", [False, True])
 @pytest.mark.fault_row(16)
 def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
-    tcp_peer, tcp_controller, is_busy
+    tcp_peer, tcp_controller, is_busy, measured
 ):
     tcp_peer.mangle = lambda reply: b""
     asking = threading.Thread(target=suppressing(tcp_controller.status))
@@ -586,7 +597,9 @@ def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
     begin_s = time.monotonic()
     with pytest.raises(DeviceTimeout):
         tcp_controller.hold()
-    assert time.monotonic() - begin_s < 0.5
+    took_s = time.monotonic() - begin_s
+    assert took_s < 0.5
+    measured(f"a hold without an answer: told after {took_s:.2f} s")
     if is_busy:
         asking.join()
 
