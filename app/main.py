@@ -248,6 +248,7 @@ def _start_simulators(
             speed=settings.simulated_speed,
             faults=settings.simulated_faults,
             hidden=settings.simulated_hidden,
+            compensation=settings.simulated_compensation,
         )
     except ValueError as error:
         raise BadInput(f"simulated devices: {error}") from error

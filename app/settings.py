@@ -71,6 +71,8 @@ class Settings(BaseSettings):
     simulated_faults: tuple[str, ...] = ()
     simulated_hidden: tuple[str, ...] = ()
     """Effects that the model lacks, to be found: `name[*size_um]`, or JSON objects."""
+    simulated_compensation: tuple[Path, ...] = ()
+    """Compensation files that the simulated controller has: of one maker's form."""
 
     machine_file: Path | None = None
     tracker_driver: str = "streaming"

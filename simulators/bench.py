@@ -15,6 +15,8 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from truepath.simulators.board import BoardReader, new_board
+from truepath.simulators.compensation.correction import measure_deviation_mm
+from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.faults import parse_fault
 from truepath.simulators.followed_positions import open_source
@@ -68,6 +70,7 @@ class Bench(DeviceProcesses):
     protocol : `gst` where it streams; `geocom` and `t2sa` are polled
     hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
         seed; their time begins with the bench
+    compensation : tables that the controller has, or their files
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class Bench(DeviceProcesses):
         source: str | int | None = None,
         source_unit_s: float = 1.0,
         protocol: Literal["gst", "geocom", "t2sa"] = "gst",
+        compensation: LoadedTables | Sequence[Path | str] = (),
     ) -> None:
         super().__init__()
         if not 0.0 < speed < math.inf:
@@ -122,6 +126,7 @@ class Bench(DeviceProcesses):
         self._reader: BoardReader | None = None
         self._pose = random_pose(nominal, seed)
         self._follower = MotionFollower(nominal, remembers=bool(self.hidden))
+        self._take_tables(compensation)
 
     @property
     def machine(self) -> Mapping[str, Any]:
@@ -185,9 +190,36 @@ class Bench(DeviceProcesses):
         self._processes["tracker"].tell(json.dumps({"place": place, "number": number}))
         self._pose = place_anew(place, self._common["seed"] + 1000 * number)
 
-    def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
-        """Return the true volumetric error in µm at axis positions, (n, 3)."""
-        return 1e3 * self.truth.deviation_mm(np.asarray(points_mm, float))
+    def load_compensation(
+        self, compensation: LoadedTables | Sequence[Path | str]
+    ) -> None:
+        """Give the controller other tables, while its axes stand; none without files.
+
+        Raises SimulatorError if they move, or naming what is wrong with the tables.
+        """
+        if self._reader is not None:
+            timeline = self._reader.timeline()
+            if timeline is not None and timeline.end_s > self.now_s():
+                raise SimulatorError("the axes move; load tables while they stand")
+        self._take_tables(compensation)
+        if tracker := self._processes.get("tracker"):
+            tracker.tell(json.dumps({"compensation": self.compensation.as_json()}))
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what every device says of itself, and which tables are loaded."""
+        state = super().read_state()
+        state.get("cnc", {})["compensation"] = list(self.compensation.files)
+        return state
+
+    def truth_at(self, points_mm: np.ndarray, direction: float = 1.0) -> np.ndarray:
+        """Return the true volumetric error in µm at axis positions, (n, 3).
+
+        That of the machine with its tables, where all axes came in the direction.
+        """
+        points = np.asarray(points_mm, float)
+        return 1e3 * measure_deviation_mm(
+            self.truth, self._correction, points, direction
+        )
 
     def now_s(self) -> float:
         """Return the time of the machine's clock."""
@@ -223,6 +255,17 @@ class Bench(DeviceProcesses):
         if self._own_workdir is not None:
             self._own_workdir.cleanup()
             self._own_workdir = None
+
+    def _take_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
+        tables = (
+            compensation
+            if isinstance(compensation, LoadedTables)
+            else LoadedTables.from_paths(compensation)
+        )
+        self._correction = tables.correct(self.truth.machine)
+        self.compensation = tables
+        self._common["compensation"] = tables.as_json()
+        self._follower.correct(self._correction)
 
     def _folder(self) -> Path:
         if self._workdir is not None:

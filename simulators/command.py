@@ -19,6 +19,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from truepath.simulators.bench import Bench
+from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath.simulators.control_orders import obey
 from truepath.simulators.control_socket import ControlSocket
 from truepath.simulators.errors import SimulatorError
@@ -48,9 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _rig(options: argparse.Namespace) -> DeviceProcesses:
     if options.replay is None:
         return _bench(options)
-    if options.fault or options.hide or options.follow or options.protocol != "gst":
+    changes = options.fault or options.hide or options.follow or options.compensation
+    if changes or options.protocol != "gst":
         raise SimulatorError(
-            "--replay only repeats: no --fault, --hide, --follow or --protocol"
+            "--replay only repeats: no --fault, --hide, --follow, --compensation or "
+            "--protocol"
         )
     return Replay(
         options.replay,
@@ -81,6 +85,9 @@ def _bench(options: argparse.Namespace) -> Bench:
         source=options.follow,
         source_unit_s=options.follow_unit,
         protocol=options.protocol,
+        compensation=LoadedTables.from_paths(
+            options.compensation, Rules(options.backlash_reading, options.reversed_sign)
+        ),
     )
 
 
@@ -236,6 +243,7 @@ def _parser() -> argparse.ArgumentParser:
         ),
     )
     _add_simulation(parser.add_argument)
+    _add_compensation(parser.add_argument)
     _add_links(parser.add_argument)
     add = parser.add_argument
     add(
@@ -291,6 +299,31 @@ def _add_simulation(add: Callable[..., object]) -> None:
         metavar="EFFECT[*SIZE_UM]",
         help="an effect that the model in use lacks, drawn by the seed, or a JSON "
         "object with its numbers: " + ", ".join(EFFECTS),
+    )
+
+
+def _add_compensation(add: Callable[..., object]) -> None:
+    """Add what tables the controller has, and how it takes them."""
+    add(
+        "--compensation",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="compensation tables of one controller: LinuxCNC, SINUMERIK, Heidenhain, "
+        "Fanuc or ISG_CSV",
+    )
+    add(
+        "--backlash-reading",
+        choices=BACKLASH_READINGS,
+        default=Rules().backlash_reading,
+        help="of the column BACKLASH of Heidenhain tables",
+    )
+    add(
+        "--reversed-sign",
+        action="store_true",
+        help="the controller takes the tables with the other sign",
     )
 
 

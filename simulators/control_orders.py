@@ -9,6 +9,8 @@ import numpy as np
 
 from truepath.simulators.bench import Bench
 from truepath.simulators.bundle_files import truth_of
+from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.rules import Rules
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.processes import DeviceProcesses
 
@@ -44,6 +46,15 @@ def _move_tracker(bench: Bench, order: Order) -> dict[str, Any]:
     return {}
 
 
+def _load_compensation(bench: Bench, order: Order) -> dict[str, Any]:
+    rules = Rules(
+        order.get("backlash_reading", Rules().backlash_reading),
+        bool(order.get("reversed_sign", False)),
+    )
+    bench.load_compensation(LoadedTables.from_paths(_take(order, "files"), rules))
+    return {"files": list(bench.compensation.files)}
+
+
 def _read_position(bench: Bench, order: Order) -> dict[str, Any]:
     times = np.atleast_1d(np.asarray(order.get("time_s", bench.now_s()), float))
     if times.ndim != 1 or not np.isfinite(times).all():
@@ -63,7 +74,7 @@ def _read_truth(bench: Bench, order: Order) -> dict[str, Any]:
         points = np.atleast_2d(np.asarray(order["points"], float))
         if points.shape[1:] != (len(bench.truth.machine.axes),):
             raise SimulatorError("points: expected rows of axis positions")
-        deviation_um = bench.truth_at(points)
+        deviation_um = bench.truth_at(points, float(order.get("direction", 1.0)))
         told |= {"points_mm": points.tolist(), "deviation_um": deviation_um.tolist()}
     return {
         **told,
@@ -88,6 +99,7 @@ _ANY: dict[str, Callable[[DeviceProcesses], dict[str, Any]]] = {
     "own": lambda _: {},
 }
 _BENCH: dict[str, Callable[[Bench, Order], dict[str, Any]]] = {
+    "compensate": _load_compensation,
     "inject": _inject,
     "move-tracker": _move_tracker,
     "position": _read_position,

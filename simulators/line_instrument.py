@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.polled_head import PolledHead
 from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_head import TrackerPose
@@ -64,6 +65,10 @@ class LineInstrument(ABC):
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
         self.head.set_down(pose)
+
+    def correct(self, correction: Correction | None) -> None:
+        """See the machine driven by these tables from now on."""
+        self.head.correct(correction)
 
     def forget_host(self) -> None:
         """The connection has gone."""

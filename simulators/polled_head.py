@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from truepath.drivers.tracker.streaming.measurements import StatusBit
+from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.faults import Schedule
 from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_device import TrackerDevice, TrackerParts
@@ -30,6 +31,10 @@ class PolledHead:
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
         self._device.set_down(pose)
+
+    def correct(self, correction: Correction | None) -> None:
+        """See the machine driven by these tables from now on."""
+        self._device.correct(correction)
 
     @property
     def shots(self) -> int:

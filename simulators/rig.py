@@ -71,6 +71,18 @@ class Rig:
         """Set the tracker down at a place, turned and tilted anew by the number."""
         self.order("move-tracker", place_mm=list(place_mm), number=number)
 
+    def load_compensation(
+        self, files: Sequence[Path | str], **rules: str | bool
+    ) -> list[str]:
+        """Give the controller these tables while its axes stand; return their names.
+
+        files : none takes its tables away
+        rules : `backlash_reading`, `reversed_sign` of
+            `truepath.simulators.compensation.rules.Rules`
+        """
+        paths = [str(Path(file).absolute()) for file in files]
+        return self.order("compensate", files=paths, **rules)["files"]
+
     def read_state(self) -> dict[str, Any]:
         """Return what `tracker` and `cnc` say of themselves."""
         return self.order("state")
@@ -86,10 +98,14 @@ class Rig:
         """Return the volumetric error on a grid, hidden effects, squareness, pose."""
         return self.order("truth")
 
-    def truth_at(self, points: np.ndarray) -> np.ndarray:
-        """Return the true volumetric error in µm at axis positions, (n, 3)."""
+    def truth_at(self, points: np.ndarray, direction: float = 1.0) -> np.ndarray:
+        """Return the true volumetric error in µm at axis positions, (n, 3).
+
+        That of the machine with its tables, where all axes came in the direction.
+        """
         rows = np.asarray(points, float).tolist()
-        return np.array(self.order("truth", points=rows)["deviation_um"])
+        told = self.order("truth", points=rows, direction=direction)
+        return np.array(told["deviation_um"])
 
     def close(self) -> None:
         """Let go of the rig."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from truepath.simulators import interruption, paths, tracker_head, turning_paths
 from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.hidden.drawing import parse_hidden
 from truepath.simulators.hidden.effect import HiddenEffect
@@ -79,6 +80,7 @@ class Setting:
     truth : the machine, where it is not drawn
     hidden : effects that no rigid-body model knows
     sensors : whether the scales have temperature sensors
+    compensation : tables that the controller has
     """
 
     machine_seed: int | None = None
@@ -95,6 +97,7 @@ class Setting:
     truth: TruthMachine | None = None
     hidden: tuple[HiddenEffect, ...] = ()
     sensors: bool = True
+    compensation: LoadedTables = field(default_factory=LoadedTables)
 
 
 def record(
@@ -119,7 +122,7 @@ def record(
     row = timeline.rows(true_s)
     table_mm = locate_target_mm(
         truth,
-        Motion(machine, timeline),
+        Motion(machine, timeline, setting.compensation.correct(machine)),
         true_s,
         [program.target[k] for k in row] if program.target else [""] * len(row),
         setting.hidden,

@@ -45,6 +45,7 @@ from truepath.drivers.tracker.streaming.messages import (
     encode_message,
     parse_message,
 )
+from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.faults import Schedule
 from truepath.simulators.frame_damage import FrameDamage
 from truepath.simulators.hidden.effect import HiddenEffect
@@ -185,6 +186,10 @@ class TrackerDevice:
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
         self._parts = replace(self._parts, pose=pose)
+
+    def correct(self, correction: Correction | None) -> None:
+        """See the machine driven by these tables from now on."""
+        self._follower.correct(correction)
 
     def forget_host(self) -> None:
         """Stop streaming: the connection has gone."""

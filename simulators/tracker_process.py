@@ -13,6 +13,7 @@ from typing import Any
 from truepath.simulators import tracker_head
 from truepath.simulators.board import BoardReader
 from truepath.simulators.child import LifeLine, is_question
+from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.faults import Schedule, parse_fault
 from truepath.simulators.followed_positions import FollowedPositions
 from truepath.simulators.geocom_station import GeoComStation
@@ -60,6 +61,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
     )
     faults = Schedule(map(parse_fault, orders["faults"]))
     device = _device(orders, faults)
+    _obey(device, {"compensation": orders["compensation"]}, orders)
     life.report(port.address)
     wake_s = time.monotonic()
     while not life.ended:
@@ -67,9 +69,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
             if is_question(line):
                 life.report(device.read_state())
             elif line.startswith("{"):
-                move = json.loads(line)
-                seed = orders["seed"] + 1000 * move["number"]
-                device.set_down(tracker_head.place_anew(move["place"], seed))
+                _obey(device, json.loads(line), orders)
             else:
                 faults.add(parse_fault(line), clock.now_s())
         # Its clock first: see `simulators.board`. What is followed brings its own.
@@ -85,6 +85,16 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
         port.send(due)
         wake_s = _next_wake(wake_s, wall_s, streaming=device.streaming)
         _wait([life.descriptor, *port.descriptors()], port, wake_s)
+
+
+def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None:
+    """Stand elsewhere, or see the machine driven by other tables."""
+    if "compensation" in order:
+        machine = parse_machine(orders["machine"])
+        device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
+        return
+    seed = orders["seed"] + 1000 * order["number"]
+    device.set_down(tracker_head.place_anew(order["place"], seed))
 
 
 def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:

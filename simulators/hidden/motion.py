@@ -7,10 +7,12 @@ when it is asked for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.timeline import Timeline
 
@@ -20,11 +22,29 @@ _STANDS_MM = 1e-9
 
 @dataclass(frozen=True)
 class Motion:
-    """A timeline of a machine, with the memory that its axes have of it."""
+    """A timeline of a machine, with the memory that its axes have of it.
+
+    correction : what the controller adds to the commanded positions
+    """
 
     machine: MachineFile
     timeline: Timeline
-    _remembered: dict[tuple[str, float], np.ndarray] = field(default_factory=dict)
+    correction: Correction | None = None
+    _remembered: dict[object, np.ndarray] = field(default_factory=dict)
+
+    def driven(self, time_s: np.ndarray) -> np.ndarray:
+        """Return where the controller drives the axes, (n, axes): with its tables."""
+        position = self.timeline.positions(time_s)
+        if self.correction is None:
+            return position
+        return position + self.correction.added(position, self.headings(time_s))
+
+    def headings(self, time_s: np.ndarray) -> np.ndarray:
+        """Return in which direction each axis moves or last moved, (n, axes).
+
+        1 or −1; 0 for an axis that has not moved yet.
+        """
+        return self._remember("headings", self._find_headings)[self._piece(time_s)]
 
     def column(self, axis: str) -> int:
         """Return the column of an axis."""
@@ -61,9 +81,8 @@ class Motion:
         At first the axis is in the middle of it.
         """
         key = (axis, half_width_mm)
-        if key not in self._remembered:
-            self._remembered[key] = self._play(axis, half_width_mm)
-        before = self._remembered[key][self._piece(time_s)]
+        state = self._remember(key, lambda: self._play(axis, half_width_mm))
+        before = state[self._piece(time_s)]
         now = self.position_mm(axis, time_s)
         return np.clip(before, now - half_width_mm, now + half_width_mm)
 
@@ -74,12 +93,23 @@ class Motion:
 
         (n,) each; inf and 0 where it has not turned back.
         """
-        key = (axis, np.inf)
-        if key not in self._remembered:
-            self._remembered[key] = self._find_turns(axis)
-        travel, sign = self._remembered[key][self._piece(time_s)].T
+        turns = self._remember((axis, np.inf), lambda: self._find_turns(axis))
+        travel, sign = turns[self._piece(time_s)].T
         begin = self.timeline.origin[self._piece(time_s), self.column(axis)]
         return travel + np.abs(self.position_mm(axis, time_s) - begin), sign
+
+    def _remember(self, key: object, find: Callable[[], np.ndarray]) -> np.ndarray:
+        if key not in self._remembered:
+            self._remembered[key] = find()
+        return self._remembered[key]
+
+    def _find_headings(self) -> np.ndarray:
+        """Return the heading of each axis in each piece, kept while it stands."""
+        heading = self.timeline.direction
+        sign = np.where(np.abs(heading) > _STANDS_MM, np.sign(heading), 0.0)
+        moved = np.arange(len(sign))[:, None] * (sign != 0.0)
+        last = np.maximum.accumulate(moved, axis=0)
+        return np.take_along_axis(sign, last, axis=0)
 
     def _piece(self, time_s: np.ndarray) -> np.ndarray:
         place = np.searchsorted(self.timeline.start_s, time_s, side="right") - 1
@@ -121,18 +151,27 @@ def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
 class MotionFollower:
     """The motion on a board so far: play and friction remember it, the board not.
 
-    remembers : whether anything looks back
+    remembers : whether anything looks back; tables of a direction do
     """
 
     def __init__(self, machine: MachineFile, *, remembers: bool) -> None:
         self._machine, self._remembers = machine, remembers
+        self._correction: Correction | None = None
         self._newest: Timeline | None = None
         self._motion: Motion | None = None
 
     def follow(self, timeline: Timeline) -> Motion:
         """Return the motion up to the newest timeline of the board."""
         if self._motion is None or self._newest is not timeline:
-            known = self._motion.timeline if self._motion and self._remembers else None
-            self._motion = Motion(self._machine, continue_from(known, timeline))
+            looks_back = self._remembers or self._correction is not None
+            known = self._motion.timeline if self._motion and looks_back else None
+            so_far = continue_from(known, timeline)
+            self._motion = Motion(self._machine, so_far, self._correction)
             self._newest = timeline
         return self._motion
+
+    def correct(self, correction: Correction | None) -> None:
+        """Drive by these tables from now on."""
+        self._correction = correction
+        if self._motion is not None:
+            self._motion = replace(self._motion, correction=correction)

@@ -22,7 +22,7 @@ def locate_target_mm(
 
     target : (n,) its name at each time
     """
-    position = motion.timeline.positions(time_s)
+    position = motion.driven(time_s)
     carry = carry_all(motion, time_s, hidden)
     names = np.array(target)
     point = np.empty((len(time_s), 3))

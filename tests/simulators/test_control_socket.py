@@ -25,6 +25,8 @@ from truepath.simulators.control_socket import ControlSocket
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.rig import Rig, running_rig
 
+PLACE = np.array([[60.0, 20.0, 10.0]])
+
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Rig]:
@@ -52,6 +54,44 @@ def test_state_follows_the_devices(rig: Rig) -> None:
     assert state["tracker"]["rate_hz"] == 200.0
     assert state["cnc"]["state"] == "finished"
     assert state["cnc"]["position"] == pytest.approx([30.0, 20.0, 10.0])
+
+
+def test_a_table_loaded_while_the_axes_stand_moves_the_measured_point(
+    rig: Rig, tmp_path: Path
+) -> None:
+    table = tmp_path / "shift-X.tbl"
+    table.write_text("0 0.05 0.05\n500 500.05 500.05\n")  # 50 µm too far everywhere
+    with (
+        StreamingTracker(**rig.tracker_options) as tracker,
+        ModbusController(**rig.motion_options) as motion,
+    ):
+        motion.move_to((60.0, 20.0, 10.0), 3000.0)
+        assert motion.wait(10.0).state is MotionState.FINISHED
+        tracker.start(500.0)
+        before, seen = rig.read_position(), tracker.read(2.0).position_mm.mean(axis=0)
+        assert rig.load_compensation([table]) == ["shift-X.tbl"]
+        after, error_um = rig.read_position(), rig.truth_at(PLACE)
+        shift = np.subtract(after["target_mm"], before["target_mm"])[0]
+        np.testing.assert_allclose(shift, [-0.05, 0.0, 0.0], atol=1e-4)
+        assert after["position"] == before["position"]  # as commanded
+        until(
+            lambda: (
+                np.linalg.norm(tracker.read(2.0).position_mm.mean(axis=0) - seen) > 0.04
+            )
+        )
+        assert rig.read_state()["cnc"]["compensation"] == ["shift-X.tbl"]
+        motion.move_to((400.0, 20.0, 10.0), 1000.0)
+        with pytest.raises(SimulatorError, match="axes move"):
+            rig.load_compensation([])
+        motion.abort()
+        motion.wait(10.0)
+    until(lambda: rig.read_state()["cnc"]["state"] != "running")
+    assert rig.load_compensation([]) == []
+    np.testing.assert_allclose(
+        rig.truth_at(PLACE) - error_um, [[50.0, 0.0, 0.0]], atol=0.1
+    )
+    with pytest.raises(SimulatorError, match=r"nowhere\.tbl"):
+        rig.load_compensation([tmp_path / "nowhere.tbl"])
 
 
 def test_a_fault_strikes_when_it_is_ordered(rig: Rig) -> None:

@@ -1,0 +1,16 @@
+"""What a simulated controller makes of the compensation tables that it is given.
+
+Each file of this package reads one maker's form by the rules that are public, and knows
+nothing of how tables are made. What a controller adds depends on the commanded
+positions and on the direction in which each axis last moved; the axes are driven to the
+command plus that, and the machine does what it does there.
+
+    correction     curves, products of curves, what they add to the axes
+    rules          readings that no public text settles, as options
+    linuxcnc_tables, siemens_tables, heidenhain_tables, fanuc_tables, isg_tables
+    loading        files of any of these forms
+
+References: LinuxCNC `usrmotintf.cc`, `control.c`; SINUMERIK Function Manual Extended
+Functions 03/2013, K3, pages 225 to 264; MANUALplus 620 Technical Manual, pages 716 to
+718; FANUC A-77810E and B-63980EN, page 100; ISG kernel, volumetric compensation.
+"""

@@ -1,0 +1,118 @@
+"""Compensation files of any form that is simulated, told apart by their content."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+from truepath.simulators.compensation.correction import (
+    Correction,
+    ReversedCorrection,
+    TableCorrection,
+    Term,
+)
+from truepath.simulators.compensation.fanuc_tables import read_fanuc
+from truepath.simulators.compensation.heidenhain_tables import read_heidenhain
+from truepath.simulators.compensation.isg_tables import read_isg
+from truepath.simulators.compensation.linuxcnc_tables import read_linuxcnc
+from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
+from truepath.simulators.compensation.siemens_tables import read_siemens
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.machine_file import MachineFile
+
+_SIGNS = {
+    "siemens": re.compile(r"^\$A[AN]_(?:ENC_COMP|CEC)", re.MULTILINE),
+    "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
+    "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
+    "isg": re.compile(r"^\s*(?:[XYZABC]\s+)?[XYZABC]\s+E[XYZABC][XYZABC]\b", re.M),
+    "linuxcnc": re.compile(r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$", re.M),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedTables:
+    """The files that a controller has taken.
+
+    files : text by name, of one form; rules : its readings
+    """
+
+    files: Mapping[str, str] = field(default_factory=dict)
+    rules: Rules = field(default_factory=Rules)
+
+    @classmethod
+    def from_paths(
+        cls, paths: Iterable[Path | str], rules: Rules | None = None
+    ) -> Self:
+        """Read files. Raises SimulatorError naming the one that cannot be read."""
+        files: dict[str, str] = {}
+        for path in map(Path, paths):
+            try:
+                files[path.name] = path.read_text(encoding="ascii")
+            except (OSError, UnicodeDecodeError) as error:
+                reason = getattr(error, "strerror", None) or "not plain ASCII"
+                raise SimulatorError(f"compensation file {path}: {reason}") from error
+        return cls(files, rules or Rules())
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Self:
+        """Return what `as_json` has said."""
+        return cls(dict(content["files"]), Rules(**content["rules"]))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as one JSON object."""
+        return {"files": dict(self.files), "rules": asdict(self.rules)}
+
+    def correct(self, machine: MachineFile) -> Correction | None:
+        """Return what the controller adds; None without files.
+
+        Raises SimulatorError naming the file, and the row where it has one.
+        """
+        if not self.files:
+            return None
+        if self.rules.backlash_reading not in BACKLASH_READINGS:
+            known = ", ".join(BACKLASH_READINGS)
+            raise SimulatorError(f"backlash_reading: expected one of {known}")
+        form = _find_form(self.files)
+        if form == "isg":
+            if len(self.files) > 1:
+                raise SimulatorError("an ISG controller is given one file here")
+            ((name, text),) = self.files.items()
+            right: Correction = read_isg(name, text, machine)
+        else:
+            terms = tuple(_read_terms(form, self.files, machine, self.rules))
+            right = TableCorrection(terms)
+        return ReversedCorrection(right) if self.rules.reversed_sign else right
+
+
+def _find_form(files: Mapping[str, str]) -> str:
+    forms = {name: _tell_form(name, text) for name, text in files.items()}
+    if len(set(forms.values())) > 1:
+        said = ", ".join(f"{name} is of {form}" for name, form in forms.items())
+        raise SimulatorError(f"one controller takes one form: {said}")
+    return next(iter(forms.values()))
+
+
+def _tell_form(name: str, text: str) -> str:
+    for form, sign in _SIGNS.items():
+        if sign.search(text):
+            return form
+    raise SimulatorError(
+        f"{name} has the form of no simulated controller: LinuxCNC, SINUMERIK, "
+        "Heidenhain (.com with its .cma), Fanuc or ISG_CSV"
+    )
+
+
+def _read_terms(
+    form: str, files: Mapping[str, str], machine: MachineFile, rules: Rules
+) -> Iterator[Term]:
+    if form == "heidenhain":
+        yield from read_heidenhain(files, machine, rules)
+    elif form == "fanuc":
+        yield from read_fanuc(files, machine)
+    else:
+        read = read_siemens if form == "siemens" else read_linuxcnc
+        for name, text in files.items():
+            yield from read(name, text, machine)

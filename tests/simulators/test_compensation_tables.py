@@ -1,0 +1,233 @@
+"""Simulated controllers: what they make of tables written by hand, by public rules."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from truepath.simulators.compensation.correction import measure_deviation_mm
+from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.rules import Rules
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.hidden.motion import Motion, MotionFollower
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.profile import Limits
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program, follow, standing
+
+MACHINE = parse_machine(load_machine("demo"))
+
+
+def add(files, rows, direction=1.0, rules=None, machine=MACHINE):
+    """What the controller adds at rows of axis positions, all axes in a direction."""
+    correction = LoadedTables(files, rules or Rules()).correct(machine)
+    assert correction is not None
+    position = np.atleast_2d(np.array(rows, float))
+    return correction.added(position, np.full_like(position, direction))
+
+
+def at_x(*values):
+    return [[value, 0.0, 0.0] for value in values]
+
+
+def test_linuxcnc_sends_the_motor_to_nominal_less_column_by_direction():
+    # As measured on LinuxCNC 2.9: 99.950 going up, 99.970 going down, ends held.
+    text = "-10 -10.000 -10.000\n0 0.000 -0.010\n100 100.050 100.030\n510 510 509.98\n"
+    up = add({"c-X.tbl": text}, at_x(100.0, 50.0, 600.0))
+    np.testing.assert_allclose(up[:, 0], [-0.05, -0.025, 0.0], atol=1e-12)
+    down = add({"c-X.tbl": text}, at_x(100.0, -20.0), -1.0)
+    np.testing.assert_allclose(down[:, 0], [-0.03, 0.0], atol=1e-12)
+    assert not up[:, 1:].any()
+
+
+LEADSCREW = """%_N_AX_EEC_INI
+CHANDATA(1)
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+M17
+"""
+
+
+def test_a_positive_leadscrew_value_moves_the_axis_in_the_negative_direction():
+    added = add({"x.ini": LEADSCREW}, at_x(-200.0, -50.0, 0.0, 100.0))
+    np.testing.assert_allclose(added[:, 0], [0.0, -0.005, -0.01, -0.02])
+
+
+def cross_table(number, axis, out, values, step, extra=""):
+    rows = [f"$AN_CEC[{number},{k}]={value}" for k, value in enumerate(values)]
+    high = step * (len(values) - 1)
+    rows += [
+        f"$AN_CEC_INPUT_AXIS[{number}]=({axis})",
+        f"$AN_CEC_OUTPUT_AXIS[{number}]=({out})",
+        f"$AN_CEC_STEP[{number}]={step}",
+        f"$AN_CEC_MIN[{number}]=0.0",
+        f"$AN_CEC_MAX[{number}]={high}",
+        *([extra] if extra else []),
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def test_a_foundation_that_sags_is_corrected_by_the_product_of_two_tables():
+    # K3, page 252: ΔX1 = Z1 β(X1), table 1 of X1, table 2 linear in Z1.
+    text = "%_N_NC_CEC_INI\n"
+    text += cross_table(
+        0, "AX1", "AX1", [0.0, 1e-4], 500.0, "$AN_CEC_MULT_BY_TABLE[0]=2"
+    )
+    text += cross_table(1, "AX3", "AX1", [0.0, 300.0], 300.0)
+    added = add({"c.ini": text}, [[500.0, 0.0, 300.0], [250.0, 9.0, 150.0], [0, 0, 9]])
+    np.testing.assert_allclose(added[:, 0], [-0.03, -0.0075, 0.0], atol=1e-12)
+    assert not added[:, 1:].any()
+
+
+def test_a_cross_table_of_one_direction_acts_in_that_direction_alone():
+    text = cross_table(0, "AX1", "AX2", [0.0, 0.01], 100.0, "$AN_CEC_DIRECTION[0]=-1")
+    assert add({"c.ini": text}, at_x(100.0))[0, 1] == 0.0
+    assert add({"c.ini": text}, at_x(100.0), -1.0)[0, 1] == pytest.approx(-0.01)
+
+
+TABLE = """BEGIN X .COM MM
+NR AXISPOS BACKLASH X Y
+0 +0.0000 +0.003 +0.001 +0.0
+1 +100.0 +0.003 +0.002 -0.01
+[END]
+"""
+ACTIVE = "BEGIN config .CMA MM\nNR ACTIVE X\n0 * x.com\n1 - other.com\n[END]\n"
+
+
+@pytest.mark.parametrize(
+    ("reading", "back"), [("negative-value", 3), ("difference", 5)]
+)
+def test_the_backlash_column_is_read_as_the_option_says(reading, back):
+    files, rules = {"x.com": TABLE, "config.cma": ACTIVE}, Rules(reading)
+    up, down = (add(files, at_x(100.0, 50.0), side, rules) for side in (1.0, -1.0))
+    assert up[0, 0] == pytest.approx(0.002)
+    assert down[0, 0] == pytest.approx(1e-3 * back)
+    np.testing.assert_allclose(up[:, 1], [-0.01, -0.005])
+    np.testing.assert_allclose(down[:, 1], up[:, 1])
+
+
+def fanuc(values, first, reference, words=""):
+    data = "\n".join(f"N{10000 + first + k}P{v}" for k, v in enumerate(values))
+    last = first + len(values) - 1
+    parameters = (
+        f"N03620A1P{reference}\nN03621A1P{first}\nN03622A1P{last}\nN03623A1P1\n"
+        f"N03624A1P50.\n{words}"
+    )
+    return {"pitch.txt": f"%\n{data}\n%\n", "parameters.txt": f"%\n{parameters}%\n"}
+
+
+def test_fanuc_increments_sum_up_from_the_reference_point():
+    # B-63980EN, page 100: points 33 to 48 over -400 to 400 mm, 40 the reference.
+    values = [2, 1, 1, -2, 0, -1, 0, -1, 2, 1, 0, -1, -1, -2, 0, 1]
+    content = load_machine("demo")
+    content["axes"]["X"] |= {"min_mm": -400.0, "max_mm": 400.0}
+    machine = parse_machine(content)
+    added = add(
+        fanuc(values, 33, 40),
+        at_x(-400, -350, -50, 0, 20, 30, 50, 100, 400),
+        machine=machine,
+    )
+    np.testing.assert_allclose(
+        1e3 * added[:, 0], [0, 2, 1, 0, 0, 2, 2, 3, 0], atol=1e-9
+    )
+
+
+def test_fanuc_tables_of_both_directions_have_their_own_value_at_the_reference():
+    files = fanuc([1, 1], 5, 4, "N03605A1P00000001\nN03626A1P20\nN03627A1P-6\n")
+    files["pitch.txt"] = files["pitch.txt"].replace("%\n", "%\nN10020P2\nN10021P0\n", 1)
+    up, down = (1e3 * add(files, at_x(0, 50, 100), d)[:, 0] for d in (1.0, -1.0))
+    np.testing.assert_allclose(up, [0, 1, 2], atol=1e-9)
+    np.testing.assert_allclose(down, [-6, -4, -4], atol=1e-9)
+
+
+def test_isg_takes_away_what_the_chain_makes_of_error_motions():
+    text = """// by hand
+C0Y
+0.0001
+#
+X  EXX  EYX  EZX  EAX  EBX  ECX
+0  0 0 0 0 0 0
+100 0.01 0 0 0 0.0001 0
+#
+Z  X  EZX
+0   0 0
+0 100 0
+300 0 0
+300 100 0.006
+"""
+    added = add(
+        {"v.csv": text}, [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]]
+    )
+    # Lever arm of EBX is Z; C0Y turns Y about Z; EZX grows with Z.
+    np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(added[1], [-0.04, 0.0, -0.006], atol=3e-6)
+    np.testing.assert_allclose(added[2], [-0.0125, 0.0, -0.0015], atol=3e-6)
+    np.testing.assert_allclose(added[3], [0.02, 0.0, 0.0], atol=3e-6)
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"c-X.tbl": "0 0 0\n1 1 1\nhead\n"}, "row 3"),
+        ({"c-W.tbl": "0 0 0\n1 1 1\n"}, "does not end in an axis"),
+        ({"x.ini": "$AA_ENC_COMP[0,0,X1]=0\n$AA_ENC_COMP_OOPS\n"}, "row 2"),
+        ({"x.ini": "$AA_ENC_COMP[0,0,X1]=0\n"}, "lacks"),
+        ({"x.com": TABLE}, "one .cma file"),
+        (
+            {"x.com": TABLE, "config.cma": ACTIVE, "l-X.tbl": "0 0 0\n1 1 1\n"},
+            "one form",
+        ),
+        ({"v.csv": "X EXX\n0 0\n1 1 1\n"}, "no table"),
+        ({"v.csv": "Z X EXX\n0 0 0\n1 1 0\n"}, "70471"),
+        ({"letter.txt": "Dear controller\n"}, "no simulated controller"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_refused_by_name(files, said):
+    with pytest.raises(SimulatorError, match=said):
+        add(files, at_x(0.0))
+
+
+def test_the_machine_errs_less_with_its_own_error_taken_away():
+    truth = random_machine(MACHINE, 4)
+    x = np.linspace(0.0, 500.0, 51)
+    rows = np.array([[value, 200.0, 150.0] for value in x])
+    error = truth.deviation_mm(rows)[:, 0]
+    text = "".join(
+        f"{a:.4f} {a + e:.6f} {a + e:.6f}\n" for a, e in zip(x, error, strict=True)
+    )
+    tables = LoadedTables({"c-X.tbl": text}).correct(MACHINE)
+    left = measure_deviation_mm(truth, tables, rows)
+    assert np.abs(left[:, 0]).max() < 1e-4 < 0.002 < np.ptp(error)
+    np.testing.assert_allclose(left[:, 1:], truth.deviation_mm(rows)[:, 1:], atol=1e-5)
+    reversed_sign = LoadedTables({"c-X.tbl": text}, Rules(reversed_sign=True))
+    twice = measure_deviation_mm(truth, reversed_sign.correct(MACHINE), rows)
+    np.testing.assert_allclose(twice[:, 0], 2.0 * error, atol=1e-4)
+
+
+def test_an_axis_keeps_its_direction_while_it_stands():
+    x = np.array([[100.0, 0.0, 0.0], [50.0, 0.0, 0.0], [50.0, 80.0, 0.0]])
+    program = Program(x, np.full(3, 50.0), np.full(3, 1.0))
+    timeline = follow(program, np.zeros(3), 0.0, Limits())
+    motion = Motion(MACHINE, timeline)
+    at = timeline.start_s[np.flatnonzero(np.diff(timeline.row))] + 0.5
+    headings = motion.headings(np.array([*at, timeline.end_s]))
+    assert headings.tolist() == [[1, 0, 0], [-1, 0, 0], [-1, 1, 0]]
+
+
+def test_tables_of_a_direction_remember_the_motion_before():
+    text = "0 0 -0.01\n500 500 499.99\n"  # 10 µm of lost motion coming down
+    follower = MotionFollower(MACHINE, remembers=False)
+    follower.correct(LoadedTables({"c-X.tbl": text}).correct(MACHINE))
+    program = Program(
+        np.array([[100.0, 0.0, 0.0], [50.0, 0, 0]]), np.ones(2), np.ones(2)
+    )
+    first = follow(program, np.zeros(3), 0.0, Limits())
+    follower.follow(first)
+    later = follower.follow(standing(first.positions(np.array([1e9]))[0], 1e6, 1))
+    np.testing.assert_allclose(later.driven(np.array([2e6]))[0], [50.01, 0.0, 0.0])
