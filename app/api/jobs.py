@@ -1,4 +1,4 @@
-"""Jobs: create, follow, arm, pause, resume, abort; what they command."""
+"""Jobs: create, follow, arm, pause, resume, cancel, abort; what they command."""
 
 from __future__ import annotations
 
@@ -130,6 +130,15 @@ def resume_job(
     """Go on after a hold. The machine moves again."""
     job = service.dispatcher.resume(job_id, version, OnNotice(then))
     return _describe(job, response)
+
+
+@router.post("/{job_id}/cancel", status_code=202, responses=declare_problems(404, 409))
+def cancel_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+    """End a job in order: the line or point under way is finished, its Run is kept.
+
+    One that is held ends where it stands; one that computes ends at once.
+    """
+    return _describe(service.dispatcher.cancel(job_id), response)
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))

@@ -10,7 +10,12 @@ from typing import Any
 
 import structlog
 
-from truepath.app.jobs.errors import Aborted, Interrupted, StorageUnavailable
+from truepath.app.jobs.errors import (
+    Aborted,
+    Cancelled,
+    Interrupted,
+    StorageUnavailable,
+)
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import Computation
 from truepath.app.jobs.job import (
@@ -34,7 +39,13 @@ _DESIRED_STATES = {
     Verb.ARM: str(State.RUNNING),
     Verb.PAUSE: str(State.PAUSED),
     Verb.RESUME: str(State.RUNNING),
+    Verb.CANCEL: str(State.CANCELLED),
     Verb.ABORT: str(State.ABORTED),
+    Verb.ACKNOWLEDGE: str(State.READY),
+}
+_ENDS_ASKED_FOR = {
+    State.ABORTING: State.ABORTED,
+    State.CANCELLING: State.CANCELLED,
 }
 STORE_EVERY_S = 1.0
 PUBLISH_EVERY_S = 0.1
@@ -45,6 +56,7 @@ class ActiveJob:
 
     job, state : stored last
     wants_pause : whether a user has asked for a pause and for nothing since
+    wants_cancel : whether it is to end in order, after the line or point under way
     """
 
     def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
@@ -54,6 +66,7 @@ class ActiveJob:
         self.state, self._since = job.state, time.monotonic()
         self.wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
+        self.wants_cancel = False
         self._wish: OnNotice | None = None
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
@@ -99,24 +112,31 @@ class ActiveJob:
     def abort(self) -> None:
         """End the job because a user asked. Does not wait for the catalogue."""
         self._aborted = True
-        self._cancel()
+        self._wake()
+
+    def cancel(self) -> None:
+        """End the job in order: a measurement after its line or point."""
+        self.wants_cancel = True
+        self._wake()
 
     def interrupt(self) -> None:
         """End the job because the service ends."""
         self._interrupted = True
-        self._cancel()
+        self._wake()
 
     def checkpoint(self) -> None:
-        """Raise Aborted or Interrupted if the job has to end."""
+        """Raise Aborted, Interrupted or Cancelled if the job has to end."""
         if self._aborted:
             raise Aborted("aborted")
         if self._interrupted:
             raise Interrupted("the service was ended while the job was under way")
+        if self.wants_cancel:
+            raise Cancelled("cancelled")
 
     def wait_until_armed(self) -> None:
         """Wait for `arm`. Raises as `checkpoint`."""
         with self._changed:
-            while not self._armed and not self.is_cancelled:
+            while not (self._armed or self.is_cancelled or self.wants_cancel):
                 self._changed.wait()
             self._armed = False
         self.checkpoint()
@@ -177,14 +197,14 @@ class ActiveJob:
         self._change(change)
 
     def end(self, state: State, failure: Failure | None) -> Job:
-        """Enter a final state; an abort under way wins over success and failure."""
+        """Enter a final state; an abort or cancelling under way wins over success."""
 
         def change(job: Job) -> Job:
             if job.is_final:
                 return job
-            aborting = job.state is State.ABORTING
-            final = state if may_follow(job.state, state) else State.ABORTED
-            kept = None if aborting and final is State.ABORTED else failure
+            asked = _ENDS_ASKED_FOR.get(job.state, state)
+            final = state if may_follow(job.state, state) else asked
+            kept = None if final is asked is not state else failure
             return replace(
                 job,
                 state=final,
@@ -285,7 +305,7 @@ class ActiveJob:
             self.wants_pause = job.wants_pause
         return job
 
-    def _cancel(self) -> None:
+    def _wake(self) -> None:
         with self._changed:
             computation = self._computation
             self._changed.notify_all()

@@ -72,16 +72,18 @@ class CellMeasurement:
         self._outcome: CellState | None = None
         self._close_by = float("inf")
         self._repeat_at = time.monotonic() + REPEAT_S
-        self._is_killed = self._is_given_up = False
+        self._is_killed = self._is_given_up = self._is_held = False
         self._gives_up = gives_up
 
     def run(self, order: MeasurementOrder) -> None:
         """Measure until the Run is closed; what was recorded is on disk in any case.
 
-        Raises Aborted, Interrupted, MeasurementEnded, MachineFault.
+        Raises Aborted, Cancelled, Interrupted, MeasurementEnded, MachineFault.
         """
         if not self._cell.begin(
-            order, self._events.put, lambda: self._job.is_cancelled
+            order,
+            self._events.put,
+            lambda: self._job.is_cancelled or self._job.wants_cancel,
         ):
             self._job.checkpoint()
         try:
@@ -178,6 +180,7 @@ class CellMeasurement:
             return
         if reported not in MOVING:
             return
+        self._is_held = reported is not CellState.RUNNING
         state = State(reported)  # the same word
         # A `running` that the cell sent before a pause reached it must not undo it.
         late = state is State.RUNNING
@@ -190,7 +193,8 @@ class CellMeasurement:
         """Repeat a command that is not confirmed: it may have come too early to act.
 
         A pause is repeated only if a user asked for it. From a pause of its own the
-        cell continues by itself; from a commanded one it does not.
+        cell continues by itself; from a commanded one it does not. A machine that is
+        held is not moved on to finish its line for the sake of being cancelled.
         """
         now = time.monotonic()
         if self._outcome or now < self._repeat_at:
@@ -198,6 +202,8 @@ class CellMeasurement:
         self._repeat_at = now + REPEAT_S
         if self._job.is_cancelled or self._is_given_up:
             self._cell.send(CellVerb.ABORT)
+        elif self._job.wants_cancel:
+            self._cell.send(CellVerb.ABORT if self._is_held else CellVerb.CONCLUDE)
         elif self._job.state is State.PAUSING and self._job.wants_pause:
             self._cell.send(CellVerb.PAUSE)
 

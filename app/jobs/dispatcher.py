@@ -130,16 +130,33 @@ class Dispatcher:
         return job
 
     def resume(self, job_id: str, version: int, then: OnNotice = OnNotice.NOTE) -> Job:
-        """Go on after a hold. Raises StaleVersion, IllegalTransition.
+        """Go on after a hold. Raises StaleVersion, IllegalTransition, NotInOrder.
 
         then : what to do first about the newest notice
         """
         active = self._find_active(job_id, Verb.RESUME)
+        if self._context.store.get(job_id).state is State.PAUSED:
+            self._require_order()
         job = active.apply_verb(Verb.RESUME, version)
         if then is not OnNotice.NOTE:
             active.wish(then)
         if job.state is State.RESUMING:
             self._command_cell(CellVerb.RESUME)
+        return job
+
+    def cancel(self, job_id: str) -> Job:
+        """End a job in order; a measurement finishes the line or point under way.
+
+        One that is held ends where it stands. Raises IllegalTransition while aborting.
+        """
+        active = self._active.get(job_id)
+        if active is None:
+            job = self._context.store.get(job_id)
+            apply_verb(Verb.CANCEL, job.state)
+            return job
+        job = active.apply_verb(Verb.CANCEL)
+        if job.state is State.CANCELLING:
+            active.cancel()
         return job
 
     def abort(self, job_id: str) -> Job:

@@ -86,6 +86,10 @@ class Aborted(TruepathError):
     """A user ended the job. Not a failure."""
 
 
+class Cancelled(TruepathError):
+    """A user ended the job in order. Not a failure."""
+
+
 class Interrupted(TruepathError):
     """The service is ending and the job with it."""
 

@@ -22,6 +22,8 @@ def put_back(job: Job, *, in_order: bool = False) -> Job:
         return job
     if job.state is State.ABORTING:
         return replace(job, state=State.ABORTED)
+    if job.state is State.CANCELLING:
+        return replace(job, state=State.CANCELLED)
     attempts = job.attempts - in_order
     if attempts >= MAX_ATTEMPTS:
         text = f"the service ended {attempts} times while the job was computing"

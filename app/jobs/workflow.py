@@ -20,6 +20,7 @@ from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.driving_steps import DrivingSteps
 from truepath.app.jobs.errors import (
     Aborted,
+    Cancelled,
     Interrupted,
     MachineFault,
     MeasurementEnded,
@@ -64,6 +65,8 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
     match error:
         case Aborted():
             return State.ABORTED, None
+        case Cancelled():
+            return State.CANCELLED, None
         case Interrupted():
             return State.INTERRUPTED, Failure(family, text)
         case MeasurementEnded():
@@ -83,7 +86,7 @@ def _find_cause(error: Exception, active: ActiveJob) -> Exception:
         return error
     try:
         active.checkpoint()
-    except (Aborted, Interrupted) as cancelled:
+    except (Aborted, Cancelled, Interrupted) as cancelled:
         log.warning("job cancelled", reason=repr(error))
         return cancelled
     return error

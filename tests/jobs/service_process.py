@@ -20,7 +20,7 @@ if __name__ == "__main__":
     serve(load_settings())
 """
 SPEED = 12.0
-ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
+ENDS = {"succeeded", "failed", "faulted", "aborted", "cancelled", "interrupted"}
 ROWS = [
     {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000, "dwell_s": 0.6}
     for x, y, z in [

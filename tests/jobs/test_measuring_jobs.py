@@ -372,6 +372,88 @@ def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, context):
     assert job.failure.code == "beam-lost"
 
 
+@pytest.mark.fault_row(34)
+def test_a_cancelled_measurement_finishes_its_line_and_keeps_its_run(
+    dispatcher, running, make_cell, until, science
+):
+    assert dispatcher.cancel(running.id).state is State.CANCELLING
+    ended = until(running, "cancelled")
+    assert make_cell.cell.heard == ["connect", "begin", "conclude"]
+    assert (ended.run_id, ended.failure, science.calls) == (running.id, None, [])
+    assert dispatcher.cancel(running.id) == ended
+
+
+def test_a_held_measurement_is_cancelled_where_it_stands(
+    dispatcher, running, make_cell, until
+):
+    dispatcher.pause(running.id)
+    until(running, "paused")
+    dispatcher.cancel(running.id)
+    assert until(running, "cancelled").run_id == running.id
+    assert make_cell.cell.heard[-1] == "abort"
+    assert "conclude" not in make_cell.cell.heard
+
+
+def test_a_job_that_waits_is_cancelled_without_motion(dispatcher, ready, make_cell):
+    dispatcher.cancel(ready.id)
+    wait_until(lambda: dispatcher.cancel(ready.id).state is State.CANCELLED)
+    assert make_cell.cell.heard == ["connect"]
+
+
+def test_an_abort_overtakes_a_cancelling_that_takes_long(
+    dispatcher, running, make_cell, until
+):
+    make_cell.cell.say_state("pausing")
+    make_cell.cell.deaf |= {"conclude"}
+    dispatcher.cancel(running.id)
+    dispatcher.abort(running.id)
+    assert until(running, "aborted").desired_state == "aborted"
+    with pytest.raises(IllegalTransition):
+        dispatcher.arm(running.id, 99)
+
+
+def test_a_job_that_computes_is_cancelled_at_once(
+    dispatcher, running, make_cell, until, science
+):
+    science.hold = threading.Event()
+    make_cell.cell.end()
+    wait_until(lambda: science.calls)
+    dispatcher.cancel(running.id)
+    assert until(running, "cancelled").run_id == running.id
+
+
+@pytest.mark.fault_row(19)
+def test_a_held_machine_is_not_let_go_on_while_a_required_condition_is_wrong(
+    context, event_bus, until, make_cell
+):
+    seen = [
+        Observed(
+            CellStatus("ready", devices={"motion": {"has_watchdog": True}}),
+            None,
+            False,
+            10**12,
+            1,
+        )
+    ]
+    board = ConditionBoard(lambda: seen[0])
+    dispatcher = Dispatcher(replace(context, conditions=board), event_bus)
+    context.cell.start()
+    job, _ = dispatcher.create(OTF)
+    dispatcher.arm(job.id, until(job, "ready").version)
+    assert make_cell.cell.begun.wait(5)
+    dispatcher.pause(job.id)
+    held = until(job, "paused")
+    seen[0] = replace(seen[0], free_bytes=0)
+    with pytest.raises(NotInOrder, match="free"):
+        dispatcher.resume(job.id, held.version)
+    assert context.store.get(job.id) == held
+    assert "resume" not in make_cell.cell.heard
+    seen[0] = replace(seen[0], free_bytes=10**12)
+    dispatcher.resume(job.id, held.version)
+    until(job, "running")
+    dispatcher.close()
+
+
 @pytest.mark.parametrize("moment", ["ready", "running", "paused"])
 def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
     dispatcher, ready, make_cell, until, context, moment

@@ -8,6 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from truepath.app.errors import IllegalTransition
 from truepath.app.jobs.transitions import (
     FINAL,
+    LEFT_BY_ACKNOWLEDGE,
     TRANSITIONS,
     VERB_SATISFIED,
     VERB_TRANSITIONS,
@@ -23,8 +24,8 @@ def test_every_state_stands_in_the_table():
     assert set(TRANSITIONS) == set(State)
 
 
-def test_the_final_states_are_the_five_ends():
-    ends = {"aborted", "succeeded", "failed", "faulted", "interrupted"}
+def test_the_final_states_are_the_six_ends():
+    ends = {"aborted", "cancelled", "succeeded", "failed", "faulted", "interrupted"}
     assert {str(state) for state in FINAL} == ends
 
 
@@ -69,11 +70,26 @@ def test_a_verb_said_twice_is_said_once_or_refused(verb, state):
 
 def test_only_arming_starts_a_measurement():
     starts = [verb for verb in Verb if State.READY in VERB_TRANSITIONS[verb]]
-    assert sorted(starts) == [Verb.ABORT, Verb.ARM]
+    assert sorted(starts) == [Verb.ABORT, Verb.ARM, Verb.CANCEL]
+
+
+@pytest.mark.fault_row(34)
+def test_a_fault_or_an_interruption_is_left_only_by_acknowledging_it():
+    for state in LEFT_BY_ACKNOWLEDGE:
+        leaving = [verb for verb in Verb if state in VERB_TRANSITIONS[verb]]
+        assert leaving == [Verb.ACKNOWLEDGE]
+        assert TRANSITIONS[state] == {State.PREPARING}
+
+
+def test_a_cancelled_job_can_still_be_aborted_and_is_never_moved_again():
+    assert apply_verb(Verb.ABORT, State.CANCELLING) is State.ABORTING
+    for verb in (Verb.PAUSE, Verb.RESUME, Verb.ARM):
+        with pytest.raises(IllegalTransition):
+            apply_verb(verb, State.CANCELLING)
 
 
 def test_a_final_state_is_never_left():
-    for state in FINAL:
+    for state in FINAL - LEFT_BY_ACKNOWLEDGE:
         for after in State:
             with pytest.raises(IllegalTransition):
                 check_transition(state, after)
@@ -95,11 +111,15 @@ class AnyJob(RuleBasedStateMachine):
         except IllegalTransition:
             assert verb is not Verb.ABORT
         self.armed |= verb is Verb.ARM and before is State.READY
+        if before in LEFT_BY_ACKNOWLEDGE and self.state is State.PREPARING:
+            self.armed = False  # it has to be armed anew
 
     @rule(data=st.data())
     def worker(self, data: st.DataObject) -> None:
         # The worker of a measurement never leaves `ready` for motion by itself.
         after = TRANSITIONS[self.state]
+        if self.state in LEFT_BY_ACKNOWLEDGE:
+            after = frozenset[State]()  # left by a person only
         if self.state in {State.READY, State.QUEUED}:
             after = after - {State.RUNNING}
         if after:

@@ -5,7 +5,7 @@ export const STEPS = ["connect", "plan", "check", "run", "result", "discover"];
 const BESIDE = ["records", "trend"];
 const WAITS_FOR_ARMING = new Set(["ready", "awaiting-move"]);
 const BEFORE_MOTION = new Set(["queued", "preparing", ...WAITS_FOR_ARMING]);
-const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
+const ENDED = new Set(["succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"]);
 const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "following", "reporting"]);
 
 export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));

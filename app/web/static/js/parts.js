@@ -46,12 +46,12 @@ export function notice(tone, title, text, action) {
 
 const TONES = {
   "awaiting-move": "held",
-  pausing: "held", paused: "held", aborting: "held", resuming: "held",
+  pausing: "held", paused: "held", aborting: "held", cancelling: "held", resuming: "held",
   failed: "fault", faulted: "fault", aborted: "fault", interrupted: "fault",
 };
 const SHAPES = {
   running: "play", pausing: "pause", paused: "pause", resuming: "play", succeeded: "check",
-  ready: "hold", "awaiting-move": "hold", aborting: "stop", aborted: "stop", failed: "warning", faulted: "warning",
+  ready: "hold", "awaiting-move": "hold", aborting: "stop", cancelling: "hold", cancelled: "hold", aborted: "stop", failed: "warning", faulted: "warning",
   interrupted: "warning",
 };
 
