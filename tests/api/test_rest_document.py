@@ -174,7 +174,7 @@ def test_a_plan_is_made_looked_at_and_driven(curl, follow, tmp_path):
 
 def test_motion_is_held_and_stopped(curl, follow, make_cell):
     _, create, _, _, arm, *_ = section("Measure a machine")
-    stop, abort, pause, resume = section("Stop, hold, go on")
+    stop, abort, pause, resume, cancel = section("Stop, hold, go on")
     curl.take(curl(create).json())
     follow("ready")
     curl(arm)
@@ -187,6 +187,7 @@ def test_motion_is_held_and_stopped(curl, follow, make_cell):
     assert curl(abort).status_code == 202
     follow("aborted")
     assert curl(stop).status_code == 202
+    assert curl(cancel).json()["state"] == "aborted"  # it has ended
 
 
 def test_a_measurement_ends_at_its_target(curl, follow, make_cell, estimates):
