@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
+from truepath.app.api.models.base import Identifier, TargetUm
 from truepath.app.api.models.trend import TrendOut
+from truepath.app.api.models.volumetric_error import (
+    SpreadOut,
+    VolumetricErrorOfResult,
+    VolumetricMapOut,
+)
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.errors import NotFound
 from truepath.app.files.verdict import Verdict, verdict_from_json, verdict_json
+from truepath.app.results.conformity import decide_conformity
 
 router = APIRouter(prefix="/jobs", tags=["results"])
+
+_COVERAGE = 2.0  # k of expanded uncertainties
 
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
@@ -80,8 +89,7 @@ def download_error_tables(
     Refused where the result says that it is not to be used; `accept_verdict` has it.
     """
     file = _find_file(service, job_id, "error_tables.csv")
-    stated = _read_result(service, job_id).get("verdict")
-    verdict = verdict_from_json(stated) if stated else Verdict()
+    verdict = _read_verdict(_read_result(service, job_id))
     if not accept_verdict:
         verdict.require_usable(f"the result of job {job_id}")
     return FileResponse(file, filename=file.name)
@@ -91,6 +99,65 @@ def download_error_tables(
 def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html"))
+
+
+@router.get("/{job_id}/result/volumetric-error", responses=declare_problems(404, 422))
+def get_volumetric_error(
+    job_id: str,
+    service: ServiceDep,
+    tolerance_um: Annotated[
+        TargetUm | None, Query(description="Of the mean length over the travel.")
+    ] = None,
+) -> VolumetricErrorOfResult:
+    """Return the size of the volumetric error before and as expected after.
+
+    With a tolerance each mean is held against it, with its expanded uncertainty.
+    """
+    result = _read_result(service, job_id)
+    stated = result.get("volumetric_error")
+    if stated is None:
+        raise NotFound(f"the result of job {job_id} states no volumetric error")
+    before, after = (
+        _hold_against(stated[state], tolerance_um)
+        for state in ("before", "after_expected")
+    )
+    return VolumetricErrorOfResult(
+        job_id=job_id,
+        verdict=_read_verdict(result).state,
+        tolerance_um=tolerance_um,
+        before=before,
+        after_expected=after,
+        on=stated["on"],
+    )
+
+
+@router.get("/{job_id}/result/volumetric-map", responses=declare_problems(404, 422))
+def get_volumetric_map(
+    job_id: str,
+    service: ServiceDep,
+    grid: Annotated[int, Query(ge=2, le=11, description="Points an axis.")] = 9,
+    state: Annotated[
+        Literal["before", "after"], Query(description="Of the compensation.")
+    ] = "before",
+    compensation: Annotated[
+        Identifier | None,
+        Query(description="Kept files of the state after; full correction without."),
+    ] = None,
+) -> VolumetricMapOut:
+    """Return the volumetric error on a grid over the travel, with its uncertainty.
+
+    After compensation it is what is left: by kept files as their controller reads them
+    back, or of a full correction, where only the uncertainty of the result remains.
+    Computed once and kept with the result.
+    """
+    file = _find_file(service, job_id, "result.json")
+    # Imported where it computes: the service itself carries no science.
+    from truepath.app.compensation.map_in_volume import MapOrder, keep_map
+
+    order = MapOrder(grid, state, compensation)
+    found = keep_map(file, file.parent / "maps", order, file.parent / "compensations")
+    verdict = found["verdict"]["state"]
+    return VolumetricMapOut(**{**found, "verdict": verdict}, job_id=job_id)
 
 
 @_serve_file("/{job_id}/discovery", "application/json", "object")
@@ -124,6 +191,20 @@ def _send_page(report: Path) -> FileResponse:
 def _read_result(service: Service, job_id: str) -> dict[str, Any]:
     file = _find_file(service, job_id, "result.json")
     return json.loads(file.read_text(encoding="utf-8"))
+
+
+def _read_verdict(result: dict[str, Any]) -> Verdict:
+    stated = result.get("verdict")
+    return verdict_from_json(stated) if stated else Verdict()
+
+
+def _hold_against(spread: dict[str, Any], tolerance_um: float | None) -> SpreadOut:
+    """Return sizes in µm with what the mean is against the tolerance."""
+    mean = spread["mean"]
+    decided = tolerance_um and decide_conformity(
+        mean["value_um"], _COVERAGE * mean["uncertainty_um"], tolerance_um
+    )
+    return SpreadOut(**spread, conformity=decided)
 
 
 def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> Path:

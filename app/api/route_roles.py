@@ -50,6 +50,8 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /jobs/{job_id}/result/error-tables.json": _VIEWER,
     "GET /jobs/{job_id}/result/error-tables.csv": _VIEWER,
     "GET /jobs/{job_id}/result/report.html": _VIEWER,
+    "GET /jobs/{job_id}/result/volumetric-error": _VIEWER,
+    "GET /jobs/{job_id}/result/volumetric-map": _VIEWER,
     "GET /jobs/{job_id}/discovery": _VIEWER,
     "GET /jobs/{job_id}/discovery/report.html": _VIEWER,
     "GET /jobs/{job_id}/trend": _VIEWER,

@@ -73,6 +73,23 @@ def predict(
     )
 
 
+def find_unmeasured(
+    result: CalibrationResult, position: Float64[np.ndarray, "n a"]
+) -> Bool[np.ndarray, " n"]:
+    """Tell which points lie beyond the measured range by more than ends usually do.
+
+    position : (n, axes) in the column order of the machine
+    """
+    beyond = np.zeros(len(position), bool)
+    for column, axis in enumerate(result.machine.axes):
+        if axis.name in result.measured:
+            low, high = result.measured[axis.name]
+            slack = _USUAL_ENDS * (axis.high - axis.low)
+            at = position[:, column]
+            beyond |= (at < low - slack) | (at > high + slack)
+    return beyond | _find_outside(result.machine, position)
+
+
 def _group_by_target(
     targets: Sequence[str], count: int
 ) -> list[tuple[str, np.ndarray[tuple[int], np.dtype[np.int64]]]]:
@@ -112,7 +129,7 @@ def _list_warnings(
             "the errors are continued straight there, and the uncertainty grows as the "
             "motions bend within the travel"
         )
-    unseen = int(_find_unmeasured(result, position).sum()) - outside
+    unseen = int(find_unmeasured(result, position).sum()) - outside
     if unseen > 0:
         seen = ", ".join(
             f"{name} {low:.0f} to {high:.0f}"
@@ -134,17 +151,3 @@ def _find_outside(
     low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
     slack = 1e-6 * (high - low)  # numbers that were rounded when they were written
     return ((position < low - slack) | (position > high + slack)).any(axis=1)
-
-
-def _find_unmeasured(
-    result: CalibrationResult, position: Float64[np.ndarray, "n a"]
-) -> Bool[np.ndarray, " n"]:
-    """Tell which points lie beyond the measured range by more than ends usually do."""
-    beyond = np.zeros(len(position), bool)
-    for column, axis in enumerate(result.machine.axes):
-        if axis.name in result.measured:
-            low, high = result.measured[axis.name]
-            slack = _USUAL_ENDS * (axis.high - axis.low)
-            at = position[:, column]
-            beyond |= (at < low - slack) | (at > high + slack)
-    return beyond | _find_outside(result.machine, position)
