@@ -201,9 +201,10 @@ def _read_verdict(result: dict[str, Any]) -> Verdict:
 def _hold_against(spread: dict[str, Any], tolerance_um: float | None) -> SpreadOut:
     """Return sizes in µm with what the mean is against the tolerance."""
     mean = spread["mean"]
-    decided = tolerance_um and decide_conformity(
-        mean["value_um"], _COVERAGE * mean["uncertainty_um"], tolerance_um
-    )
+    if tolerance_um is None:
+        return SpreadOut(**spread, conformity=None)
+    expanded_um = _COVERAGE * mean["uncertainty_um"]
+    decided = decide_conformity(mean["value_um"], expanded_um, tolerance_um)
     return SpreadOut(**spread, conformity=decided)
 
 

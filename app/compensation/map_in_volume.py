@@ -7,6 +7,7 @@ format leave what the format does not carry as well, as their controller reads t
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.kept_files import read_account
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.errors import BadInput
-from truepath.app.files.file_model import encode_json, parse_json
+from truepath.app.files.file_model import encode_json
 from truepath.app.files.result_file import LARGEST_BYTES, CalibrationResult, read_result
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
@@ -90,7 +91,7 @@ def keep_map(
         found = compute_map(errors, order, correction)
         folder.mkdir(parents=True, exist_ok=True)
         replace_file(kept, encode_json(_describe(result, order, found)))
-    return parse_json(read_whole(kept, largest_bytes=LARGEST_BYTES), str(kept))
+    return json.loads(read_whole(kept, largest_bytes=LARGEST_BYTES))
 
 
 def compute_map(
