@@ -14,6 +14,7 @@ from scripted_data import (
     TRACKER,
     TRACKER_NOISE,
     compensation,
+    volumetric_map,
 )
 from scripted_service import ScriptedService
 
@@ -158,6 +159,20 @@ def scripted_app(service: ScriptedService) -> FastAPI:
             said = "X not measured from 450 to 500 mm; measure there"
             return problem(422, "bad-input", "The input cannot be used", said, "")
         return compensation(job_id, order["format"], order["unmeasured"])
+
+    @app.get(f"{API}/jobs/{{job_id}}/compensations")
+    def compensations(job_id: str) -> Any:
+        return {"items": []}
+
+    @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
+    def size(job_id: str, tolerance_um: float) -> Any:
+        service.requests.append(("GET", "volumetric-error", tolerance_um))
+        return {"tolerance_um": tolerance_um, **service.conformity}
+
+    @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
+    def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
+        service.requests.append(("GET", "volumetric-map", compensation or state))
+        return volumetric_map(state, compensation)
 
     @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
     def archive(job_id: str, name: str) -> Response:

@@ -280,6 +280,41 @@ def turntable_estimate(done: int) -> dict[str, Any]:
     return found
 
 
+def volumetric_error() -> dict[str, Any]:
+    """Return the size of the volumetric error before and as expected after."""
+
+    def spread(mean: float, u: float) -> dict[str, Any]:
+        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
+        return {
+            name: {"value_um": factor * mean, "uncertainty_um": factor * u}
+            for name, factor in sizes.items()
+        }
+
+    return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
+
+
+def volumetric_map(state: str, compensation: str | None) -> dict[str, Any]:
+    """Return a map of five points an axis, its ends of X beyond what was measured."""
+    travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
+    levels = [np.linspace(low, high, 5) for low, high in travel]
+    position = np.stack([g.ravel() for g in np.meshgrid(*levels, indexing="ij")], 1)
+    size = {"before": 1.0, "after": 0.0}[state] if compensation is None else 0.4
+    share = (position - [0.0, 0.0, -300.0]) / [500.0, 400.0, 300.0]
+    error = size * np.array([20.0, -10.0, 15.0]) * (share - 0.5)
+    length = np.linalg.norm(error, axis=1) if size else np.full(len(error), 0.6)
+    return {
+        "state": state,
+        "compensation": compensation,
+        "points": 5,
+        "axes": ["X", "Y", "Z"],
+        "position": position.tolist(),
+        "error_um": error.tolist(),
+        "uncertainty_um": np.full(error.shape, 0.1).tolist(),
+        "length_um": length.tolist(),
+        "is_measured": (position[:, 0] > 0.0).tolist(),
+    }
+
+
 FORMATS = [
     {
         "name": "heidenhain",
@@ -300,7 +335,9 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
     address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
     return {
+        "id": f"{name}-10-{unmeasured}",
         "format": name,
+        "control": {f["name"]: f["control"] for f in FORMATS}[name],
         "not_carried": "straightness, angular errors, squareness",
         "sign": {"rule": "the value is the error", "verified": settled},
         "unmeasured": [] if settled else ["X not measured from 450 to 500 mm: holds"],

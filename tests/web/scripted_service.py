@@ -53,6 +53,10 @@ class ScriptedService:
         self.grade: dict[str, Any] = GRADE
         self.machine: dict[str, Any] = MACHINE
         self.result = result()
+        self.conformity: dict[str, Any] = {
+            "before": {"conformity": "outside"},
+            "after_expected": {"conformity": "within"},
+        }
         self.discovery: dict[str, Any] = DISCOVERY
         self.trend: dict[str, Any] = {}
         self.estimates: dict[str, dict[str, Any]] = {}

@@ -59,14 +59,18 @@ def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
     page, card = show(panel, service)
     held: list = []
 
+    def is_order(request):
+        return request.method == "POST" and request.url.endswith("/compensations")
+
     def hold(route):
-        if json.loads(route.request.post_data)["format"] == "heidenhain":
+        order = json.loads(route.request.post_data or "{}")
+        if order.get("format") == "heidenhain":
             held.append(route)
         else:
             route.continue_()
 
     page.route("**/compensations", hold)
-    with page.expect_request("**/compensations"):
+    with page.expect_request(is_order):
         card.get_by_text("Heidenhain TNC").click()
     card.get_by_text("LinuxCNC").click()
     link = card.get_by_role("link", name="Files (ZIP)")

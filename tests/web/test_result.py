@@ -9,20 +9,6 @@ from scripted_data import GRADE, half_differences, turntable_estimate
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
 
-def test_the_volumetric_error_is_told_before_and_after_compensation(panel, service):
-    mean = {"value_um": 15.2, "uncertainty_um": 0.2}
-    left = {"value_um": 0.9, "uncertainty_um": 0.1}
-    service.result["volumetric_error"] = {
-        "before": {"mean": mean},
-        "after_expected": {"mean": left},
-    }
-    page = panel.open(f"#/result/{done(service)}")
-    tiles = page.locator(".verdict .tile")
-    expect(tiles.filter(has_text="Volumetric error, mean")).to_contain_text("15.2µm")
-    after = tiles.filter(has_text="Expected after compensation")
-    expect(after).to_contain_text("0.9µm")
-
-
 def test_the_location_of_a_rotary_axis_stands_with_the_squarenesses(panel, service):
     service.result["axis_location"] = turntable_estimate(20)["axis_location"]
     page = panel.open(f"#/result/{done(service)}")

@@ -91,6 +91,15 @@ export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
 export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
+/** The volumetric error before and after, held against a tolerance. */
+export const volumetricError = (id, tolerance_um) =>
+  call("GET", `/jobs/${id}/result/volumetric-error?tolerance_um=${tolerance_um}`);
+/** The map of a state: before, after, or after by the kept files of that name. */
+export const volumetricMap = (id, state) =>
+  call("GET", `/jobs/${id}/result/volumetric-map?${new URLSearchParams(
+    ["before", "after"].includes(state) ? { state } : { state: "after", compensation: state })}`, { patience_ms: 60000 });
+export const compensations = async (id) => items(await call("GET", `/jobs/${id}/compensations`));
+
 export const formats = async () => items(await call("GET", "/compensation-formats"));
 /** Have compensation files made; answers what they leave. */
 export const createCompensation = (id, order) =>

@@ -1,5 +1,5 @@
-/* What the operator set on this panel: units, light or dark, language. */
-const KEYS = { units: "mm", theme: "auto", scale: "common" };
+/* What the operator set on this panel: units, light or dark, language, tolerance. */
+const KEYS = { units: "mm", theme: "auto", scale: "common", tolerance_um: "" };
 
 /** Read a preference. */
 export function preference(name) {

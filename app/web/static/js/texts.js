@@ -65,6 +65,14 @@ export function plain(value, decimals = 0) {
   return new Intl.NumberFormat(region(), format).format(value);
 }
 
+/** A typed number, grouping and decimal sign as the language writes them; null where nothing is typed. */
+export function typed(text) {
+  const sign = number(1.5, 1)[1];
+  const group = sign === "," ? /[.\s]/g : /[,\s]/g;
+  const digits = text.replace(group, "").replace(sign, ".");
+  return digits === "" ? null : Number(digits);
+}
+
 /** Seconds as m:ss or h:mm:ss. */
 export function duration(seconds) {
   if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return "–";

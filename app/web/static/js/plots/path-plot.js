@@ -1,57 +1,15 @@
 /* The path in space: what is planned, what is done, where the machine is. */
-import { quantity, shown, unitOf } from "../units.js";
+import { quantity } from "../units.js";
 import { colour } from "./colours.js";
+import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
 
-const SCRIPT = "/assets/plotly.min.js";
 const REDRAW_MS = 250;
-const ZOOM = 1.3;
 const TRACE = { plan: 1, done: 2, now: 3 };
-const VIEWS = {
-  iso: { eye: { x: 1.35, y: -1.55, z: 0.95 }, up: { x: 0, y: 0, z: 1 } },
-  top: { eye: { x: 0, y: 0, z: 2.2 }, up: { x: 0, y: 1, z: 0 } },
-  front: { eye: { x: 0, y: -2.2, z: 0 }, up: { x: 0, y: 0, z: 1 } },
-  side: { eye: { x: 2.2, y: 0, z: 0 }, up: { x: 0, y: 0, z: 1 } },
-};
-
-let loading = null;
-
-function plotly() {
-  loading ??= new Promise((done, failed) => {
-    const script = document.createElement("script");
-    script.src = SCRIPT;
-    script.addEventListener("load", () => done(window.Plotly));
-    script.addEventListener("error", () => failed(new Error(SCRIPT)));
-    document.head.append(script);
-  });
-  return loading;
-}
 
 /** Columns of X, Y and Z among the axes of a plan; -1 where the machine has none. */
 const linear = (axes) => ["X", "Y", "Z"].map((name) => axes.indexOf(name));
 
 const pick = (row, columns) => columns.map((c) => (c < 0 ? 0 : row[c]));
-
-function coordinates(points) {
-  const column = (i) => points.map((point) => shown(point[i], "length"));
-  return { x: column(0), y: column(1), z: column(2) };
-}
-
-/** The twelve edges of the axis travel, broken by nulls. */
-function edges(travel) {
-  const corner = (bits) => [0, 1, 2].map((i) => travel[i][(bits >> i) & 1]);
-  const points = { x: [], y: [], z: [] };
-  for (let a = 0; a < 8; a += 1) {
-    for (const bit of [1, 2, 4]) {
-      if (a & bit) continue;
-      for (const p of [corner(a), corner(a | bit), [null, null, null]]) {
-        points.x.push(p[0] === null ? null : shown(p[0], "length"));
-        points.y.push(p[1] === null ? null : shown(p[1], "length"));
-        points.z.push(p[2] === null ? null : shown(p[2], "length"));
-      }
-    }
-  }
-  return points;
-}
 
 function traces(rows, travel, standing) {
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
@@ -65,38 +23,6 @@ function traces(rows, travel, standing) {
     { ...base, mode: "markers", x: [], y: [], z: [],
       marker: { size: 6, color: colour("text"), line: { color: colour("panel"), width: 2 } } },
   ];
-}
-
-function layout(travel, frame) {
-  const axis = (name, i) => ({
-    title: { text: `${name} (${unitOf("travel")})`, font: { size: 13 } },
-    range: padded(travel[i].map((v) => shown(v, "length"))),
-    gridcolor: colour("line"), zeroline: false, showbackground: false, nticks: 5,
-    tickfont: { size: 12 }, showspikes: false, color: colour("quiet"),
-  });
-  return {
-    margin: { l: 0, r: 0, t: 0, b: 0 },
-    paper_bgcolor: "rgba(0,0,0,0)",
-    font: { family: "Inter, sans-serif", color: colour("quiet") },
-    scene: {
-      xaxis: axis("X", 0), yaxis: axis("Y", 1), zaxis: axis("Z", 2), aspectmode: "manual", aspectratio: proportions(travel, frame),
-      camera: { ...VIEWS.iso, projection: { type: "orthographic" } },
-    },
-    uirevision: "kept",
-  };
-}
-
-/** True proportions, as large as the frame allows in any view. */
-function proportions(travel, frame) {
-  const size = travel.map(([low, high]) => high - low || 1);
-  const narrow = Math.min(1, frame.clientWidth / frame.clientHeight / 1.25);
-  const scale = (ZOOM * narrow) / Math.cbrt(size[0] * size[1] * size[2]);
-  return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
-}
-
-function padded([low, high]) {
-  const margin = 0.04 * (high - low || 1);
-  return [low - margin, high + margin];
 }
 
 /** Travel of X, Y and Z: of the machine, widened to the plan. */
@@ -118,9 +44,8 @@ export async function drawPath(element, plan, machine) {
   const columns = linear(plan.axes);
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
-  const options = { displayModeBar: false, responsive: true, scrollZoom: true };
   const standing = !plan.feed_mm_min?.length;
-  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), options);
+  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), OPTIONS);
 
   const name = element.getAttribute("aria-label");
   let wanted = null;
@@ -146,8 +71,7 @@ export async function drawPath(element, plan, machine) {
       wanted = { done: Math.max(0, Math.min(rows.length, done)), position };
     },
     view(name) {
-      const camera = { ...VIEWS[name], projection: { type: "orthographic" } };
-      Plotly.relayout(element, { "scene.camera": camera });
+      Plotly.relayout(element, { "scene.camera": camera(name) });
     },
     close() {
       clearInterval(timer);

@@ -6,8 +6,11 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { known, t } from "../texts.js";
 import { quantity } from "../units.js";
 
-/** A card with a choice of controllers; null where the result is not to be used. */
-export function exportCard(job, result) {
+/** A card with a choice of controllers; null where the result is not to be used.
+ *
+ * onFiles(account): hears of files that were made
+ */
+export function exportCard(job, result, onFiles) {
   if (result.verdict?.state === "not-usable") return null;
   const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.title") });
   const said = h("div", { class: "stack", "aria-live": "polite" });
@@ -19,8 +22,13 @@ export function exportCard(job, result) {
     order = asked;
     if (!asked.format) return;
     said.replaceChildren(h("p", { class: "quiet" }, t("export.computing")));
-    const made = await api.createCompensation(job.id, asked).then(account, refusal);
+    const made = await api.createCompensation(job.id, asked).then(take, refusal);
     if (order === asked) said.replaceChildren(...made);
+  }
+
+  function take(made) {
+    onFiles(made);
+    return account(made);
   }
 
   const beyond = segments(t("export.unmeasured"),

@@ -1,6 +1,6 @@
 /* A number to type or to step, with its unit; what is kept is the stored unit. */
 import { h, mark } from "../dom.js";
-import { number, plain, t } from "../texts.js";
+import { number, plain, t, typed } from "../texts.js";
 import { decimalsOf, shown, stored, unitOf } from "../units.js";
 
 /** Make a field; `write(value)` changes it.
@@ -39,7 +39,7 @@ export function numberField({ id, kind, label, note, less, more, none, get, set,
   }
 
   input.addEventListener("input", () => {
-    set(typed(input.value, kind));
+    set(inStored(input.value, kind));
     check();
   });
   show();
@@ -55,10 +55,7 @@ export function numberField({ id, kind, label, note, less, more, none, get, set,
 /** Whether a value may be sent: inside its limits, or left empty where that is allowed. */
 export const within = (value, least, most) => value === null || (value >= least && value <= most);
 
-/** A typed number in stored units; grouping and decimal sign as the language writes them. */
-function typed(text, kind) {
-  const sign = number(1.5, 1)[1];
-  const group = sign === "," ? /[.\s]/g : /[,\s]/g;
-  const digits = text.replace(group, "").replace(sign, ".");
-  return digits === "" ? null : stored(Number(digits), kind);
+function inStored(text, kind) {
+  const value = typed(text);
+  return value === null ? null : stored(value, kind);
 }

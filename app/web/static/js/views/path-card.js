@@ -2,9 +2,8 @@
 import { h, mark } from "../dom.js";
 import { segments } from "../parts.js";
 import { drawPath } from "../plots/path-plot.js";
+import { VIEWS } from "../plots/scene.js";
 import { t } from "../texts.js";
-
-const VIEWS = ["iso", "top", "front", "side"];
 
 /** A card that draws the plan as soon as it is there; `progress` and `close` as the plot's. */
 export function pathCard(live) {

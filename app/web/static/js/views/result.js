@@ -11,6 +11,8 @@ import { exportCard } from "./export-card.js";
 import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
+import { headline } from "./headline.js";
+import { mapCard } from "./map-card.js";
 import { overTimeCard } from "./trend-form.js";
 import { trialsCard } from "./trials-card.js";
 import { usableMark, verdictBand } from "./verdict-band.js";
@@ -24,10 +26,12 @@ export function lead(state, { go }) {
 /** Show the result of the job. */
 export function mount(root, { actions, go }) {
   let charts = [];
+  let map = null;
   let drawn = null;
 
   function close() {
     for (const chart of charts) chart.close();
+    map?.close();
     charts = [];
   }
 
@@ -36,10 +40,14 @@ export function mount(root, { actions, go }) {
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
     const band = verdictBand(result.verdict);
-    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), summary(runs.find((run) => run.id === job.run_id) ?? job.health, result),
+    const top = h("div", { class: "result-top" });
+    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), top,
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
+    map = mapCard(job, result);
+    const stream = runs.find((run) => run.id === job.run_id) ?? job.health;
+    top.append(h("div", { class: "stack" }, headline(job, result), summary(stream, result)), map.element);
     charts = drawTables(body, result);
-    body.append(...[exportCard(job, result), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
@@ -83,10 +91,7 @@ function summary(stream, result) {
     .map((table) => [Math.max(...table.values.map(Math.abs)), table.symbol])
     .sort((a, b) => b[0] - a[0])[0];
   const [error, angle] = [worst("error"), worst("angle")];
-  const { before, after_expected: after } = result.volumetric_error ?? {};
   const figures = [
-    before && [t("result.volumetric"), before.mean.value_um, "error"],
-    after && [t("result.volumetric_after"), after.mean.value_um, "error"],
     error && [t("result.worst", { symbol: error[1] }), error[0], "error"],
     angle && [t("result.worst", { symbol: angle[1] }), angle[0], "angle"],
     [t("result.residual"), result.residuals?.rms_um, "error"],

@@ -1,0 +1,90 @@
+/* The first line of a result: the volumetric error before and after, held against a tolerance. */
+import * as api from "../api.js";
+import { h, icon, mark, write } from "../dom.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { prefer, preference } from "../preferences.js";
+import { plain, t, typed } from "../texts.js";
+import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
+
+const SHAPES = { within: "check", outside: "warning", undecided: "info" };
+const WAIT_MS = 300;
+
+/** The line; null where the result states no volumetric error. */
+export function headline(job, result) {
+  const { before, after_expected: after } = result.volumetric_error ?? {};
+  if (!before || !after) return null;
+  const decided = h("p", { class: "conformity", role: "status" });
+  const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
+    h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
+      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after"))),
+    h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) })),
+    toleranceField((tolerance_um) => ask(tolerance_um)), decided);
+  let asked = null;
+
+  async function ask(tolerance_um) {
+    asked = tolerance_um;
+    if (tolerance_um === null) {
+      show(null);
+      return;
+    }
+    let found = null;
+    try {
+      found = await api.volumetricError(job.id, tolerance_um);
+    } catch (error) {
+      if (!(error instanceof api.Problem)) throw error;
+      if (asked === tolerance_um) write(decided, error.title || t("problem.refused"));
+      return;
+    }
+    if (asked === tolerance_um) show(found);
+  }
+
+  function show(found) {
+    mark(decided, "data-conformity", found && found.after_expected.conformity);
+    decided.replaceChildren(...(found ? sentence(found) : [t("headline.no_tolerance")]));
+  }
+
+  ask(keptTolerance());
+  return element;
+}
+
+const value = ({ value_um, uncertainty_um }, name) => h("span", { class: "headline-value" },
+  h("strong", {}, figure(value_um, "gap", digits()), h("span", { class: "unit" }, unitOf("gap"))),
+  h("span", { class: "headline-u" }, `± ${quantity(COVERAGE * uncertainty_um, "gap", digits())}`), h("small", {}, name));
+
+const digits = () => decimalsOf("error");
+
+const sized = ({ value_um, uncertainty_um }) =>
+  `${figure(value_um, "gap", digits())} ± ${quantity(COVERAGE * uncertainty_um, "gap", digits())}`;
+
+function sentence({ before, after_expected: after, tolerance_um }) {
+  const tolerance = quantity(tolerance_um, "gap", 1);
+  const now = t(`headline.now_${before.conformity}`);
+  return [icon(SHAPES[after.conformity]), h("span", {}, h("strong", {}, t(`headline.${after.conformity}`, { tolerance })), " ", now)];
+}
+
+function keptTolerance() {
+  const kept = Number(preference("tolerance_um"));
+  return kept > 0 ? kept : null;
+}
+
+/** What the operator allows; kept on this panel. */
+function toleranceField(changed) {
+  const kept = keptTolerance();
+  const input = h("input", { id: "tolerance", inputmode: "decimal", autocomplete: "off", placeholder: t("headline.none"),
+    "aria-describedby": "tolerance-error", value: kept === null ? "" : plain(shown(kept, "gap"), 2) });
+  const error = h("p", { class: "field-error", id: "tolerance-error", role: "status" });
+  let timer = null;
+  input.addEventListener("input", () => {
+    const wanted = typed(input.value);
+    const isGood = wanted === null || wanted > 0;
+    mark(input, "aria-invalid", isGood ? null : "true");
+    write(error, isGood ? "" : t("headline.tolerance_refused"));
+    clearTimeout(timer);
+    if (!isGood) return;
+    const tolerance_um = wanted === null ? null : stored(wanted, "gap");
+    prefer("tolerance_um", tolerance_um ?? "");
+    timer = setTimeout(() => changed(tolerance_um), WAIT_MS);
+  });
+  return h("div", { class: "tolerance" }, h("label", { for: "tolerance" }, t("headline.tolerance")), input,
+    h("span", { class: "unit" }, unitOf("gap")), error);
+}

@@ -1,0 +1,235 @@
+/* The volumetric error in the volume: arrows in space or in a plane, before and after compensation. */
+import * as api from "../api.js";
+import { h, mark, write } from "../dom.js";
+import { notice, segments } from "../parts.js";
+import { COVERAGE, roundReach } from "../plots/error-chart.js";
+import { lengthScale, scaleKey } from "../plots/length-scale.js";
+import { drawSlice, PLANES } from "../plots/map-slice.js";
+import { drawVolume } from "../plots/map-volume.js";
+import { hasWebGL, VIEWS } from "../plots/scene.js";
+import { number, t } from "../texts.js";
+import { quantity } from "../units.js";
+import { mapTable } from "./map-table.js";
+
+const LINEAR = ["X", "Y", "Z"];
+const VOLUME = "volume";
+const [FACTOR_STEPS, DECADE] = [60, 15]; // of the slider
+const LONGEST = 0.2; // of the travel's diagonal, the largest arrow at first
+
+/** A map of the service for drawing; `result` says which range was measured.
+ *
+ * points: [{index, at_mm, error_um, expanded_um, length_um, isMeasured}, …]
+ */
+export function readMap(found, result) {
+  const columns = LINEAR.map((name) => found.axes.indexOf(name));
+  const pick = (row) => columns.map((c) => row[c]);
+  const places = found.position.map(pick);
+  const levels = columns.map((_, i) => [...new Set(places.map((at) => at[i]))].sort((a, b) => a - b));
+  return {
+    state: found.state, count: found.points, levels, hasDirection: found.error_um.some((error) => error.some(Boolean)),
+    travel: levels.map((own) => [own[0], own.at(-1)]),
+    measured: LINEAR.map((name) => rangeOf(result.measured_range?.[name])),
+    points: places.map((at_mm, i) => ({
+      at_mm, index: at_mm.map((v, k) => levels[k].indexOf(v)),
+      error_um: found.error_um[i], expanded_um: found.uncertainty_um[i].map((u) => COVERAGE * u),
+      length_um: found.length_um[i], isMeasured: found.is_measured[i],
+    })),
+  };
+}
+
+const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
+
+/** The card; `addFiles(made)` offers what files leave, `close` ends it. */
+export function mapCard(job, result) {
+  const space = hasWebGL();
+  const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, scale: null };
+  const maps = new Map();
+  const parts = build(space);
+  let volume = null;
+  let slice = null;
+  let closed = false;
+
+  const states = choose(t("map.state"), [["before", t("map.before")], ["after", t("map.after")]], shown.state, show);
+  const views = choose(t("map.view"), [[VOLUME, t("map.volume")], ...Object.keys(PLANES).map((plane) => [plane, plane])],
+    shown.view, (view) => {
+      shown.view = view;
+      draw();
+    });
+  if (!space) mark(views.querySelector(`[data-value=${VOLUME}]`), "disabled", "");
+  parts.tools.append(states, views);
+  parts.factor.addEventListener("input", () => {
+    shown.factor = factorAt(Number(parts.factor.value));
+    draw();
+  });
+  parts.level.addEventListener("input", () => {
+    shown.level = Number(parts.level.value);
+    draw();
+  });
+  show(shown.state);
+  // Without the list there are two states: they stand all the same.
+  api.compensations(job.id).then((kept) => kept.forEach(addFiles), () => {});
+
+  function addFiles({ id, control }) {
+    if (!states.querySelector(`[data-value="${CSS.escape(id)}"]`)) states.add(id, t("map.with_files", { control }));
+  }
+
+  /** Fetch a state once, then draw it; a later choice makes an earlier one void. */
+  async function show(state) {
+    shown.state = state;
+    try {
+      if (!maps.has(state)) maps.set(state, readMap(await api.volumetricMap(job.id, state), result));
+    } catch (error) {
+      if (!(error instanceof api.Problem)) throw error;
+      if (shown.state === state && !closed) fail(error);
+      return;
+    }
+    if (shown.state !== state || closed) return;
+    shown.map = maps.get(state);
+    // One scale for all states: what compensation takes away is to be seen.
+    shown.scale ??= lengthScale(shown.map.points.map((p) => p.length_um));
+    shown.factor ??= firstFactor(shown.map);
+    draw(true);
+  }
+
+  function fail({ title, detail, action }) {
+    parts.picture.replaceChildren(notice("fault", title || t("problem.refused"), detail, action));
+  }
+
+  function draw(isOther = false) {
+    const { map, view } = shown;
+    if (!map) return;
+    const isVolume = view === VOLUME;
+    parts.volume.hidden = !isVolume;
+    parts.slice.hidden = isVolume;
+    describe(isVolume);
+    if (isVolume) drawInSpace(isOther).catch(failInSpace);
+    else drawPlane();
+    if (isOther) parts.numbers.replaceChildren(mapTable(map));
+  }
+
+  async function drawInSpace(isOther) {
+    const { map, scale, factor } = shown;
+    if (!volume) {
+      volume = drawVolume(parts.volume, map, scale, factor);
+      const drawn = await volume;
+      if (closed) drawn.close();
+      parts.volume.dataset.drawn = "";
+      return;
+    }
+    const drawn = await volume;
+    if (isOther) drawn.update(map, scale);
+    drawn.exaggerate(shown.factor);
+  }
+
+  /** Without plotly.js or space on the graphics card there is the plane. */
+  function failInSpace(error) {
+    if (closed) return;
+    parts.missing.hidden = false;
+    write(parts.missing, t("map.no_space", { reason: error.message }));
+    shown.view = "XY";
+    for (const button of views.children) mark(button, "aria-pressed", String(button.dataset.value === "XY"));
+    draw();
+  }
+
+  function drawPlane() {
+    const { map, scale, factor, view } = shown;
+    const across = PLANES[view][2];
+    const last = map.levels[across].length - 1;
+    shown.level = Math.min(shown.level ?? Math.round(last / 2), last);
+    mark(parts.level, "max", last);
+    parts.level.value = shown.level;
+    const place = `${LINEAR[across]} ${quantity(map.levels[across][shown.level], "travel")}`;
+    write(parts.levelRead, place);
+    mark(parts.level, "aria-valuetext", place);
+    const wanted = { map, scale, factor, plane: view, level: shown.level };
+    if (slice) slice.update(wanted);
+    else slice = drawSlice(parts.slice, wanted);
+  }
+
+  function describe(isVolume) {
+    const { map, scale, factor } = shown;
+    parts.cameras.hidden = !isVolume;
+    parts.levelField.hidden = isVolume;
+    parts.key.replaceChildren(scaleKey(scale));
+    parts.factor.value = stepOf(factor);
+    const times = t("map.times", { factor: number(factor) });
+    write(parts.factorRead, times);
+    mark(parts.factor, "aria-valuetext", times);
+    parts.factorField.hidden = !map.hasDirection;
+    write(parts.note, noteOf(map, isVolume));
+    for (const element of [parts.volume, parts.slice]) mark(element, "aria-label", spoken(map));
+  }
+
+  parts.cameras.append(segments(t("path.view"), VIEWS.map((name) => [name, t(`path.${name}`)]), "iso",
+    async (name) => (await volume)?.view(name), true));
+
+  return {
+    element: parts.element,
+    addFiles,
+    close() {
+      closed = true;
+      slice?.close();
+      volume?.then((drawn) => drawn.close(), () => {});
+    },
+  };
+}
+
+function build(space) {
+  const picture = (name) => h("div", { class: `map-picture is-${name}`, role: "img", hidden: true });
+  const range = (id, label, max) => {
+    const input = h("input", { id, type: "range", min: 0, max, step: 1, class: "slider" });
+    const read = h("output", { for: id });
+    return [input, read, h("div", { class: "slider-field" }, h("label", { for: id }, label), read, input)];
+  };
+  const [factor, factorRead, factorField] = range("map-factor", t("map.exaggeration"), FACTOR_STEPS);
+  const [level, levelRead, levelField] = range("map-level", t("map.level"), 1);
+  const [volume, slice] = ["volume", "slice"].map(picture);
+  const tools = h("div", { class: "map-tools" });
+  const cameras = h("div", { class: "map-cameras" });
+  const key = h("div", { class: "map-key" });
+  const note = h("p", { class: "quiet" });
+  const missing = h("p", { class: "quiet", hidden: space }, t("map.no_webgl"));
+  const numbers = h("div", { class: "map-numbers" });
+  const frame = h("div", { class: "map-frame" }, volume, slice, cameras);
+  const element = h("section", { class: "card map-card", "data-card": "map", "aria-label": t("map.title") },
+    h("div", { class: "card-head" }, h("h2", {}, t("map.title"))), tools, frame,
+    h("div", { class: "map-under" }, key, factorField, levelField), missing, note, numbers);
+  return { element, picture: frame, volume, slice, tools, cameras, key, note, missing, numbers, factor, factorRead, factorField,
+    level, levelRead, levelField };
+}
+
+/** Segments to which one may be added. */
+function choose(label, options, chosen, pick) {
+  const group = segments(label, options, chosen, pick, true);
+  group.add = (value, text) => {
+    const more = segments(label, [...[...group.children].map((b) => [b.dataset.value, b.textContent]), [value, text]],
+      [...group.children].find((b) => b.getAttribute("aria-pressed") === "true")?.dataset.value, pick, true);
+    group.replaceChildren(...more.children);
+  };
+  return group;
+}
+
+/** The largest arrow is to be seen, and not to leave its surroundings. */
+function firstFactor({ travel, points }) {
+  const diagonal = Math.hypot(...travel.map(([low, high]) => high - low));
+  const largest = Math.max(...points.map((p) => p.length_um), 1e-3);
+  return factorAt(stepOf((1000 * LONGEST * diagonal) / largest));
+}
+
+/** Round factors from 100 to 1 000 000 in steps of the slider. */
+const factorAt = (step) => roundReach(10 ** (2 + step / DECADE));
+const stepOf = (factor) => Math.max(0, Math.min(FACTOR_STEPS, Math.round(DECADE * (Math.log10(factor) - 2))));
+
+function noteOf(map, isVolume) {
+  const parts = [map.hasDirection ? t(isVolume ? "map.note_volume" : "map.note_plane") : t("map.note_left")];
+  if (map.points.some((p) => !p.isMeasured)) parts.push(t("map.note_open"));
+  else if (!isVolume && map.measured.some(Boolean)) parts.push(t("map.note_hatched"));
+  return parts.join(" ");
+}
+
+function spoken({ points }) {
+  const largest = points.reduce((best, p) => (p.length_um > best.length_um ? p : best));
+  const mean = points.reduce((sum, p) => sum + p.length_um, 0) / points.length;
+  return t("map.spoken", { mean: quantity(mean, "gap"), largest: quantity(largest.length_um, "gap"),
+    place: largest.at_mm.map((v, i) => `${LINEAR[i]} ${quantity(v, "travel")}`).join(", ") });
+}

@@ -1,0 +1,114 @@
+"""The volumetric error as a person sees it: its first line, arrows, planes, numbers."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+from scripted_data import volumetric_error
+from scripted_service import ScriptedService
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+MEAN_AND_LARGEST = re.compile(r"mean \d+\.\d+ µm, largest 13\.46 µm at X 0 mm, Y 0 mm")
+
+
+def show(panel, service: ScriptedService, **more) -> Page:
+    service.connected = True
+    service.result["volumetric_error"] = volumetric_error()
+    service.result["measured_range"] = {"X": {"from_mm": 20.0, "to_mm": 500.0}}
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    service.finish(job["id"])
+    return panel.open(f"#/result/{job['id']}", **more)
+
+
+def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
+    panel, service
+):
+    page = show(panel, service)
+    values = page.locator(".headline-value")
+    expect(values.nth(0)).to_contain_text("15.3µm± 0.2 µm")
+    expect(values.nth(1)).to_contain_text("0.7µm± 0.1 µm")
+    expect(page.locator(".conformity")).to_contain_text("Give the tolerance")
+    page.get_by_label("Tolerance of the mean").fill("2")
+    expect(page.locator(".conformity")).to_contain_text("Within 2.0 µm")
+    assert service.requests[-1] == ("GET", "volumetric-error", 2.0)
+    page.get_by_label("Tolerance of the mean").fill("-2")
+    expect(page.locator(".headline")).to_contain_text("Give a number above 0")
+
+
+def test_a_tolerance_is_kept_and_an_undecided_one_is_said(panel, service):
+    service.conformity["after_expected"] = {"conformity": "undecided"}
+    kept = "localStorage.setItem('truepath.tolerance_um', '0.7')"
+    page = show(panel, service, before=kept, language="de")
+    expect(page.get_by_label("Toleranz des Mittels")).to_have_value("0,7")
+    expect(page.locator(".conformity")).to_contain_text("U ist zu groß")
+
+
+def test_arrows_in_space_follow_the_slider(panel, service):
+    page = show(panel, service, space=True)
+    picture = page.locator(".map-picture.is-volume")
+    expect(picture).to_have_attribute("data-drawn", "")
+    expect(picture).to_have_attribute("aria-label", MEAN_AND_LARGEST)
+    slider = page.get_by_label("Exaggeration")
+    before = slider.get_attribute("aria-valuetext")
+    tips = (
+        "() => document.querySelector('.is-volume').data[1].x.filter(Number.isFinite)"
+    )
+    short = page.evaluate(tips)
+    slider.press("ArrowRight")
+    expect(slider).not_to_have_attribute("aria-valuetext", before)
+    page.wait_for_function(
+        f"(short) => String(({tips})()) !== String(short)", arg=short
+    )
+
+
+def test_a_browser_without_webgl_shows_the_planes_and_says_why(panel, service):
+    page = show(panel, service)
+    card = page.locator("[data-card=map]")
+    expect(card).to_contain_text("no WebGL")
+    expect(card.get_by_role("button", name="3-D")).to_be_disabled()
+    expect(card.locator(".slice .arrow").first).to_be_visible()
+    # The middle of the grid has no error; ends of X were not reached.
+    expect(card.locator(".slice circle")).to_have_count(25)
+    expect(card.locator(".slice .outside")).to_have_count(1)
+    expect(card.locator(".slice .axis")).to_have_text(["X (mm)", "Y (mm)"])
+    assert not page.evaluate("'Plotly' in window"), "loaded without need"
+
+
+def test_a_plane_goes_through_the_volume_by_keys(panel, service):
+    page = show(panel, service)
+    card = page.locator("[data-card=map]")
+    card.get_by_role("button", name="YZ").click()
+    level = card.get_by_label("Plane at")
+    expect(level).to_have_attribute("aria-valuetext", "X 250 mm")
+    level.press("ArrowLeft")
+    expect(level).to_have_attribute("aria-valuetext", "X 125 mm")
+    expect(card.locator(".slice .axis")).to_have_text(["Y (mm)", "Z (mm)"])
+
+
+def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
+    page = show(panel, service)
+    card = page.locator("[data-card=map]")
+    arrows = card.locator(".slice .arrow")
+    expect(arrows).not_to_have_count(0)
+    marks = card.locator(".scale-marks").inner_text()
+    card.get_by_role("button", name="After compensation").click()
+    expect(card).to_contain_text("its direction is not")
+    expect(arrows).to_have_count(0)
+    page.locator("[data-card=export]").get_by_text("LinuxCNC").click()
+    card.get_by_role("button", name="With tables for LinuxCNC").click()
+    expect(arrows).not_to_have_count(0)
+    assert service.requests[-1] == ("GET", "volumetric-map", "linuxcnc-10-hold")
+    expect(card.locator(".scale-marks")).to_have_text(marks.replace("\n", ""))
+
+
+def test_the_map_is_a_table_as_well(panel, service):
+    page = show(panel, service)
+    card = page.locator("[data-card=map]")
+    card.get_by_text("The same in numbers").click()
+    expect(card.locator("tbody tr")).to_have_count(27)
+    first = card.locator("tbody tr").first.locator("td")
+    expect(first.nth(3)).to_have_text("−10.00 ± 0.20")
+    expect(first.last).to_have_text("not measured")
