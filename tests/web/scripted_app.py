@@ -166,12 +166,12 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float) -> Any:
-        service.requests.append(("GET", "volumetric-error", tolerance_um))
+        service.looks.append(("volumetric-error", tolerance_um))
         return {"tolerance_um": tolerance_um, **service.conformity}
 
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
     def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
-        service.requests.append(("GET", "volumetric-map", compensation or state))
+        service.looks.append(("volumetric-map", compensation or state))
         return volumetric_map(state, compensation)
 
     @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")

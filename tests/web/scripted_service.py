@@ -46,6 +46,7 @@ class ScriptedService:
         self.deaf_to_stop = False
         self.stops = 0
         self.requests: list[tuple[str, str, Any]] = []
+        self.looks: list[tuple[str, Any]] = []
         self.jobs: dict[str, dict[str, Any]] = {}
         self.runs: list[dict[str, Any]] = []
         self.plan = planned_path()

@@ -33,7 +33,7 @@ def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
     expect(page.locator(".conformity")).to_contain_text("Give the tolerance")
     page.get_by_label("Tolerance of the mean").fill("2")
     expect(page.locator(".conformity")).to_contain_text("Within 2.0 µm")
-    assert service.requests[-1] == ("GET", "volumetric-error", 2.0)
+    assert service.looks[-1] == ("volumetric-error", 2.0)
     page.get_by_label("Tolerance of the mean").fill("-2")
     expect(page.locator(".headline")).to_contain_text("Give a number above 0")
 
@@ -100,7 +100,7 @@ def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
     page.locator("[data-card=export]").get_by_text("LinuxCNC").click()
     card.get_by_role("button", name="With tables for LinuxCNC").click()
     expect(arrows).not_to_have_count(0)
-    assert service.requests[-1] == ("GET", "volumetric-map", "linuxcnc-10-hold")
+    assert service.looks[-1] == ("volumetric-map", "linuxcnc-10-hold")
     expect(card.locator(".scale-marks")).to_have_text(marks.replace("\n", ""))
 
 
