@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse
 
 from truepath.app.api.models.base import Identifier, TargetUm
@@ -40,8 +40,15 @@ def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
     return router.get(path, response_class=FileResponse, responses=responses)
 
 
-@router.get("/{job_id}/estimate", responses=declare_problems(404))
-def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
+@router.get(
+    "/{job_id}/estimate",
+    responses={
+        204: {"description": "A measurement that has no estimate yet."},
+        **declare_problems(404),
+    },
+    response_model=dict[str, Any],
+)
+def get_estimate(job_id: str, service: ServiceDep) -> Response | dict[str, Any]:
     """Return the latest estimate of a measurement under way, or of one just ended.
 
     Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
@@ -52,8 +59,10 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
     job = service.store.get(job_id)
     estimates = service.event_bus.estimates
     newest = estimates.newest(job.id)
+    if newest is None and job.kind.measures:
+        return Response(status_code=204)
     if newest is None:
-        raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")
+        raise NotFound(f"job {job_id} ({job.kind}) measures nothing: no live estimate")
     return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
 
 

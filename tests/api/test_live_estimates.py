@@ -74,5 +74,6 @@ def test_the_newest_estimate_comes_with_its_course(client, armed, estimates):
     }
 
 
-def test_no_estimate_is_there_before_the_first_lines(client, armed, is_problem):
-    is_problem(client.get(f"/api/v1/jobs/{armed['id']}/estimate"), 404, "not-found")
+def test_no_estimate_before_the_first_lines_is_no_error(client, armed):
+    answer = client.get(f"/api/v1/jobs/{armed['id']}/estimate")
+    assert (answer.status_code, answer.content) == (204, b"")

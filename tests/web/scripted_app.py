@@ -225,7 +225,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     @app.get(f"{API}/jobs/{{job_id}}/estimate")
     def job_estimate(job_id: str) -> Any:
         if job_id not in service.estimates:
-            return problem(404, "not-found", "No estimate yet", job_id, "")
+            return Response(status_code=204)
         return service.estimates[job_id]
 
     @app.get(f"{API}/jobs/{{job_id}}/result/error-tables.csv")

@@ -59,7 +59,7 @@ def test_abort_works_without_the_event_stream(panel, service, witness):
     page = panel.open("#/connect")
     page.route(EVENTS, lambda route: route.abort())
     page.reload()
-    expect(page.locator("#stamp")).to_contain_text("DATA STALE")
+    expect(page.locator("#stamp")).to_contain_text("Asked each second")
     page.locator("#abort").click()
     expect(page.locator("#abort-title")).to_have_text("Motion stopped")
     assert service.jobs[job]["state"] == "aborted"

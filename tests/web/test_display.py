@@ -15,12 +15,16 @@ pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
 STALE_S = 2.5
 TOUCH_PX = 56
+JOBS = re.compile(r"/api/v1/jobs[/?]")
+LOOK = "e => [getComputedStyle(e).color, getComputedStyle(e).opacity]"
 
 
-def test_data_older_than_2_5_s_are_stamped_stale(panel, service):
+def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
+    witness.expect("net::ERR_FAILED")
     measuring(service)
     page = panel.open()
     expect(page.locator("#stamp")).to_have_text("Live data")
+    page.route(JOBS, lambda route: route.abort())
     service.silent = True
     begun = time.monotonic()
     expect(page.locator("#stamp")).to_contain_text(re.compile(r"DATA STALE since \d"))
@@ -32,6 +36,53 @@ def test_data_older_than_2_5_s_are_stamped_stale(panel, service):
     service.silent = False
     expect(page.locator("#stamp")).to_have_text("Live data")
     expect(page.locator(".is-stale-data")).to_have_count(0)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_stale_numbers_keep_their_contrast_and_bear_their_age(
+    panel, service, witness, dark
+):
+    witness.expect("net::ERR_FAILED")
+    measuring(service)
+    page = panel.open(dark=dark)
+    number = page.locator(".readout output").first
+    expect(number).to_be_visible()
+    fresh = number.evaluate(LOOK)
+    page.route(JOBS, lambda route: route.abort())
+    service.silent = True
+    stale = page.locator(".is-stale-data", has=page.locator(".readout"))
+    expect(stale).to_have_attribute("data-age", re.compile(r"^[3-9] s old$"))
+    assert number.evaluate(LOOK) == fresh
+    assert "gradient" in stale.evaluate("e => getComputedStyle(e).backgroundImage")
+
+
+def test_where_no_events_come_the_page_asks_and_follows(panel, service, witness):
+    witness.expect("net::ERR_FAILED")
+    job = measuring(service)
+    page = panel.open("#/connect", hears=True)
+    page.route("**/api/v1/events*", lambda route: route.abort())
+    page.reload()
+    expect(page.locator("#stamp")).to_contain_text("Asked each second")
+    page.goto(page.url.split("#")[0] + f"#/run/{job}")
+    service.advance(job, 11)
+    expect(page.locator(".stream .tile").first).to_contain_text("30,800")
+    service.change(job, state="paused", desired_state="paused")
+    expect(page.locator("#state")).to_have_text("Paused")
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    page.locator("#abort-close").click()
+    expect(page.locator("#state")).to_have_text("Aborted")
+
+
+def test_a_file_that_misses_its_zone_never_leaves_the_page(panel):
+    page = panel.open("#/connect")
+    for kind in ("dragover", "drop"):
+        opens = page.evaluate(
+            "kind => document.body.dispatchEvent("
+            "new DragEvent(kind, { bubbles: true, cancelable: true }))",
+            kind,
+        )
+        assert not opens, kind
 
 
 def test_the_language_changes_in_place_and_stays(panel, service):

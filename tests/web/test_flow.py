@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -193,10 +194,12 @@ def test_the_hold_works_from_the_keyboard(panel, service):
     page.keyboard.up("Enter")
 
 
-def test_motion_does_not_start_on_stale_data(panel, service):
+def test_motion_does_not_start_on_stale_data(panel, service, witness):
+    witness.expect("net::ERR_FAILED")
     ready(service)
     page = panel.open()
     expect(page.locator(NEXT)).to_be_enabled()
+    page.route(re.compile(r"/api/v1/jobs[/?]"), lambda route: route.abort())
     service.silent = True
     expect(page.locator(NEXT)).to_be_disabled()
     expect(page.locator("#reason")).to_contain_text("No live data")

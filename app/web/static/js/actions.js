@@ -71,7 +71,7 @@ export function createActions(store, go) {
   /** What has been estimated before this page came; a few extra lines have no tables. */
   async function fetchEstimate() {
     const { job } = store.get();
-    if (!isMeasuring(job) || isExtra(job) || !job.started) return;
+    if (!job || !isMeasuring(job) || isExtra(job) || !job.started) return;
     await keep("estimate", job, api.estimate);
     const { estimate } = store.get();
     if (estimate?.course) store.set({ course: estimate.course });

@@ -1,6 +1,8 @@
 /* The REST interface. Every refusal arrives as a Problem (RFC 9457). */
 const ROOT = "/api/v1";
 const PATIENCE_MS = 15000;
+const SHORT_MS = 2000;
+const NEWEST = 5;
 
 /** What the service refused, in its own words: title, detail, action, status, code. */
 export class Problem extends Error {
@@ -74,6 +76,11 @@ export const conditions = async () => items(await call("GET", "/machines/current
 export const job = (id) => call("GET", `/jobs/${id}`);
 export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limit}`));
 
+/** What is asked for each second while no events come: soon answered, or not at all. */
+export const newestJob = (id) => call("GET", `/jobs/${id}`, { patience_ms: SHORT_MS });
+export const newestJobs = async () =>
+  items(await call("GET", `/jobs?limit=${NEWEST}`, { patience_ms: SHORT_MS }));
+
 /** Make a job. The key makes one of it, even if the request is sent twice. */
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
 /** Ask for a plan; follow it with `planned`. */
@@ -86,7 +93,11 @@ const withStations = (whole) => (whole.stations
 export const grade = (id, place_mm) =>
   call("GET", `/jobs/${id}/plan/grade?${new URLSearchParams(place_mm.map((v) => ["tracker_mm", v]))}`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
-export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
+/** The newest estimate of a measurement; null before its first. */
+export const estimate = async (id) => {
+  const newest = await call("GET", `/jobs/${id}/estimate`);
+  return newest.error_tables ? newest : null;
+};
 export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
 export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);

@@ -24,7 +24,7 @@ const RECENT_MS = 3600e3;
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null,
   conditions: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
-  link: { stale: false, last: null },
+  link: { stale: false, asked: false, last: null, age_s: 0 },
 });
 const go = (address) => {
   if (location.hash === address) route();
@@ -126,13 +126,22 @@ function estimateStale({ job, estimate }) {
 let linked = {};
 
 function age(link) {
-  const changed = link.stale !== linked.stale || Boolean(link.last) !== Boolean(linked.last);
-  const regained = linked.stale && !link.stale;
+  const changed = link.stale !== linked.stale || link.asked !== linked.asked || link.age_s !== linked.age_s
+    || Boolean(link.last) !== Boolean(linked.last);
+  const regained = (linked.stale || linked.asked) && !link.stale && !link.asked;
   if (changed) store.set({ link });
   const stale = estimateStale(store.get());
   if (stale !== store.get().estimateStale) store.set({ estimateStale: stale });
   linked = link;
   if (regained) load().catch(actions.refuse);
+}
+
+/** Ask for what events would have told. */
+async function ask() {
+  const { job } = store.get();
+  for (const other of await api.newestJobs()) actions.hear(other);
+  if (job) actions.hear(await api.newestJob(job.id));
+  if (job && isMoving(job)) await actions.fetchEstimate();
 }
 
 async function load() {
@@ -162,6 +171,8 @@ async function start() {
   actions.dismiss();
 }
 
+// A file that misses its zone would be opened in place of the page.
+for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
 document.getElementById("open-settings").addEventListener("click", () => {
   toggleSettings(() => show(current, false));
 });
@@ -172,7 +183,7 @@ document.addEventListener("truepath:logged-out", leave);
 await enter(root);
 addEventListener("hashchange", route);
 store.listen(render);
-listen(hear, age);
+listen(hear, age, ask);
 await start();
 await document.fonts.ready;
 await route();

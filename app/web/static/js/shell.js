@@ -31,12 +31,13 @@ function situation(machine, job) {
   return { word: t(word), tone: null, shape: isConnected(machine) ? "check" : "info" };
 }
 
-function updateStamp({ stale, last }) {
+function updateStamp({ stale, asked, last }) {
   const stamp = element("stamp");
   stamp.classList.toggle("is-stale", stale);
   document.body.classList.toggle("is-stale", stale);
   const since = last ? clock(last) : "–";
-  const fresh = last ? t("stamp.live") : t("stamp.waiting");
+  const word = asked ? "stamp.asked" : "stamp.live";
+  const fresh = last ? t(word) : t("stamp.waiting");
   write(stamp, stale ? t("stamp.stale", { since }) : fresh);
 }
 

@@ -1,20 +1,27 @@
-/* Live events: one stream a tab, and the age of what is shown. */
-import { links } from "./api.js";
+/* Live events: one stream a tab, and the age of what is shown. While none come, the
+ * service is asked instead. */
+import { links, Problem } from "./api.js";
 
 export const STALE_MS = 2500;
 const REOPEN_MS = 2000;
 const CHECK_MS = 250;
+const ASK_MS = 1000;
 
 /** Listen to the service; `hear(type, data)` for each event, `age(link)` as time passes.
  *
+ * Where no event has come for a while, `ask()` is called each second; it answers once the
+ * service has said what the events would have told.
  * "open" is heard when events begin: what was told before is to be asked for; "refused"
  * when the service answers without a stream.
- * link: {stale: bool, last: ms of the wall clock of the last event or null}
+ * link: {stale: bool, asked: bool, last: ms of the wall clock of the last word or null,
+ * age_s: whole seconds since it, of stale data}; asked: no events come, but answers do
  */
-export function listen(hear, age) {
+export function listen(hear, age, ask) {
   let source = null;
   let last = null;
   let heard_ms = performance.now();
+  let answered_ms = -Infinity;
+  let asking = false;
 
   function open() {
     source = new EventSource(links.events);
@@ -40,7 +47,26 @@ export function listen(hear, age) {
   }
 
   function check() {
-    age({ stale: performance.now() - heard_ms > STALE_MS, last });
+    const now = performance.now();
+    const silent = now - heard_ms > STALE_MS;
+    const asked = now - answered_ms <= STALE_MS;
+    const stale = silent && !asked;
+    if (silent && !asking) askNow();
+    const age_s = stale ? Math.floor((now - Math.max(heard_ms, answered_ms)) / 1000) : 0;
+    age({ stale, asked: silent && asked, last, age_s });
+  }
+
+  async function askNow() {
+    asking = true;
+    try {
+      await ask();
+      answered_ms = performance.now();
+      last = Date.now();
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+    } finally {
+      setTimeout(() => { asking = false; }, ASK_MS);
+    }
   }
 
   open();

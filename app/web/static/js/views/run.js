@@ -111,7 +111,7 @@ function mountMeasuring(root, { store, actions }, extra) {
       if (looksAt === "path") path.progress(reached({ job, plan }), positionOf(state));
       const stale = isActive(job) && link.stale;
       for (const { element } of [progress, position, health, path, estimate]) {
-        element.classList.toggle("is-stale-data", stale);
+        markStale(element, stale ? link.age_s : null);
       }
       if (state.live && state.live !== live) {
         live = state.live;
@@ -129,6 +129,12 @@ function mountMeasuring(root, { store, actions }, extra) {
       chart.close();
     },
   };
+}
+
+/** Numbers that may no longer hold stay readable: hatched, with their age. */
+function markStale(element, age_s) {
+  element.classList.toggle("is-stale-data", age_s !== null);
+  mark(element, "data-age", age_s === null ? null : t("run.age", { age: age_s }));
 }
 
 function mountAnalysis(root, job) {
