@@ -8,9 +8,7 @@ the bench's devices.
 from __future__ import annotations
 
 import json
-import shutil
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
@@ -28,9 +26,17 @@ from truepath.app.api.server import (
 )
 from truepath.app.api.service import LEAST_FREE_BYTES, Service
 from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json, read_machine
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import ConditionBoard, Observed
+from truepath.app.files.machine_file import (
+    machine_from_json,
+    machine_to_json,
+    read_machine,
+)
+from truepath.app.jobs.cell_setup import (
+    CellSetup,
+    configure_cell,
+    refuse_same_names,
+    refuse_shared_links,
+)
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.jobs.database import Database
@@ -38,6 +44,7 @@ from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.jobs.live_estimation import LiveEstimation
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.reconciliation import Reconciliation
 from truepath.app.jobs.run_reader import ReadingLimits, RunReader
 from truepath.app.jobs.runs import RunCatalogue
@@ -45,8 +52,8 @@ from truepath.app.jobs.science import analyse_recorded, prepare
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.workers import choose_workers
 from truepath.app.kinematics.machine import Machine
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import CellConfig, StreamTimeouts
+from truepath.app.machine_settings import ONLY_MACHINE
+from truepath.app.measurement.messages import CellConfig
 from truepath.app.plugins import load
 from truepath.app.service_log import configure_log
 from truepath.app.settings import Settings
@@ -103,8 +110,8 @@ def open_service(settings: Settings) -> Iterator[Service]:
         reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
         stack.callback(reconciliation.close)
         reconciliation.start()
-        if context.cell is not None:
-            context.cell.start()
+        for one in context.machines.list_all():
+            one.start()
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         service = Service(
@@ -116,9 +123,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             results=context.results,
             dispatcher=dispatcher,
             event_bus=event_bus,
-            machine=context.machine,
-            cell=context.cell,
-            conditions=context.conditions,
+            machines=context.machines,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
             access=access,
@@ -130,20 +135,14 @@ def open_service(settings: Settings) -> Iterator[Service]:
 def _make_context(
     settings: Settings, database: Database, event_bus: EventBus, stack: ExitStack
 ) -> JobContext:
-    machine, config = _load_machine(settings, stack)
+    setup = CellSetup(settings.data_dir, LEAST_FREE_BYTES)
+    machines = Machines(setup.make(*one) for one in _load_machines(settings, stack))
+    stack.callback(machines.close)
     workers = choose_workers(settings)
     workers.check()
     executor = ProcessExecutor(settings.analysis_workers, prepare)
     stack.callback(executor.close)
     executor.warm()
-    cell = None
-    if config is not None:
-        cell = CellSupervisor(lambda: Cell(config))
-        stack.callback(cell.close)
-    conditions = _make_conditions(settings, cell)
-    if conditions is not None:
-        stack.callback(conditions.close)
-        conditions.start()
     reader = RunReader(ReadingLimits(settings.upload_memory_mb))
     stack.callback(reader.close)
     results = settings.data_dir / "results"
@@ -155,31 +154,9 @@ def _make_context(
         executor=executor,
         science=analyse_recorded,
         workers=workers,
-        machine=machine,
-        cell=cell,
-        conditions=conditions,
+        machines=machines,
         live=LiveEstimation,
     )
-
-
-def _make_conditions(
-    settings: Settings, cell: CellSupervisor | None
-) -> ConditionBoard | None:
-    if cell is None:
-        return None
-    begun = time.time() - time.monotonic()
-
-    def observe() -> Observed:
-        return Observed(
-            cell=cell.status,
-            controller=cell.controller,
-            allow_no_watchdog=settings.allow_no_watchdog,
-            free_bytes=shutil.disk_usage(settings.data_dir).free,
-            least_bytes=LEAST_FREE_BYTES,
-            clock_step_s=time.time() - time.monotonic() - begun,
-        )
-
-    return ConditionBoard(observe)
 
 
 def _check_tls(settings: Settings) -> TlsFiles | None:
@@ -211,40 +188,63 @@ def _make_rules(settings: Settings) -> AccessRules:
     )
 
 
-def _load_machine(
+def _load_machines(
     settings: Settings, stack: ExitStack
-) -> tuple[Machine | None, CellConfig | None]:
-    """Return the machine and how its devices are reached; nothing where none is set."""
+) -> list[tuple[str, Machine, CellConfig]]:
+    """Return the machines by their identifiers, and how their devices are reached."""
     if settings.simulated:
         return _start_simulators(settings, stack)
-    if settings.machine_file is None:
+    found = [
+        (machine_id, read_machine(one.machine_file), configure_cell(one))
+        for machine_id, one in settings.list_machines().items()
+    ]
+    if not found:
         log.warning("no machine_file: analyses only")
-        return None, None
-    config = CellConfig(
-        settings.tracker_driver,
-        settings.tracker_options,
-        settings.motion_driver,
-        settings.motion_options,
-        StreamTimeouts(**{f"{k}_s": v for k, v in settings.tracker_patience_s.items()}),
-        allow_no_watchdog=settings.allow_no_watchdog,
-        thermometer_driver=settings.thermometer_driver,
-        thermometer_options=settings.thermometer_options,
-        light=settings.light,
-    )
-    return read_machine(settings.machine_file), config
+    refuse_same_names((machine_id, machine.name) for machine_id, machine, _ in found)
+    refuse_shared_links((machine_id, config) for machine_id, _, config in found)
+    return found
 
 
 def _start_simulators(
     settings: Settings, stack: ExitStack
-) -> tuple[Machine, CellConfig]:
-    content: Mapping[str, Any] | None = None
-    if settings.machine_file is not None:
-        read_machine(settings.machine_file)  # names what is wrong with it
-        content = json.loads(settings.machine_file.read_text(encoding="utf-8-sig"))
+) -> list[tuple[str, Machine, CellConfig]]:
+    """Return benches, one a machine of the settings or `simulated_machines` of one."""
+    contents: dict[str, Mapping[str, Any] | None] = {
+        machine_id: _read_content(one.machine_file)
+        for machine_id, one in settings.list_machines().items()
+    }
+    contents = contents or {ONLY_MACHINE: None}
+    started = [
+        _start_bench(settings, stack, machine_id, content, seed=seed)
+        for seed, (machine_id, content) in enumerate(
+            contents.items(), start=settings.simulated_seed
+        )
+    ]
+    _, first, _ = started[0]
+    for number in range(2, settings.simulated_machines + 1):
+        content = {**machine_to_json(first), "name": f"{first.name} {number}"}
+        machine_id, seed = f"bench-{number}", settings.simulated_seed + number - 1
+        started.append(_start_bench(settings, stack, machine_id, content, seed=seed))
+    return started
+
+
+def _read_content(file: Path) -> Mapping[str, Any]:
+    read_machine(file)  # names what is wrong with it
+    return json.loads(file.read_text(encoding="utf-8-sig"))
+
+
+def _start_bench(
+    settings: Settings,
+    stack: ExitStack,
+    machine_id: str,
+    content: Mapping[str, Any] | None,
+    *,
+    seed: int,
+) -> tuple[str, Machine, CellConfig]:
     try:
         bench = load("truepath.simulators", "bench")(
             machine=content,
-            seed=settings.simulated_seed,
+            seed=seed,
             speed=settings.simulated_speed,
             faults=settings.simulated_faults,
             hidden=settings.simulated_hidden,
@@ -255,6 +255,7 @@ def _start_simulators(
     stack.enter_context(bench)
     log.info(
         "simulated devices are up",
+        machine=machine_id,
         tracker=bench.tracker_options,
         motion=bench.motion_options,
     )
@@ -266,7 +267,7 @@ def _start_simulators(
         thermometer_driver="modbus-registers",
         thermometer_options=bench.thermometer_options,
     )
-    return machine_from_json(bench.machine), config
+    return machine_id, machine_from_json(bench.machine), config
 
 
 @contextmanager

@@ -25,14 +25,17 @@ from sqlalchemy import make_url
 from sqlalchemy.exc import ArgumentError
 
 from truepath.app.errors import BadInput
-from truepath.drivers.interfaces.tracker_records import Light
+from truepath.app.machine_settings import (
+    ONLY_MACHINE,
+    DeviceConfiguration,
+    MachineSettings,
+    check_machine_id,
+)
 
-_PATIENCE = ("silent", "dead", "beam", "late", "point", "search")
 _DASK = "dask://"
-_LONGEST_S = 3600.0
 
 
-class Settings(BaseSettings):
+class Settings(DeviceConfiguration, BaseSettings):
     """Everything that can be set. Built by `load_settings`, then never changed."""
 
     model_config = SettingsConfigDict(
@@ -74,22 +77,13 @@ class Settings(BaseSettings):
     simulated_compensation: tuple[Path, ...] = ()
     """Compensation files that the simulated controller has: of one maker's form."""
 
+    simulated_machines: int = Field(1, ge=1, le=64)
+    """Benches of one kind of machine, told apart by their seeds and names."""
+
     machine_file: Path | None = None
-    tracker_driver: str = "streaming"
-    tracker_options: dict[str, Any] = Field(default_factory=dict)
-    tracker_patience_s: dict[str, float] = Field(default_factory=dict)
-    """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`,
-    `search`; 0 of the last: a lost target is not searched for."""
-    motion_driver: str = "modbus"
-    motion_options: dict[str, Any] = Field(default_factory=dict)
-    tracker_light: dict[str, float] = Field(default_factory=dict)
-    """Of a tracker that does not correct its distances for the air: `wavelength_nm`,
-    `is_group` (1 of modulated light), `assumed_index`. Empty: nothing is corrected."""
-    thermometer_driver: str = ""
-    """Empty: no thermometers but those that the tracker has."""
-    thermometer_options: dict[str, Any] = Field(default_factory=dict)
-    allow_no_watchdog: bool = False
-    """Move a machine that does not hold the feed by itself when the service dies."""
+    """Of a single machine, whose devices are set beside it."""
+    machines: dict[str, MachineSettings] = Field(default_factory=dict)
+    """Tables of several machines, by their identifiers: `[machines.mill-3]`."""
 
     analysis_workers: int = Field(1, ge=1, le=64)
     executor: Literal["processes", "dask"] = "processes"
@@ -109,17 +103,6 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["console", "json"] = "console"
 
-    @field_validator("tracker_patience_s")
-    @classmethod
-    def _require_patience(cls, given: dict[str, float]) -> dict[str, float]:
-        for name, value in given.items():
-            if name not in _PATIENCE:
-                raise ValueError(f"{name} is none of {', '.join(_PATIENCE)}")
-            is_off = name == "search" and value == 0.0
-            if not (is_off or 0.0 < value < _LONGEST_S):
-                raise ValueError(f"{name} is {value:g} s, not in 0 to {_LONGEST_S:g} s")
-        return given
-
     @model_validator(mode="before")
     @classmethod
     def _split_executor(cls, given: dict[str, Any]) -> dict[str, Any]:
@@ -135,11 +118,6 @@ class Settings(BaseSettings):
         return {**given, "executor": "dask", "dask_scheduler": scheduler}
 
     @model_validator(mode="after")
-    def _require_light(self) -> Self:
-        self.light  # noqa: B018, refuses what is no light
-        return self
-
-    @model_validator(mode="after")
     def _require_loopback(self) -> Self:
         if not (self.is_loopback or self.tls_cert or self.allow_plain_http):
             raise ValueError(
@@ -149,23 +127,43 @@ class Settings(BaseSettings):
             )
         return self
 
+    @field_validator("machines")
+    @classmethod
+    def _require_identifiers(
+        cls, given: dict[str, MachineSettings]
+    ) -> dict[str, MachineSettings]:
+        for machine_id in given:
+            check_machine_id(machine_id)
+        return given
+
+    @model_validator(mode="after")
+    def _require_one_list_of_machines(self) -> Self:
+        if self.machine_file is not None and ONLY_MACHINE in self.machines:
+            raise ValueError(
+                f"machine_file and [machines.{ONLY_MACHINE}] are two machines of one "
+                "identifier; give the second another"
+            )
+        if self.simulated_machines > 1 and self.machines:
+            raise ValueError(
+                "simulated_machines stands beside [machines]; of these each has its "
+                "own bench"
+            )
+        if self.simulated_machines > 1 and not self.simulated:
+            raise ValueError("simulated_machines needs simulated = true")
+        return self
+
     @model_validator(mode="after")
     def _require_both_of_tls(self) -> Self:
         if (self.tls_cert is None) != (self.tls_key is None):
             raise ValueError("tls_cert and tls_key go together; give both or neither")
         return self
 
-    @property
-    def light(self) -> Light | None:
-        """What `tracker_light` states. Raises ValueError if it is no light."""
-        stated = dict(self.tracker_light)
-        if not stated:
-            return None
-        is_group = bool(stated.pop("is_group", True))
-        try:
-            return Light(**stated, is_group=is_group)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"tracker_light: {error}") from error
+    def list_machines(self) -> dict[str, MachineSettings]:
+        """Return the machines by their identifiers, the single one first."""
+        if self.machine_file is None:
+            return dict(self.machines)
+        stated = self.model_dump(include=set(MachineSettings.model_fields))
+        return {ONLY_MACHINE: MachineSettings(**stated), **self.machines}
 
     @property
     def log_in_required(self) -> bool:

@@ -24,7 +24,6 @@ from truepath.app.api.route_roles import (
     ANYBODY,
     MOVES,
     NEVER_LIMITED,
-    STOP,
     find_least_role,
     find_route,
 )
@@ -83,7 +82,7 @@ async def _let_in(
     """Return who sends the request. Raises NotLoggedIn, RoleTooLow, TooManyRequests."""
     least = find_least_role(method, route)
     is_open = least is ANYBODY
-    if is_open and (route == STOP or not scope["path"].startswith(PREFIX)):
+    if is_open and (route in STOPS or not scope["path"].startswith(PREFIX)):
         return None
     try:
         actor = await run_sync(access.identify, read_token(scope))

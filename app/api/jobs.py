@@ -12,7 +12,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.models.base import PREFIX, Problem
+from truepath.app.api.models.base import PREFIX, MachineId, Problem
 from truepath.app.api.models.job import (
     DiscoveryLinks,
     JobLinks,
@@ -79,12 +79,20 @@ def list_jobs(
     service: ServiceDep,
     state: Annotated[list[State], Query(description="Only in these states.")] = [],  # noqa: B006
     kind: Annotated[list[JobKind], Query(description="Only of these kinds.")] = [],  # noqa: B006
+    machine: Annotated[
+        MachineId | SkipJsonSchema[None], Query(description="Only of this machine.")
+    ] = None,
     since: Since = None,
     until: Until = None,
 ) -> JobPage:
     """List jobs, the newest first."""
     list_page = partial(
-        service.store.list_page, states=state, kinds=kind, since=since, until=until
+        service.store.list_page,
+        states=state,
+        kinds=kind,
+        machine=machine,
+        since=since,
+        until=until,
     )
     jobs, after = paging.read(list_page)
     shown = [service.dispatcher.show(job) for job in jobs]
@@ -152,6 +160,15 @@ async def abort_job(job_id: str, response: Response, service: ServiceDep) -> Job
 async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
+    return Stopped(jobs=[describe_job(job) for job in jobs])
+
+
+@stop.post(
+    "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
+)
+async def stop_machine(machine_id: str, service: ServiceDep) -> Stopped:
+    """Stop one machine and end its job. Needs nothing, is refused for no reason."""
+    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=_STOPPING)
     return Stopped(jobs=[describe_job(job) for job in jobs])
 
 

@@ -18,7 +18,7 @@ from truepath.app.jobs.cell_supervisor import CellStatus
 from truepath.app.jobs.conditions import ConditionType, Level
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
-from truepath.app.kinematics.machine import Machine
+from truepath.app.jobs.machine_cells import MachineCell
 
 _NO_MACHINE = "no machine is set up; give the service a machine_file"
 
@@ -129,21 +129,20 @@ class Ready(BaseModel):
 @machines.get("/current", responses=declare_problems(404))
 def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
-    if service.machine is None:
-        raise NotFound(_NO_MACHINE)
-    content = machine_to_json(service.machine)
+    one = _require_first(service)
+    content = machine_to_json(one.machine)
     # `tracker` of the machine file is its noise; here the name is for who answers.
     content["tracker_noise"] = content.pop("tracker", None)
-    connection = _describe_connection(_read_status(service).devices)
+    connection = _describe_connection(one.cell.status.devices)
     return MachineOut(**content, **connection.model_dump())
 
 
 @machines.post("/current:connect", responses=declare_problems(409, 502, 503, 504))
 def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
-    if service.cell is None:
+    if service.machines.first is None:
         raise NoMachine
-    return _describe_connection(service.cell.connect())
+    return _describe_connection(service.machines.first.cell.connect())
 
 
 @machines.get("/current/conditions", responses=declare_problems(404))
@@ -152,22 +151,26 @@ def list_conditions(service: ServiceDep) -> ConditionList:
 
     The controller is read once a second while nothing is measured.
     """
-    if service.conditions is None:
-        raise NotFound(_NO_MACHINE)
-    found = service.conditions.read()
+    board = _require_first(service).conditions
+    found = [] if board is None else board.read()
     return ConditionList(items=[ConditionOut(**asdict(one)) for one in found])
 
 
 @system.get("")
 def get_system(service: ServiceDep) -> SystemOut:
     """Return what the service is and what holds the machine."""
-    unfinished, status = service.store.list_unfinished(), _read_status(service)
+    status, first = _read_status(service), service.machines.first
+    unfinished = [
+        job
+        for job in service.store.list_unfinished()
+        if job.kind.measures and first is not None and job.machine == first.id
+    ]
     return SystemOut(
         version=service.version,
         simulated=service.simulated,
-        machine=_summarise_machine(service.machine),
+        machine=_summarise_machine(service.machines.first),
         cell=CellOut(**asdict(status), connected=status.connected),
-        current_job=next((job.id for job in unfinished if job.kind.measures), None),
+        current_job=next((job.id for job in unfinished), None),
         time=format_utc_now(),
     )
 
@@ -192,15 +195,23 @@ def get_readiness(service: ServiceDep) -> Ready:
     return Ready(status="ready", checks={**needed, "cell": running})
 
 
-def _summarise_machine(machine: Machine | None) -> MachineSummary | None:
-    if machine is None:
+def _require_first(service: Service) -> MachineCell:
+    """Return the only or first machine. Raises NotFound."""
+    if service.machines.first is None:
+        raise NotFound(_NO_MACHINE)
+    return service.machines.first
+
+
+def _summarise_machine(one: MachineCell | None) -> MachineSummary | None:
+    if one is None:
         return None
-    name, axes = machine.name, list(machine.axis_names)
-    return MachineSummary(name=name, kinematic_chain=machine.chain, axes=axes)
+    name, axes = one.machine.name, list(one.machine.axis_names)
+    return MachineSummary(name=name, kinematic_chain=one.machine.chain, axes=axes)
 
 
 def _read_status(service: Service) -> CellStatus:
-    return CellStatus("none") if service.cell is None else service.cell.status
+    first = service.machines.first
+    return CellStatus("none") if first is None else first.cell.status
 
 
 def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:

@@ -23,7 +23,6 @@ from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
 from truepath.app.files.commanded_file import decode_commanded_json
-from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.plan_orders import check_rows
 from truepath.app.jobs.requested_job import RequestedJob
@@ -135,6 +134,7 @@ def create_plan(
     """
     requested = RequestedJob(
         JobKind.PLAN,
+        machine=request.machine,
         perpendicular_only=request.perpendicular_only,
         target_um=request.target_um,
         model_id=request.model_id,
@@ -166,11 +166,10 @@ def download_plan_nc_program(
 @router.post(":validate", responses=declare_problems(409, 422))
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
-    if service.machine is None:
-        raise NoMachine
+    machine = service.machines.choose(check.machine).machine
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
     rows, duration_s = check_rows(
-        service.machine,
+        machine,
         check.rows(),
         check.feed_mm_min,
         workspace,
@@ -223,9 +222,10 @@ def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Com
     plan = service.store.read_plan(job.id)
     if plan is None:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")
-    if service.machine is None:
+    if service.machines.first is None:
         raise NotFound("the service has no machine file to check the plan against")
-    return service.machine, decode_commanded_json(plan)
+    machine = service.machines.choose(job.machine).machine
+    return machine, decode_commanded_json(plan)
 
 
 def _send_program(set_up: tuple[Machine, Commanded], dialect: str) -> PlainTextResponse:

@@ -21,8 +21,10 @@ _VIEWER, _OPERATOR = Role.VIEWER, Role.OPERATOR
 _METROLOGIST, _ADMINISTRATOR = Role.METROLOGIST, Role.ADMINISTRATOR
 
 STOP = f"POST {PREFIX}/stop"
+STOP_MACHINE = f"POST {PREFIX}/machines/{{machine_id}}/stop"
 ABORT = f"POST {PREFIX}/jobs/{{job_id}}/abort"
-NEVER_LIMITED = frozenset({STOP, ABORT})
+STOPS = frozenset({STOP, STOP_MACHINE})
+NEVER_LIMITED = STOPS | {ABORT}
 """Whatever the rate, and before the audit log is written."""
 
 MOVES = frozenset(
@@ -32,6 +34,7 @@ MOVES = frozenset(
 
 _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /stop": ANYBODY,
+    "POST /machines/{machine_id}/stop": ANYBODY,
     "GET /session": ANYBODY,
     "POST /session": ANYBODY,
     "DELETE /session": ANYBODY,

@@ -10,15 +10,13 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import ConditionBoard
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.job import JobEvent
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
-from truepath.app.kinematics.machine import Machine
 from truepath.app.users.access import Access
 
 LEAST_FREE_BYTES = 500 << 20
@@ -28,6 +26,7 @@ LEAST_FREE_BYTES = 500 << 20
 class Service:
     """Everything behind the routes.
 
+    machines : those that it drives
     access : users, roles and audit log
     closing : set when the service is about to end; open streams then end
     """
@@ -40,10 +39,8 @@ class Service:
     results: Path
     dispatcher: Dispatcher
     event_bus: EventBus
-    machine: Machine | None
-    cell: CellSupervisor | None
+    machines: Machines
     access: Access
-    conditions: ConditionBoard | None = None
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64
     closing: threading.Event = field(default_factory=threading.Event)

@@ -25,6 +25,10 @@ def serve(
     simulated: Annotated[
         bool, typer.Option("--simulated", help="Bring simulated devices up as well.")
     ] = False,
+    simulated_machines: Annotated[
+        int | None,
+        typer.Option(min=1, max=64, help="So many simulated machines; 1."),
+    ] = None,
     measure: Annotated[
         bool, typer.Option("--measure", help="Begin the main job at once (simulated).")
     ] = False,
@@ -58,6 +62,7 @@ def serve(
         config,
         simulated=simulated or None,
         simulated_hidden=hide or None,
+        simulated_machines=simulated_machines,
         port=port,
         data_dir=data_dir,
         allow_plain_http=allow_plain_http or None,

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from truepath.app.jobs.cell_measurement import CONFIRM_S
 from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import ConditionBoard
-from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.executor import ProcessExecutor, Task
 from truepath.app.jobs.live_estimation import LiveEstimation, Show
 from truepath.app.jobs.live_process import LiveEstimateOrder
+from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.plan_orders import plan_measurement
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import check_station, discover_recorded, follow_recorded
@@ -26,12 +25,12 @@ from truepath.app.kinematics.machine import Machine
 class JobContext:
     """What every job works with.
 
-    machine, cell : None where the service drives no machine
+    machines : those that the service drives
+    driven : that of the job; None of a job that drives and plans for none
     planner, science, discoverer, follower, checker : called as `plan_measurement`,
         `analyse_recorded`, `discover_recorded`, `follow_recorded`, `check_station`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
-    conditions : what has to be so before the machine moves; None without a machine
     confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
@@ -42,9 +41,8 @@ class JobContext:
     executor: ProcessExecutor
     science: Task
     workers: Workers = field(default_factory=Workers)
-    machine: Machine | None = None
-    cell: CellSupervisor | None = None
-    conditions: ConditionBoard | None = None
+    machines: Machines = field(default_factory=Machines)
+    driven: MachineCell | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
@@ -52,14 +50,17 @@ class JobContext:
     follower: Task = follow_recorded
     checker: Task = check_station
 
+    def of_machine(self, machine_id: str | None) -> JobContext:
+        """Return it for a job on a machine; without a name on the only one.
+
+        Raises NotFound, NoMachine, UnnamedMachine.
+        """
+        return replace(self, driven=self.machines.choose(machine_id))
+
     def require_machine(self) -> Machine:
-        """Return the machine. Raises NoMachine."""
-        if self.machine is None:
-            raise NoMachine
-        return self.machine
+        """Return the machine that the job is for. Raises NoMachine, UnnamedMachine."""
+        return (self.driven or self.machines.choose(None)).machine
 
     def require_cell(self) -> CellSupervisor:
-        """Return the cell that drives the machine. Raises NoMachine."""
-        if self.machine is None or self.cell is None:
-            raise NoMachine
-        return self.cell
+        """Return the cell that drives it. Raises NoMachine, UnnamedMachine."""
+        return (self.driven or self.machines.choose(None)).cell

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 
@@ -108,7 +107,7 @@ class Dispatcher:
         """
         active = self._find_active(job_id, Verb.ARM)
         apply_verb(Verb.ARM, self._context.store.get(job_id).state)
-        self._require_order()
+        self._require_order(active)
         job = active.apply_verb(Verb.ARM, version)
         active.arm()
         return job
@@ -126,7 +125,7 @@ class Dispatcher:
             )
         job = active.apply_verb(Verb.PAUSE)
         if job.state in PAUSE_STATES:
-            self._command_cell(CellVerb.PAUSE)
+            self._command_cell(job, CellVerb.PAUSE)
         return job
 
     def resume(self, job_id: str, version: int, then: OnNotice = OnNotice.NOTE) -> Job:
@@ -141,7 +140,7 @@ class Dispatcher:
         if then is not OnNotice.NOTE:
             active.wish(then)
         if job.state is State.RESUMING:
-            self._command_cell(CellVerb.RESUME)
+            self._command_cell(job, CellVerb.RESUME)
         return job
 
     def cancel(self, job_id: str) -> Job:
@@ -166,13 +165,25 @@ class Dispatcher:
             return self._context.store.get(job_id)
         active.abort()
         if active.kind.measures:
-            self._command_cell(CellVerb.ABORT)
+            self._command_cell(active.job, CellVerb.ABORT)
         return self._write_aborts([active])[0]
 
-    def stop(self) -> list[Job]:
-        """Stop all motion, whichever job it belongs to, and those jobs with it."""
-        self._command_cell(CellVerb.ABORT)
-        under_way = [a for a in list(self._active.values()) if a.kind.measures]
+    def stop(self, machine_id: str | None = None) -> list[Job]:
+        """Stop all motion, whichever job it belongs to, and those jobs with it.
+
+        machine_id : of the one machine to stop; without it all are. Raises NotFound.
+        """
+        machines = self._context.machines
+        stopped = (
+            machines.list_all() if machine_id is None else [machines.get(machine_id)]
+        )
+        for one in stopped:
+            one.cell.send(CellVerb.ABORT)
+        under_way = [
+            active
+            for active in list(self._active.values())
+            if active.kind.measures and machine_id in (None, active.job.machine)
+        ]
         for active in under_way:
             active.abort()
         return self._write_aborts(under_way)
@@ -210,11 +221,12 @@ class Dispatcher:
             under_way, threads = list(self._active.values()), list(self._threads)
         for active in under_way:
             active.interrupt()
-        stopped = self._command_cell(CellVerb.ABORT)
+        cells = [one.cell for one in self._context.machines.list_all()]
+        stopped = [cell.send(CellVerb.ABORT) for cell in cells]
         deadline = time.monotonic() + timeout_s
-        if stopped is not None:
+        for one in stopped:
             with suppress(CellDown, TimeoutError):
-                stopped.result(timeout_s)
+                one.result(max(0.0, deadline - time.monotonic()))
         for thread in threads:
             thread.join(max(0.0, deadline - time.monotonic()))
 
@@ -278,12 +290,11 @@ class Dispatcher:
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
 
-    def _require_order(self) -> None:
-        board = self._context.conditions
+    def _require_order(self, active: ActiveJob) -> None:
+        board = self._context.machines.choose(active.job.machine).conditions
         obstacles = [] if board is None else board.list_obstacles()
         if obstacles:
             raise NotInOrder(obstacles)
 
-    def _command_cell(self, verb: CellVerb) -> Future[None] | None:
-        cell = self._context.cell
-        return cell and cell.send(verb)
+    def _command_cell(self, job: Job, verb: CellVerb) -> None:
+        self._context.machines.choose(job.machine).cell.send(verb)

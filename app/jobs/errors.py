@@ -39,6 +39,16 @@ class NoMachine(JobError):
         super().__init__("no machine is set up; give the service a machine_file")
 
 
+class UnnamedMachine(BadInput):
+    """The service drives several machines and the request names none of them."""
+
+    def __init__(self, machine_ids: Sequence[str]) -> None:
+        super().__init__(
+            f"the service drives several machines; give `machine`, one of "
+            f"{', '.join(machine_ids)}"
+        )
+
+
 class DeviceSettings(JobError):
     """A driver cannot be made with its options: unknown driver, wrong option."""
 

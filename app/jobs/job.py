@@ -167,6 +167,7 @@ class Job:
     station : of a measurement from several places of the tracker
     on_notice : what is done where its live estimate notices a change
     notices : what it has noticed
+    machine : identifier of the machine that it drives or plans for
     owner : name of the user who asked for it; None where nobody logs in
     attempts : how often it was begun, restarts of the service in between
     """
@@ -196,6 +197,7 @@ class Job:
     failure: Failure | None = None
     owner: str | None = None
     attempts: int = 0
+    machine: str | None = None
 
     @property
     def run_ids(self) -> tuple[str, ...]:

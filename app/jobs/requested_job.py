@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from truepath.app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
+from truepath.app.errors import (
+    BadInput,
+    IllegalTransition,
+    NotFound,
+    NotUsable,
+    PlanningError,
+)
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
@@ -40,6 +46,8 @@ class RequestedJob:
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it, or of a trend, as `Question.of` reads it
     on_notice : what is done where the live estimate notices a change
+    machine : that is measured or planned for; without it the only one, or that of
+        the plan, job or discovery that is named
     """
 
     kind: JobKind
@@ -55,35 +63,59 @@ class RequestedJob:
     continues: str | None = None
     plan_request: Json | None = None
     on_notice: OnNotice = OnNotice.NOTE
+    machine: str | None = None
 
 
 def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     """Return the job that a request asks for, and its plan as the store keeps it.
 
-    Raises BadInput (NotUsable of a model), NotFound, NoMachine.
+    Raises BadInput (NotUsable of a model, UnnamedMachine), NotFound, NoMachine.
     """
-    kind, only = request.kind, request.perpendicular_only
-    if kind is JobKind.MEASURE_EXTRA:
+    if not (request.kind.measures or request.kind is JobKind.PLAN):
+        return _make_computing_job(request, context)
+    machine = context.machines.choose(_name_machine(request, context))
+    job, plan = _make_driving_job(request, replace(context, driven=machine))
+    return replace(job, machine=machine.id), plan
+
+
+def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
+    """Return the machine that the request, or what it builds on, names."""
+    machine_id = request.machine
+    for job_id in (request.plan_id, request.continues, request.discovery_id):
+        stated = None if job_id is None else context.store.get(job_id).machine
+        if stated is not None and machine_id not in (None, stated):
+            raise BadInput(
+                f"job {job_id} is of machine {stated}, not of {machine_id}; leave "
+                "`machine` out, or name another job"
+            )
+        machine_id = machine_id or stated
+    return machine_id
+
+
+def _make_driving_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
+    if request.kind is JobKind.MEASURE_EXTRA:
         return _make_extra_job(request, context)
     if request.continues is not None:
         return _continue_job(request.continues, request, context)
-    if kind.measures or kind is JobKind.PLAN:
-        job = Job(
-            kind,
-            perpendicular_only=only,
-            target_um=request.target_um,
-            on_notice=request.on_notice,
-        )
-        order = _make_plan_order(request, context)
-        return job, {**_find_rows(request, context), "request": order}
+    job = Job(
+        request.kind,
+        perpendicular_only=request.perpendicular_only,
+        target_um=request.target_um,
+        on_notice=request.on_notice,
+    )
+    order = _make_plan_order(request, context)
+    return job, {**_find_rows(request, context), "request": order}
+
+
+def _make_computing_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
-    if kind is JobKind.TREND:
+    if request.kind is JobKind.TREND:
         _check_order_of_time(request, context)
     job = Job(
-        kind,
+        request.kind,
         run_id=first,
         further_run_ids=tuple(further),
-        perpendicular_only=only,
+        perpendicular_only=request.perpendicular_only,
         monte_carlo=request.monte_carlo,
     )
     return job, {"request": _make_plan_order(request, context)}

@@ -35,6 +35,7 @@ jobs = sa.Table(
     sa.Column("seq", _Counter, primary_key=True),
     sa.Column("id", sa.String(36), nullable=False, unique=True),
     sa.Column("kind", sa.String(32), nullable=False),
+    sa.Column("machine", sa.String(32), nullable=True),
     sa.Column("state", sa.String(16), nullable=False),
     sa.Column("desired_state", sa.String(16), nullable=False),
     sa.Column("version", sa.Integer, nullable=False),

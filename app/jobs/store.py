@@ -90,7 +90,7 @@ class Store:
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                _refuse_second_measurement(connection)
+                _refuse_second_measurement(connection, new.machine)
             job = _insert_job(connection, new, plan)
             if key is not None:
                 _insert_key(connection, key, job.id)
@@ -141,6 +141,7 @@ class Store:
         before_seq: int | None = None,
         states: Sequence[State] = (),
         kinds: Sequence[JobKind] = (),
+        machine: str | None = None,
         since: datetime | None = None,
         until: datetime | None = None,
     ) -> list[Job]:
@@ -155,6 +156,8 @@ class Store:
             query = query.where(jobs.c.state.in_([str(state) for state in states]))
         if kinds:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
+        if machine is not None:
+            query = query.where(jobs.c.machine == machine)
         if since is not None:
             query = query.where(jobs.c.created >= format_utc(since))
         if until is not None:
@@ -272,9 +275,9 @@ def _read_job(connection: Connection, job_id: str) -> Job:
     raise NotFound(f"there is no job {job_id}")
 
 
-def _refuse_second_measurement(connection: Connection) -> None:
+def _refuse_second_measurement(connection: Connection, machine: str | None) -> None:
     for job in _select_jobs(connection, _UNFINISHED):
-        if job.kind.measures:
+        if job.kind.measures and job.machine == machine:
             raise CellBusy(job.id, job.state)
 
 

@@ -49,7 +49,7 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         log.info("job begins", kind=str(job.kind))
         state, failure = State.SUCCEEDED, None
         try:
-            _JobSteps(job, active, context).run()
+            _JobSteps(job, active, _choose_machine(job, context)).run()
         except Exception as error:
             cause = _find_cause(error, active)
             if isinstance(cause, Interrupted) and not job.kind.measures:
@@ -78,6 +78,11 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
     if not isinstance(error, TruepathError | DeviceError):
         log.error("job failed unexpectedly", exc_info=error)
     return State.FAILED, Failure(family, text)
+
+
+def _choose_machine(job: Job, context: JobContext) -> JobContext:
+    """Return the context with the machine of the job, where it has one."""
+    return context if job.machine is None else context.of_machine(job.machine)
 
 
 def _find_cause(error: Exception, active: ActiveJob) -> Exception:

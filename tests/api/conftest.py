@@ -24,6 +24,7 @@ from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.planning.default_path import default_path
@@ -124,6 +125,8 @@ def service(
     database = Database(catalogue_url)
     event_bus = EventBus()
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
+    machine = machine_from_json(load_machine("demo"))
+    machines = Machines([MachineCell("default", machine, cell)] if cell else [])
     results = tmp_path / "results"
     results.mkdir()
 
@@ -137,8 +140,7 @@ def service(
         results=results,
         executor=Inline(),
         science=science,
-        machine=machine_from_json(load_machine("demo")) if has_machine else None,
-        cell=cell,
+        machines=machines,
         live=live_estimation,
         planner=planner,
         discoverer=explorer,
@@ -158,8 +160,7 @@ def service(
         results=results,
         dispatcher=dispatcher,
         event_bus=event_bus,
-        machine=context.machine,
-        cell=cell,
+        machines=machines,
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,

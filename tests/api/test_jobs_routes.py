@@ -138,7 +138,9 @@ def test_stop_works_while_every_other_request_waits_for_a_device(
     threads = [threading.Thread(target=connect) for _ in range(45)]
     for thread in threads:
         thread.start()
-    wait_until(lambda: service.cell.status.state == "connecting", "the device")
+    wait_until(
+        lambda: service.machines.first.cell.status.state == "connecting", "the device"
+    )
     begun = time.monotonic()
     assert client.post("/api/v1/stop").status_code == 202
     assert time.monotonic() - begun < 2

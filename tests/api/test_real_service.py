@@ -296,7 +296,7 @@ def test_a_machine_file_of_ones_own_is_simulated(settings, tmp_path):
     file.write_text(json.dumps({**load_machine("demo"), "name": "mine"}))
     own = settings.model_copy(update={"machine_file": file})
     with open_service(own) as service:
-        assert service.machine.name == "mine"
+        assert service.machines.first.machine.name == "mine"
 
 
 def test_a_fault_of_the_bench_that_nobody_knows_is_bad_input(settings):

@@ -8,7 +8,7 @@ import pytest
 from truepath.app.errors import BadInput
 from truepath.app.files.machine_file import encode_machine
 from truepath.app.jobs.workers import Workers, choose_workers
-from truepath.app.main import _load_machine, open_service
+from truepath.app.main import _load_machines, open_service
 from truepath.app.settings import load_settings
 from truepath.drivers.interfaces.tracker_records import Light
 
@@ -77,7 +77,7 @@ def test_patience_with_a_tracker_reaches_its_cell(toml, tmp_path, mill):
     machine.write_bytes(encode_machine(mill))
     text = f'machine_file = "{machine}"\n[tracker_patience_s]\npoint = 60.0\n'
     with ExitStack() as stack:
-        _, cell = _load_machine(load_settings(toml(text)), stack)
+        [(_, _, cell)] = _load_machines(load_settings(toml(text)), stack)
     assert cell is not None
     assert (cell.timeouts.point_s, cell.timeouts.dead_s) == (60.0, 5.0)
 
@@ -185,7 +185,7 @@ address = 3
 scale = 0.1
 """)
     with ExitStack() as stack:
-        _, config = _load_machine(load_settings(file), stack)
+        [(_, _, config)] = _load_machines(load_settings(file), stack)
     assert config.thermometer_driver == "modbus-registers"
     row = config.thermometer_options["registers"][0]
     assert row == {"name": "X_degC", "address": 3, "scale": 0.1}

@@ -14,6 +14,7 @@ from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
@@ -110,8 +111,7 @@ def context(catalogue, event_bus, make_cell, science, machine, tmp_path, run_rea
         results=results,
         executor=Inline(),
         science=science,
-        machine=machine,
-        cell=cell,
+        machines=Machines([MachineCell("default", machine, cell)]),
         confirm_s={
             State.PAUSING: 0.3,
             State.RESUMING: 0.3,
@@ -124,7 +124,7 @@ def context(catalogue, event_bus, make_cell, science, machine, tmp_path, run_rea
 @pytest.fixture
 def dispatcher(context, event_bus):
     """Jobs can be given; the cell runs."""
-    context.cell.start()
+    context.require_cell().start()
     dispatcher = Dispatcher(context, event_bus)
     yield dispatcher
     dispatcher.close()

@@ -16,6 +16,7 @@ from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import StaleVersion
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_estimation import LiveEstimation
+from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded
@@ -100,8 +101,7 @@ def followed(faults, machine, catalogue, event_bus, tmp_path, run_reader):
             results=results,
             executor=Inline(),
             science=analyse_recorded,
-            machine=machine,
-            cell=cell,
+            machines=Machines([MachineCell("default", machine, cell)]),
             live=LiveEstimation,
         )
         cell.start()

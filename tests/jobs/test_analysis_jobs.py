@@ -18,6 +18,7 @@ from truepath.app.jobs import workflow
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import Aborted, QueueFull
 from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.workers import Workers
 from truepath.app.measurement.run_reading import open_recorded
@@ -52,7 +53,7 @@ def run(context, bundle):
 @pytest.fixture
 def analysing(context, event_bus):
     """A dispatcher of a service without a machine."""
-    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
+    dispatcher = Dispatcher(replace(context, machines=Machines()), event_bus)
     yield dispatcher
     dispatcher.close()
 
@@ -118,7 +119,7 @@ def test_one_unknown_run_of_several_is_refused(analysing, run):
 def test_trials_reach_the_science_with_who_computes_them(
     context, run, science, event_bus
 ):
-    many = replace(context, machine=None, cell=None, workers=Workers(count=3))
+    many = replace(context, machines=Machines(), workers=Workers(count=3))
     dispatcher = Dispatcher(many, event_bus)
     plan = TrialPlan(seed=11, digits=2, interval="shortest")
     job, _ = dispatcher.create(
@@ -148,7 +149,7 @@ def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(context, run, event_bus)
     def dreaming(run_files, folder, *_, on_progress):
         on_progress(0.5, "dreaming")
 
-    alone = replace(context, science=dreaming, machine=None, cell=None)
+    alone = replace(context, science=dreaming, machines=Machines())
     dispatcher = Dispatcher(alone, event_bus)
     job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
@@ -247,7 +248,7 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     executor = SimpleNamespace(
         submit=lambda *_, started, **__: _CancelledFuture(started)
     )
-    bare = replace(context, machine=None, cell=None, executor=executor)
+    bare = replace(context, machines=Machines(), executor=executor)
     dispatcher, errors = Dispatcher(bare, event_bus), []
     monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))
     job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))

@@ -15,6 +15,7 @@ from truepath.app.files.bundle import write_bundle, zip_bundle
 from truepath.app.files.run import Run
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.science import discover_recorded
 from truepath.app.jobs.transitions import State
@@ -50,7 +51,7 @@ def run(context, machine, tmp_path):
 @pytest.fixture
 def discovering(context, event_bus, explorer):
     """A dispatcher of a service without a machine."""
-    bare = replace(context, machine=None, cell=None, discoverer=explorer)
+    bare = replace(context, machines=Machines(), discoverer=explorer)
     dispatcher = Dispatcher(bare, event_bus)
     yield dispatcher
     dispatcher.close()
@@ -90,7 +91,7 @@ def test_after_a_restart_it_is_done_again(
     wait_until(lambda: explorer.calls)
     discovering.close()
     explorer.hold = None
-    bare = replace(context, machine=None, cell=None, discoverer=explorer)
+    bare = replace(context, machines=Machines(), discoverer=explorer)
     later = Dispatcher(bare, event_bus)
     later.interrupt_unfinished_jobs()
     assert ended(context, job).has_discovery

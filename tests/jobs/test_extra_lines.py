@@ -40,7 +40,7 @@ def lives():
 @pytest.fixture
 def asking(context, event_bus, explorer, lives):
     """A dispatcher whose discoveries ask for extra lines."""
-    context.cell.start()
+    context.require_cell().start()
     full = replace(context, discoverer=explorer, live=lambda *_: lives.append(1))
     dispatcher = Dispatcher(full, event_bus)
     yield dispatcher

@@ -171,7 +171,7 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
         data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
     )
     with open_service(settings) as service:
-        wait_until(lambda: service.cell.status.state == "disconnected")
+        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
         request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
         job, _ = service.dispatcher.create(request)
         wait_until(lambda: service.store.get(job.id).state == "ready")
@@ -204,7 +204,7 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
                 else None
             )
         )
-        wait_until(lambda: service.cell.status.state == "disconnected")
+        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
         job, _ = service.dispatcher.create(
             RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
         )

@@ -44,7 +44,9 @@ def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
             service.event_bus.subscribe(
                 lambda n: heard.append(n.body) if n.type == "estimate" else None
             )
-            wait_until(lambda: service.cell.status.state == "disconnected", 30.0)
+            wait_until(
+                lambda: service.machines.first.cell.status.state == "disconnected", 30.0
+            )
             request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
             job, _ = service.dispatcher.create(request)
             wait_until(lambda: service.store.get(job.id).state == "ready", 60.0)

@@ -30,6 +30,7 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.job import EarlyEnd, Job, JobKind, decode_job
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.store import IdempotencyKey
 from truepath.app.jobs.transitions import FINAL, State
@@ -70,7 +71,7 @@ def followed(context, event_bus, make_cell, until):
         estimates.append(ScriptedLive(order, show))
         return estimates[-1]
 
-    context.cell.start()
+    context.require_cell().start()
     dispatcher = Dispatcher(replace(context, live=live), event_bus)
 
     def begin(request):
@@ -179,10 +180,11 @@ def test_a_job_is_armed_by_its_stored_state_which_a_thread_may_not_know_yet(
 def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
     context, event_bus, until, make_cell
 ):
-    context.cell.start()
+    context.require_cell().start()
     seen = Observed(CellStatus("ready"), None, False, 10**9, 10**8)
     board = ConditionBoard(lambda: seen)
-    dispatcher = Dispatcher(replace(context, conditions=board), event_bus)
+    watched = replace(context.machines.get("default"), conditions=board)
+    dispatcher = Dispatcher(replace(context, machines=Machines([watched])), event_bus)
     try:
         job, _ = dispatcher.create(OTF)
         job = until(job, "ready")
@@ -560,7 +562,7 @@ def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, make_cell
 
 
 def test_stop_without_a_machine_is_harmless(context, event_bus):
-    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
+    dispatcher = Dispatcher(replace(context, machines=Machines()), event_bus)
     assert dispatcher.stop() == []
     dispatcher.close()
 
@@ -699,7 +701,7 @@ def test_the_same_key_finds_its_job_again(dispatcher, until):
 
 
 def test_a_service_without_a_machine_measures_nothing(context, event_bus):
-    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
+    dispatcher = Dispatcher(replace(context, machines=Machines()), event_bus)
     with pytest.raises(NoMachine, match="machine_file"):
         dispatcher.create(OTF)
     dispatcher.close()

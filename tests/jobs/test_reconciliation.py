@@ -14,6 +14,7 @@ from truepath.app.jobs import reconciliation as reconciling
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.reconciliation import Reconciliation
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.restart import put_back
@@ -208,7 +209,7 @@ def restart(context, event_bus):
     opened = []
 
     def make():
-        opened.append(Dispatcher(replace(context, machine=None, cell=None), event_bus))
+        opened.append(Dispatcher(replace(context, machines=Machines()), event_bus))
         opened[-1].interrupt_unfinished_jobs()
         return opened[-1]
 

@@ -68,7 +68,7 @@ def open_dispatcher(context, event_bus, planner, checker):
     """Opens the service again and again on the same catalogue."""
     opened = []
     full = replace(context, planner=planner, checker=checker)
-    context.cell.start()
+    context.require_cell().start()
 
     def make():
         opened.append(Dispatcher(full, event_bus))

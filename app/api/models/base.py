@@ -7,6 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from truepath.app.machine_settings import MACHINE_ID
+
 PREFIX = "/api/v1"
 JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
 OTHER_ID = "019a3f6b-0c52-7e41-8a3d-5f7e9b1c2d34"
@@ -23,6 +25,9 @@ Dwell = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 Identifier = Annotated[
     str, StringConstraints(pattern=r"^[0-9a-zA-Z-]+$", max_length=36)
 ]
+
+
+MachineId = Annotated[str, StringConstraints(pattern=MACHINE_ID, max_length=32)]
 
 
 class RequestBody(BaseModel):

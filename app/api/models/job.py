@@ -139,6 +139,10 @@ class JobOut(BaseModel):
 
     id: str = Field(examples=[JOB_ID])
     kind: str = Field(examples=["measure-otf"])
+    machine: str | None = Field(
+        examples=["default"],
+        description="The machine that it drives or plans for, as GET /machines has it.",
+    )
     state: str = Field(examples=["ready"], description="One of " + ", ".join(State))
     desired_state: str = Field(examples=["ready"])
     version: int = Field(examples=[3])

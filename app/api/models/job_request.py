@@ -14,6 +14,7 @@ from truepath.app.api.models.base import (
     Hours,
     HoursAhead,
     Identifier,
+    MachineId,
     RequestBody,
     TargetUm,
 )
@@ -26,13 +27,13 @@ from truepath.app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
-_MEASURED = {"plan_id", "target_um", "model_id", "continues", "on_notice"}
+_MEASURED = {"machine", "plan_id", "target_um", "model_id", "continues", "on_notice"}
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
-    "measure-adaptive": {"planning", "target_um", "model_id", "on_notice"},
-    "measure-extra": {"discovery_id"},
+    "measure-adaptive": {"machine", "planning", "target_um", "model_id", "on_notice"},
+    "measure-extra": {"machine", "discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
@@ -91,6 +92,11 @@ class JobRequest(RequestBody):
         "discover",
         "trend",
     ]
+    machine: MachineId | None = Field(
+        None,
+        description="The machine to measure. May be left out where the service drives "
+        "only one, or where a plan, a job or a discovery is named.",
+    )
     run_id: Identifier | None = Field(
         None, description="The Run to analyse, or to discover in."
     )
@@ -211,8 +217,10 @@ class JobRequest(RequestBody):
             raise ValueError("planning has no target and no corner path; see target_um")
         if planning and planning.stations is not None:
             raise ValueError("an adaptive measurement has one station")
-        if planning and planning.model_id is not None:
-            raise ValueError("planning has no model_id; it stands beside planning")
+        if planning and (planning.model_id or planning.machine):
+            raise ValueError(
+                "planning has no model_id and no machine; they stand beside planning"
+            )
         beside = [self.path, self.points, self.feed_mm_min]
         if self.continues is not None and any(
             x is not None
@@ -236,7 +244,7 @@ class JobRequest(RequestBody):
         if self.kind == "trend":
             order = self.model_dump(include=_OF_TREND)
         same = ("feed_mm_min", "perpendicular_only", "target_um")
-        same += ("plan_id", "model_id", "discovery_id", "continues")
+        same += ("plan_id", "model_id", "discovery_id", "continues", "machine")
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],

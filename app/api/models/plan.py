@@ -13,6 +13,7 @@ from truepath.app.api.models.base import (
     Feed,
     Identifier,
     Links,
+    MachineId,
     Mm,
     Problem,
     RequestBody,
@@ -113,6 +114,9 @@ class PlanRequest(RequestBody):
         json_schema_extra={"examples": [_EXAMPLE, {"mode": "standstill"}]},
     )
 
+    machine: MachineId | None = Field(
+        None, description="The machine to plan for; left out where there is only one."
+    )
     mode: Literal["otf", "standstill"] = Field("otf", description="Lines, or points.")
     minutes: float | None = Field(
         None,
@@ -168,7 +172,7 @@ class PlanRequest(RequestBody):
 
     def order(self) -> dict[str, Any]:
         """Return the request as it is kept and computed."""
-        return self.model_dump(exclude_none=True, exclude={"model_id"})
+        return self.model_dump(exclude_none=True, exclude={"model_id", "machine"})
 
 
 class PlanCheck(RequestBody):
@@ -188,6 +192,9 @@ class PlanCheck(RequestBody):
         },
     )
 
+    machine: MachineId | None = Field(
+        None, description="The machine to drive; left out where there is only one."
+    )
     path: list[Waypoint] | None = Field(None, min_length=2, max_length=MAX_ROWS)
     points: list[Point] | None = Field(None, min_length=1, max_length=MAX_ROWS)
     feed_mm_min: Feed | None = Field(None, description="Of rows that state none.")

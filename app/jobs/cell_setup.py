@@ -1,0 +1,131 @@
+"""Makes the cell of a machine and the board of its conditions, not started yet."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from truepath.app.device_options import DEVICES, list_options
+from truepath.app.errors import BadInput
+from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.conditions import ConditionBoard, Observed
+from truepath.app.jobs.machine_cells import MachineCell
+from truepath.app.kinematics.machine import Machine
+from truepath.app.machine_settings import MachineSettings
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.messages import CellConfig, StreamTimeouts
+
+
+def _read_clock_difference_s() -> float:
+    return time.time() - time.monotonic()
+
+
+def configure_cell(stated: MachineSettings) -> CellConfig:
+    """Return how the settings of a machine let its devices be reached."""
+    patience = {f"{name}_s": s for name, s in stated.tracker_patience_s.items()}
+    return CellConfig(
+        stated.tracker_driver,
+        stated.tracker_options,
+        stated.motion_driver,
+        stated.motion_options,
+        StreamTimeouts(**patience),
+        allow_no_watchdog=stated.allow_no_watchdog,
+        thermometer_driver=stated.thermometer_driver,
+        thermometer_options=stated.thermometer_options,
+        light=stated.light,
+    )
+
+
+def refuse_same_names(named: Iterable[tuple[str, str]]) -> None:
+    """Raise BadInput where two machine files state one name: Runs go by it.
+
+    named : identifier and name of each machine
+    """
+    known: dict[str, str] = {}
+    for machine_id, name in named:
+        if name in known:
+            raise BadInput(
+                f"machines {known[name]} and {machine_id} are both named {name!r} in "
+                "their machine files; Runs tell machines apart by that name: give "
+                "each its own"
+            )
+        known[name] = machine_id
+
+
+def refuse_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
+    """Raise BadInput where two machines name one port or address.
+
+    reached : identifier and devices of each machine
+    """
+    known: dict[str, str] = {}
+    for machine_id, config in reached:
+        for link in set(_list_links(config)):
+            if link in known:
+                raise BadInput(
+                    f"machines {known[link]} and {machine_id} both name {link}; a "
+                    "device serves one machine: give each its own port or address"
+                )
+            known[link] = machine_id
+
+
+def _list_links(config: CellConfig) -> Iterator[str]:
+    """Yield the ports and addresses of the devices of one machine."""
+    devices = (
+        ("tracker", config.tracker_driver, config.tracker_options),
+        ("motion", config.motion_driver, config.motion_options),
+        ("thermometer", config.thermometer_driver, config.thermometer_options),
+    )
+    for word, driver, options in devices:
+        if driver:
+            yield from _list_links_of(word, driver, options)
+
+
+def _list_links_of(word: str, driver: str, options: Mapping[str, Any]) -> Iterator[str]:
+    stated = {
+        one.name: options.get(one.name, one.default)
+        for one in list_options(DEVICES[word], driver)
+    }
+    host, port, serial = (stated.get(n) for n in ("host", "port", "serial_port"))
+    if isinstance(serial, str) or isinstance(port, str):
+        yield os.path.realpath(str(serial or port))
+    elif isinstance(host, str):
+        name = "127.0.0.1" if host == "localhost" else host.lower()
+        yield f"{name}:{port}"
+    elif isinstance(port, int):
+        yield f"port {port} of this computer"
+
+
+@dataclass(frozen=True, slots=True)
+class CellSetup:
+    """What all machines of a service share.
+
+    folder : on the disk of the Runs; least_bytes : that have to stay free there
+    begun_s : wall clock less monotonic clock when the service began
+    """
+
+    folder: Path
+    least_bytes: int
+    begun_s: float = field(default_factory=_read_clock_difference_s)
+
+    def make(
+        self, machine_id: str, machine: Machine, config: CellConfig
+    ) -> MachineCell:
+        """Return a machine with its cell, to be started."""
+        cell = CellSupervisor(lambda: Cell(config))
+
+        def observe() -> Observed:
+            return Observed(
+                cell=cell.status,
+                controller=cell.controller,
+                allow_no_watchdog=config.allow_no_watchdog,
+                free_bytes=shutil.disk_usage(self.folder).free,
+                least_bytes=self.least_bytes,
+                clock_step_s=_read_clock_difference_s() - self.begun_s,
+            )
+
+        return MachineCell(machine_id, machine, cell, ConditionBoard(observe))
