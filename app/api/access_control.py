@@ -24,6 +24,7 @@ from truepath.app.api.route_roles import (
     ANYBODY,
     MOVES,
     NEVER_LIMITED,
+    STOPS,
     find_least_role,
     find_route,
 )
