@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
+from dataclasses import replace
 
 import pytest
 
@@ -95,6 +96,15 @@ def test_patience_with_a_tracker_reaches_its_cell(toml, tmp_path, mill):
         ("tracker_options = 3\n", "setting tracker_options"),
         ("[tracker_patience_s]\nsilence = 1.0\n", "silence is none of silent, dead"),
         ("[tracker_patience_s]\ndead = 0.0\n", "dead is 0 s, not in 0 to 3600 s"),
+        ("[machines.Mill_3]\nmachine_file = 'm.json'\n", "'Mill_3' cannot name"),
+        ("[machines.current]\nmachine_file = 'm.json'\n", "'current' cannot name"),
+        ("[machines.mill]\n", "setting machines.mill.machine_file: Field required"),
+        ("[machines.mill]\nport = 1\n", "setting machines.mill.*: "),
+        (
+            "machine_file = 'a.json'\n[machines.default]\nmachine_file = 'b.json'\n",
+            "two machines of one identifier",
+        ),
+        ("simulated_machines = 2\n", "simulated_machines needs simulated = true"),
     ],
 )
 def test_a_setting_that_cannot_be_used_is_named(toml, text, problem):
@@ -207,3 +217,28 @@ def test_a_dask_address_names_executor_and_scheduler(monkeypatch):
     monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.21:8786")
     with pytest.raises(BadInput, match="name two schedulers"):
         load_settings()
+
+
+def test_several_machines_are_tables_each_with_its_devices(toml, tmp_path, mill):
+    for name in ("mill", "lathe"):
+        file = tmp_path / f"{name}.json"
+        file.write_bytes(encode_machine(replace(mill, name=name)))
+    file = toml(f"""
+[machines.mill-3]
+machine_file = "{tmp_path / "mill.json"}"
+tracker_options = {{ port = "/dev/tracker-1" }}
+motion_options = {{ host = "192.0.2.3" }}
+
+[machines.lathe]
+machine_file = "{tmp_path / "lathe.json"}"
+tracker_driver = "geocom"
+tracker_options = {{ port = "/dev/tracker-2" }}
+motion_options = {{ host = "192.0.2.4" }}
+allow_no_watchdog = true
+""")
+    with ExitStack() as stack:
+        mill_3, lathe = _load_machines(load_settings(file), stack)
+    assert (mill_3[0], mill_3[1].name) == ("mill-3", "mill")
+    assert (lathe[0], lathe[1].name) == ("lathe", "lathe")
+    assert lathe[2].tracker_driver == "geocom"
+    assert (mill_3[2].allow_no_watchdog, lathe[2].allow_no_watchdog) == (False, True)
