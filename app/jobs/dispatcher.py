@@ -135,7 +135,7 @@ class Dispatcher:
         """
         active = self._find_active(job_id, Verb.RESUME)
         if self._context.store.get(job_id).state is State.PAUSED:
-            self._require_order()
+            self._require_order(active)
         job = active.apply_verb(Verb.RESUME, version)
         if then is not OnNotice.NOTE:
             active.wish(then)
@@ -174,10 +174,8 @@ class Dispatcher:
         machine_id : of the one machine to stop; without it all are. Raises NotFound.
         """
         machines = self._context.machines
-        stopped = (
-            machines.list_all() if machine_id is None else [machines.get(machine_id)]
-        )
-        for one in stopped:
+        chosen = [machines.get(machine_id)] if machine_id else machines.list_all()
+        for one in chosen:
             one.cell.send(CellVerb.ABORT)
         under_way = [
             active

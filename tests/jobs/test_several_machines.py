@@ -92,7 +92,7 @@ def test_a_stop_of_one_machine_leaves_the_other_moving(fleet):
     assert [job.id for job in fleet.dispatcher.stop("mill")] == [mill.id]
     fleet.until(mill, State.ABORTED)
     assert fleet.context.store.get(lathe.id).state is State.RUNNING
-    assert [job.id for job in fleet.dispatcher.stop()] == [lathe.id]
+    assert lathe.id in [job.id for job in fleet.dispatcher.stop()]
     fleet.until(lathe, State.ABORTED)
     with pytest.raises(NotFound, match="no machine press; it drives mill, lathe"):
         fleet.dispatcher.stop("press")
