@@ -438,8 +438,9 @@ def test_a_held_machine_is_not_let_go_on_while_a_required_condition_is_wrong(
         )
     ]
     board = ConditionBoard(lambda: seen[0])
-    dispatcher = Dispatcher(replace(context, conditions=board), event_bus)
-    context.cell.start()
+    watched = replace(context.machines.get("default"), conditions=board)
+    dispatcher = Dispatcher(replace(context, machines=Machines([watched])), event_bus)
+    context.require_cell().start()
     job, _ = dispatcher.create(OTF)
     dispatcher.arm(job.id, until(job, "ready").version)
     assert make_cell.cell.begun.wait(5)
