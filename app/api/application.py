@@ -24,6 +24,7 @@ from truepath.app.api import (
     events,
     jobs,
     machine,
+    metrics,
     models_of_machine,
     plans,
     problems,
@@ -107,12 +108,15 @@ def create_application(
     app.state.service = service
     app.add_middleware(AccessControl, access=service.access if service else None)
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)
+    app.state.metrics = metrics.ServiceMetrics(service)
+    app.add_middleware(metrics.RequestTimer, metrics=app.state.metrics)
     problems.install_handlers(app)
     app.include_router(_api(), max_body_size=MAX_BODY_BYTES)
     app.include_router(
         runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES
     )
     app.include_router(machine.probes)
+    app.include_router(metrics.router)
     app.include_router(docs)
     app.mount("/docs/assets", StaticFiles(directory=str(_ASSETS)), name="docs-assets")
     if pages is not None:

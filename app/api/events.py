@@ -55,7 +55,7 @@ class Subscription:
     """Accepts events from any thread and makes one stream of them."""
 
     def __init__(self, service: Service, job_id: str | None) -> None:
-        self._service, self._job_id = service, job_id
+        self.service, self._job_id = service, job_id
         self._lock = threading.Lock()
         self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
         self._loop = asyncio.get_running_loop()
@@ -77,7 +77,7 @@ class Subscription:
 
     async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
         """Yield what was missed, or the present state first, then new events."""
-        service, job_id = self._service, self._job_id
+        service, job_id = self.service, self._job_id
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)
         if known is None:
@@ -120,6 +120,11 @@ class Subscription:
 
 open_streams: set[Subscription] = set()
 """Each browser tab holds one. Changed on the event loop only."""
+
+
+def count_streams(service: Service) -> int:
+    """Return how many event streams of a service are open."""
+    return sum(stream.service is service for stream in list(open_streams))
 
 
 async def _subscribe(

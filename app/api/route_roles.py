@@ -105,8 +105,9 @@ _BESIDE: Mapping[str, Role | None] = {
     "GET /docs/assets/{path:path}": ANYBODY,
     "GET /healthz": ANYBODY,
     "GET /readyz": ANYBODY,
+    "GET /metrics": _VIEWER,
 }
-"""The page, its files and the probes say nothing of a machine."""
+"""The page, its files and the probes say nothing of a machine; the metrics do."""
 
 LEAST_ROLES: Mapping[str, Role | None] = {
     **{route.replace(" ", f" {PREFIX}", 1): r for route, r in _OF_INTERFACE.items()},

@@ -20,6 +20,7 @@ from typing import Any
 import structlog
 
 from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.jobs.cell_counters import CellCounters
 from truepath.app.jobs.errors import CellDown, DeviceSettings
 from truepath.app.measurement.cell import Cell
 from truepath.app.measurement.messages import (
@@ -91,6 +92,7 @@ class CellSupervisor:
     first_pause_s : before another cell is started
     status : the cell's last known state, for any thread
     controller : what the controller showed last at rest; None before and after that
+    counters : what all its measurements have counted so far
     """
 
     def __init__(
@@ -102,6 +104,7 @@ class CellSupervisor:
         self._on_event: EventHandler | None = None
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
+        self.counters = CellCounters()
         self._closing = threading.Event()
         self._must_kill = threading.Event()
         self._thread = threading.Thread(
@@ -117,7 +120,8 @@ class CellSupervisor:
 
         Raises DeviceError, DeviceSettings, CellDown.
         """
-        return self._ask(self._connect)
+        with self.counters.time_command("connect"):
+            return self._ask(self._connect)
 
     def begin(
         self,
@@ -131,10 +135,12 @@ class CellSupervisor:
             if unless():
                 return False
             self._on_event = on_event
+            self.counters.begin_measurement()
             cell.begin(order)
             return True
 
-        return self._ask(begin, kill_if_late=True)
+        with self.counters.time_command("begin"):
+            return self._ask(begin, kill_if_late=True)
 
     def ignore_events(self) -> None:
         """Pass the events of the measurement on no longer."""
@@ -142,6 +148,8 @@ class CellSupervisor:
 
     def send(self, verb: CellVerb) -> Future[None]:
         """Send a verb to the cell. Does not wait."""
+        if self.status.state in MOVING:
+            self.counters.expect_answer(verb)
         return self._put(lambda cell: cell.send(verb))
 
     def extend(self, part: Commanded) -> Future[None]:
@@ -223,6 +231,7 @@ class CellSupervisor:
                 return
 
     def _handle(self, event: CellEvent) -> None:
+        self.counters.count(event)
         match event:
             case StateChanged(state):
                 self._follow_state(state)

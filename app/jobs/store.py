@@ -164,6 +164,13 @@ class Store:
             query = query.where(jobs.c.created < format_utc(until))
         return self._read(query)
 
+    def count_by_state(self) -> dict[tuple[JobKind, State], int]:
+        """Return how many jobs of each kind are in each state, of all times."""
+        query = select(jobs.c.kind, jobs.c.state, func.count())
+        with self._database.read() as connection:
+            rows = connection.execute(query.group_by(jobs.c.kind, jobs.c.state)).all()
+        return {(JobKind(kind), State(state)): n for kind, state, n in rows}
+
     def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
         return self._read(_UNFINISHED)

@@ -499,6 +499,9 @@ class MeasurementMonitor:
                     samples=self.recorder.samples,
                     lost_samples=self.recorder.lost_samples,
                     crc_errors=self._crc_errors,
+                    gaps=self.recorder.gaps,
+                    queue_depth=self.recorder.queue_depth,
+                    commits=self.recorder.commits,
                 )
             )
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.machine import Machine
+from truepath.app.measurement.durations import Durations
 from truepath.app.motion.configurations import Commanded, Configurations
 from truepath.drivers.interfaces.records import (
     Identity,
@@ -160,6 +161,9 @@ class MeasurementProgress:
 
     unit : what is counted, `lines` or `points`
     stage : `preparing`, `measuring`, `closing`
+    gaps : places where samples are missing; lost_samples : how many are
+    crc_errors : since the tracker was connected
+    queue_depth : what waits to be written; commits : how long each commit took
     """
 
     done: int
@@ -172,6 +176,9 @@ class MeasurementProgress:
     samples: int = 0
     lost_samples: int = 0
     crc_errors: int = 0
+    gaps: int = 0
+    queue_depth: int = 0
+    commits: Durations = field(default_factory=Durations)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ import numpy as np
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.run import PointBlock, PointRows
 from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.measurement.durations import Durations
 from truepath.app.measurement.messages import RunClosed
 from truepath.app.measurement.run_file import (
     AXES_STREAM,
@@ -85,6 +86,8 @@ class Recorder:
     reserve_bytes : space on the disk below which `is_space_low` turns true
     failure : why nothing can be written any more; empty while all is well
     samples, lost_samples : handed over so far, and missing between by their counter
+    gaps : places where some are missing
+    commits : how long each commit took, waiting for the disk included
 
     Raises MeasurementFailed if the file cannot be begun.
     """
@@ -98,7 +101,8 @@ class Recorder:
         reserve_bytes: int = RESERVE_BYTES,
     ) -> None:
         self.file, self.failure, self.is_space_low = file, "", False
-        self.samples = self.lost_samples = 0
+        self.samples = self.lost_samples = self.gaps = 0
+        self.commits = Durations()
         self._on_recorded, self._reserve_bytes = on_recorded, reserve_bytes
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE_ITEMS)
         self._has_callback_failed = False
@@ -114,14 +118,19 @@ class Recorder:
         self._writer.start()
 
     @property
+    def queue_depth(self) -> int:
+        """How much waits to be written."""
+        return self._queue.qsize()
+
+    @property
     def is_strained(self) -> bool:
         """Whether the disk is so slow that the queue is half full."""
-        return self._queue.qsize() * 2 > self._queue.maxsize
+        return self.queue_depth * 2 > self._queue.maxsize
 
     @property
     def is_relaxed(self) -> bool:
         """Whether hardly anything waits."""
-        return self._queue.qsize() * 10 < self._queue.maxsize
+        return self.queue_depth * 10 < self._queue.maxsize
 
     def put_tracker(self, samples: TrackerSamples, link: bytes = b"") -> None:
         """Hand over a block of samples and the bytes that carried it.
@@ -251,6 +260,7 @@ class Recorder:
                 "the tracker's counter went back; it was restarted: measure again"
             )
         self.lost_samples += int(steps.sum()) - len(samples)
+        self.gaps += int((steps > 1).sum())
         self.samples += len(samples)
         self._last_sequence = int(sequence[-1])
         return first
@@ -293,10 +303,12 @@ class Recorder:
             self._has_callback_failed = True
 
     def _commit(self, item: _Item) -> None:
+        begun_s = time.monotonic()
         with transaction(self._database):
             put_manifest(self._database, item.manifest)
             insert_batches(self._database, item.batches)
             insert_events(self._database, item.events)
+        self.commits = self.commits.add(time.monotonic() - begun_s)
 
     def _free_bytes(self) -> int:
         return shutil.disk_usage(self.file.parent).free

@@ -1,0 +1,157 @@
+"""`GET /metrics`, read by the parser of Prometheus' own library."""
+
+from __future__ import annotations
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from scripted_cell import wait_until
+from starlette.testclient import TestClient
+
+from truepath.app.api import metrics as metrics_module
+from truepath.app.api.application import create_application
+from truepath.app.jobs.cell_counters import CellCounters
+from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.measurement.durations import BOUNDS_S, Durations
+from truepath.app.measurement.messages import (
+    CellState,
+    CellVerb,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
+
+
+@pytest.fixture
+def scrape(client):
+    """Read the metrics as a dictionary of samples by name and labels."""
+
+    def read(http=client):
+        answer = http.get("/metrics")
+        assert answer.status_code == 200, answer.text
+        assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+        return {
+            (sample.name, *sorted(sample.labels.items())): sample.value
+            for family in text_string_to_metric_families(answer.text)
+            for sample in family.samples
+        }
+
+    return read
+
+
+def progress(samples, lost=0, crc=0, gaps=0, commits=None):
+    return MeasurementProgress(
+        1,
+        2,
+        "lines",
+        "measuring",
+        1.0,
+        1.0,
+        samples=samples,
+        lost_samples=lost,
+        crc_errors=crc,
+        gaps=gaps,
+        queue_depth=3,
+        commits=commits or Durations(),
+    )
+
+
+def test_the_format_is_that_of_prometheus_and_names_the_machine(scrape):
+    found = scrape()
+    machine = ("machine", "demo")
+    assert found["truepath_cell_up", machine] == 1
+    assert found["truepath_cell_connected", machine] == 0
+    assert found["truepath_catalogue_up",] == 1
+    assert found["truepath_disk_free_bytes",] > 0
+    assert found["truepath_event_streams",] == 0
+    info = ("simulated", "true"), ("version", "1.2.3")
+    assert found[("truepath_info", *info)] == 1
+    assert found["truepath_tracker_crc_errors_total", machine] == 0
+    assert found["process_resident_memory_bytes",] > 1e6
+
+
+def test_jobs_are_counted_by_kind_and_state(scrape, finished):
+    key = ("kind", "measure-otf"), ("state", "succeeded")
+    assert finished["state"] == "succeeded"
+    assert scrape()[("truepath_jobs", *key)] == 1
+
+
+def test_a_request_is_counted_by_the_template_of_its_route(client, scrape):
+    client.get("/api/v1/jobs/019a0000-0000-7000-8000-000000000000")
+    client.get("/nowhere/019a")
+    found = scrape()
+    template = ("route", "/api/v1/jobs/{job_id}"), ("status", "404")
+    key = ("truepath_request_seconds_count", ("method", "GET"), *template)
+    assert found[key] == 1
+    none = ("method", "GET"), ("route", "none"), ("status", "404")
+    assert found[("truepath_request_seconds_count", *none)] == 1
+    assert not [name for name in found if "019a" in str(name)]
+
+
+def test_two_services_in_one_process_share_no_numbers(client, service, scrape):
+    client.get("/api/v1/system")
+    with TestClient(create_application(service), base_url="http://localhost") as other:
+        routes = {dict(key[1:]).get("route") for key in scrape(other)}
+    assert "/api/v1/system" not in routes
+
+
+def test_a_catalogue_that_is_away_is_a_number_and_no_failure(
+    scrape, service, monkeypatch
+):
+    def refuse(_):
+        raise StorageUnavailable("away")
+
+    monkeypatch.setattr(type(service.store), "count_by_state", refuse)
+    assert scrape()["truepath_catalogue_up",] == 0
+
+
+def test_an_aborted_measurement_times_its_commands(
+    client, armed, scrape, make_cell, until
+):
+    client.post(f"/api/v1/jobs/{armed['id']}/abort")
+    until(armed, "aborted")
+    machine = ("machine", "demo")
+    count = "truepath_cell_command_seconds_count"
+    found = wait_until(
+        lambda: (now := scrape()).get((count, ("command", "abort"), machine)) and now,
+        "the abort",
+    )
+    assert found[count, ("command", "begin"), machine] == 1
+    assert found[count, ("command", "abort"), machine] == 1
+
+
+def test_counts_of_measurements_add_up_and_never_fall():
+    counters = CellCounters()
+    commits = Durations().add(0.02)
+    counters.begin_measurement()
+    counters.count(progress(100, lost=2, crc=5, gaps=1, commits=commits))
+    counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
+    counters.begin_measurement()
+    counters.count(progress(50, lost=1, crc=6, gaps=1, commits=commits))
+    found = counters.read()
+    assert (found.samples, found.lost_samples, found.gaps) == (160, 3, 2)
+    assert found.crc_errors == 6, "those of a connection, not of a measurement"
+    assert sum(found.commits.counts) == 2
+    counters.count(progress(60, crc=1))  # connected anew
+    assert counters.read().crc_errors == 7
+
+
+def test_a_repeated_command_is_timed_from_its_first_time(monkeypatch):
+    counters = CellCounters()
+    now = iter([10.0, 11.0, 12.5])
+    monkeypatch.setattr("time.monotonic", lambda: next(now))
+    counters.expect_answer(CellVerb.PAUSE)
+    counters.expect_answer(CellVerb.PAUSE)
+    monkeypatch.setattr("time.monotonic", lambda: 12.5)
+    counters.count(StateChanged(CellState.PAUSED))
+    counters.count(StateChanged(CellState.PAUSED))
+    (pause,) = counters.read().commands.values()
+    assert (sum(pause.counts), pause.total_s) == (1, 2.5)
+
+
+def test_durations_become_the_cumulative_buckets_of_a_histogram():
+    durations = Durations().add(0.0005).add(0.02).add(99.0)
+    family = metrics_module.HistogramMetricFamily("x", "x", labels=("machine",))
+    metrics_module._add_durations(family, ("m",), durations)
+    upto = [s.value for s in family.samples if s.name == "x_bucket"]
+    assert len(upto) == len(BOUNDS_S) + 1
+    assert (upto[0], upto[-2], upto[-1]) == (1, 2, 3)
