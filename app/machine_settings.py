@@ -21,19 +21,27 @@ _LONGEST_S = 3600.0
 class DeviceConfiguration(BaseModel):
     """How the devices of a machine are reached."""
 
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
     tracker_driver: str = "streaming"
+    """Driver of the tracker; `truepath drivers` lists all."""
     tracker_options: dict[str, Any] = Field(default_factory=dict)
+    """What the driver needs: `port = "/dev/serial/by-id/…"`, or `host` and `port`."""
     tracker_patience_s: dict[str, float] = Field(default_factory=dict)
-    """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`,
-    `search`; 0 of the last: a lost target is not searched for."""
+    """What is not usual for this tracker, in seconds: `silent` (0.5), `dead` (5),
+    `beam` (0.25), `late` (0.25), `point` (20, beyond the dwell), `search` (10; 0: a
+    lost target is not searched for)."""
     motion_driver: str = "modbus"
+    """Driver of the CNC; `truepath drivers` lists all."""
     motion_options: dict[str, Any] = Field(default_factory=dict)
+    """What the driver needs: `host`, `port` and `unit`, or `serial_port`."""
     tracker_light: dict[str, float] = Field(default_factory=dict)
     """Of a tracker that does not correct its distances for the air: `wavelength_nm`,
     `is_group` (1 of modulated light), `assumed_index`. Empty: nothing is corrected."""
     thermometer_driver: str = ""
     """Empty: no thermometers but those that the tracker has."""
     thermometer_options: dict[str, Any] = Field(default_factory=dict)
+    """What the driver needs: its list of registers."""
     allow_no_watchdog: bool = False
     """Move a machine that does not hold the feed by itself when the service dies."""
 

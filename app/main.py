@@ -73,7 +73,7 @@ def serve(
 
     Raises BadInput, InUse.
     """
-    configure_log(settings.log_level, settings.log_format)
+    configure_log(settings.log_level, settings.log_format, settings.log)
     tls = _check_tls(settings)
     with (
         open_service(settings) as service,

@@ -4,6 +4,8 @@ A child sends its records through a pipe and its parent handles them as if they 
 own, so that every line passes the same level and the same format. A record names the
 process it comes from. Writing a record never waits for the parent: a thread of the
 child sends it. If the parent is gone, the record goes to the child's standard error.
+
+So the parent alone writes to the log file, and can set a full one aside.
 """
 
 from __future__ import annotations
@@ -16,9 +18,14 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from logging.handlers import RotatingFileHandler
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import structlog
+
+from truepath.app.errors import BadInput
 
 _MAIN_PROCESS = "MainProcess"
 _SEND_REST_S = 1.0
@@ -31,21 +38,38 @@ _SHARED: tuple[structlog.typing.Processor, ...] = (
 )
 
 
-def configure_log(level: str, log_format: str) -> None:
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """Where lines are kept beside standard error.
+
+    max_bytes : of one file; a full one becomes `NAME.1`, the one before `NAME.2`, …
+    count : of files that are kept beside the one that is written
+    """
+
+    path: Path
+    max_bytes: int
+    count: int
+
+    def list_files(self) -> list[Path]:
+        """Return the files that are there, the newest first."""
+        names = (f"{self.path.name}.{n}" for n in range(1, self.count + 1))
+        files = [self.path, *(self.path.with_name(name) for name in names)]
+        return [file for file in files if file.is_file()]
+
+
+def configure_log(level: str, log_format: str, file: LogFile | None = None) -> None:
     """Send every line, ours and the libraries', through structlog to standard error.
 
     log_format : `json`, else lines to read
+    file : where each line is kept as JSON as well
+
+    Raises BadInput where the file cannot be written.
     """
     _configure_structlog(*_SHARED)
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(
-        structlog.stdlib.ProcessorFormatter(
-            foreign_pre_chain=[*_SHARED, _add_trace],
-            processors=[_add_process, *_rendering(log_format)],
-        )
-    )
+    handler.setFormatter(_make_formatter(log_format))
     root = logging.getLogger()
-    root.handlers = [handler]
+    root.handlers = [handler] if file is None else [handler, _open_file(file)]
     root.setLevel(level.upper())
     for name in ("uvicorn.error", "uvicorn", "alembic"):
         quiet = max(logging.WARNING, root.level)
@@ -90,6 +114,31 @@ def receive_log(records: Connection) -> None:
             records.close()
             return
         logging.getLogger(record.name).handle(record)
+
+
+def _make_formatter(log_format: str) -> logging.Formatter:
+    return structlog.stdlib.ProcessorFormatter(
+        foreign_pre_chain=[*_SHARED, _add_trace],
+        processors=[_add_process, *_rendering(log_format)],
+    )
+
+
+def _open_file(file: LogFile) -> logging.Handler:
+    try:
+        file.path.parent.mkdir(parents=True, exist_ok=True)
+        handler = RotatingFileHandler(
+            file.path,
+            maxBytes=file.max_bytes,
+            backupCount=file.count,
+            encoding="utf-8",
+        )
+    except OSError as error:
+        raise BadInput(
+            f"setting log_file: {file.path}: {error.strerror}; name a file that the "
+            "account of the service may write"
+        ) from error
+    handler.setFormatter(_make_formatter("json"))
+    return handler
 
 
 class _QueueHandler(logging.Handler):

@@ -31,6 +31,7 @@ from truepath.app.machine_settings import (
     MachineSettings,
     check_machine_id,
 )
+from truepath.app.service_log import LogFile
 
 _DASK = "dask://"
 
@@ -39,10 +40,15 @@ class Settings(DeviceConfiguration, BaseSettings):
     """Everything that can be set. Built by `load_settings`, then never changed."""
 
     model_config = SettingsConfigDict(
-        env_prefix="TRUEPATH_", extra="forbid", frozen=True, str_max_length=4096
+        env_prefix="TRUEPATH_",
+        extra="forbid",
+        frozen=True,
+        str_max_length=4096,
+        use_attribute_docstrings=True,
     )
 
     host: str = Field("127.0.0.1", min_length=1)
+    """Address where the service listens; `0.0.0.0` for all of this computer."""
     port: int = Field(8411, ge=0, le=65535)
     """0 lets the system choose; the address is printed."""
     allow_plain_http: bool = False
@@ -52,26 +58,33 @@ class Settings(DeviceConfiguration, BaseSettings):
     `never` is for a container whose port is published on this computer only, or behind
     a proxy that asks for a log-in."""
     session_hours: float = Field(12.0, gt=0, le=720)
+    """How long a log-in lasts."""
     allow_arming_by_key: bool = False
     """Let a program with an API key set the machine in motion."""
     tls_cert: Path | None = None
     """Certificate of this computer (PEM), with those that lead to its root."""
     tls_key: Path | None = None
+    """Its private key (PEM). Both or neither."""
     trusted_hosts: tuple[str, ...] = ()
     """Names browsers may call this computer by, beside localhost and IP addresses."""
 
     data_dir: Path = Field(
         default_factory=lambda: platformdirs.user_data_path("truepath", appauthor=False)
     )
+    """Folder of Runs, results and the SQLite catalogue; by default in the user's."""
     database_url: str = ""
     """Empty: SQLite in `data_dir`. PostgreSQL: `postgresql+psycopg://user@host/name`."""
     database_password_file: Path | None = None
     """Where the password of `database_url` is, to keep it out of the environment."""
 
     simulated: bool = False
+    """Bring simulated devices up, and measure on them."""
     simulated_speed: float = Field(1.0, gt=0, le=100)
+    """Their clock, as a multiple of real time."""
     simulated_seed: int = Field(1, ge=0)
+    """Which simulated machine it is."""
     simulated_faults: tuple[str, ...] = ()
+    """What goes wrong; `truepath simulate --help` lists faults."""
     simulated_hidden: tuple[str, ...] = ()
     """Effects that the model lacks, to be found: `name[*size_um]`, or JSON objects."""
     simulated_compensation: tuple[Path, ...] = ()
@@ -81,11 +94,13 @@ class Settings(DeviceConfiguration, BaseSettings):
     """Benches of one kind of machine, told apart by their seeds and names."""
 
     machine_file: Path | None = None
-    """Of a single machine, whose devices are set beside it."""
+    """`machine.json` of a single machine, whose devices are set beside it. Without a
+    machine the service only analyses."""
     machines: dict[str, MachineSettings] = Field(default_factory=dict)
     """Tables of several machines, by their identifiers: `[machines.mill-3]`."""
 
     analysis_workers: int = Field(1, ge=1, le=64)
+    """Jobs that compute at one time."""
     executor: Literal["processes", "dask"] = "processes"
     """Who computes what can be cut into blocks, such as Monte Carlo trials.
 
@@ -95,13 +110,22 @@ class Settings(DeviceConfiguration, BaseSettings):
     dask_scheduler: str = ""
     """Address of the Dask scheduler, `tcp://host:8786`."""
     max_upload_mb: int = Field(512, ge=1, le=65536)
+    """Size of an uploaded bundle."""
     upload_memory_mb: int = Field(2048, ge=64, le=1 << 20)
     """Memory that reading one uploaded bundle may take, in a process of its own."""
     max_streams: int = Field(64, ge=1, le=10_000)
     """Event streams open at one time; each browser tab holds one."""
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """What is logged, and all that is graver."""
     log_format: Literal["console", "json"] = "console"
+    """Lines on standard error: to read, or JSON."""
+    log_file: Path | None = None
+    """File that keeps the lines as JSON as well."""
+    log_file_mb: float = Field(10.0, gt=0, le=10_000)
+    """Size at which a log file is set aside, `FILE.1`, and another one begun."""
+    log_files: int = Field(5, ge=1, le=1000)
+    """Number of log files that are kept beside the newest."""
 
     @model_validator(mode="before")
     @classmethod
@@ -164,6 +188,13 @@ class Settings(DeviceConfiguration, BaseSettings):
             return dict(self.machines)
         stated = self.model_dump(include=set(MachineSettings.model_fields))
         return {ONLY_MACHINE: MachineSettings(**stated), **self.machines}
+
+    @property
+    def log(self) -> LogFile | None:
+        """The log file, if one is kept."""
+        if self.log_file is None:
+            return None
+        return LogFile(self.log_file, int(self.log_file_mb * 1e6), self.log_files)
 
     @property
     def log_in_required(self) -> bool:

@@ -12,7 +12,8 @@ import pytest
 import structlog
 
 from truepath.app.child_process import ChildProcess
-from truepath.app.service_log import configure_log
+from truepath.app.errors import BadInput
+from truepath.app.service_log import LogFile, configure_log
 
 BODIES = """
 import logging, os, time
@@ -33,6 +34,10 @@ def have_a_child(link):
     child.join()
     child.close()
 
+def log_many(count, link):
+    for number in range(count):
+        logging.getLogger("driver").info("line %d", number)
+
 def tell_threads(link):
     link.send(os.environ["OPENBLAS_NUM_THREADS"])
 
@@ -45,6 +50,19 @@ def sleep(link):
 @pytest.fixture(scope="module")
 def bodies(import_code):
     return import_code("child_bodies", BODIES)
+
+
+@pytest.fixture
+def plain_root_log():
+    """Put the log back afterwards, its files closed."""
+    root = logging.getLogger()
+    handlers, level = root.handlers, root.level
+    yield
+    for handler in root.handlers:
+        handler.close()
+    structlog.reset_defaults()
+    root.handlers = handlers
+    root.setLevel(level)
 
 
 @pytest.fixture
@@ -120,3 +138,46 @@ def test_a_child_that_was_never_started_is_closed_without_a_word():
     child = ChildProcess("worker", print)
     assert not child.alive
     child.close()
+
+
+def test_no_line_is_lost_where_processes_fill_file_after_file(
+    bodies, tmp_path, plain_root_log
+):
+    file = LogFile(tmp_path / "logs" / "service.log", max_bytes=20_000, count=50)
+    configure_log("info", "json", file)
+    children = [ChildProcess(f"writer{n}", bodies.log_many, 200) for n in range(3)]
+    for child in children:
+        child.start()
+    for number in range(200):
+        logging.getLogger("parent").info("line %d", number)
+    for child in children:
+        child.join()
+        child.close()
+    files = file.list_files()
+    assert len(files) > 3, "it was to be set aside several times"
+    assert all(one.stat().st_size <= file.max_bytes for one in files)
+    lines = [json.loads(x) for one in files for x in one.read_text().splitlines()]
+    by_writer = {}
+    for line in lines:
+        if line["event"].startswith("line "):
+            by_writer.setdefault(line.get("process"), []).append(line["event"])
+    assert set(by_writer) == {None, "writer0", "writer1", "writer2"}
+    for found in by_writer.values():
+        assert sorted(found) == sorted(f"line {n}" for n in range(200))
+
+
+def test_only_so_many_log_files_are_kept(tmp_path, plain_root_log):
+    file = LogFile(tmp_path / "service.log", max_bytes=500, count=2)
+    configure_log("info", "json", file)
+    for number in range(50):
+        logging.getLogger("parent").info("line %d", number)
+    names = {one.name for one in tmp_path.iterdir()}
+    assert names == {"service.log", "service.log.1", "service.log.2"}
+    assert "line 49" in file.list_files()[0].read_text()
+
+
+def test_a_log_file_that_cannot_be_written_is_named(tmp_path, plain_root_log):
+    (tmp_path / "file").write_text("")
+    file = LogFile(tmp_path / "file" / "service.log", max_bytes=500, count=2)
+    with pytest.raises(BadInput, match=r"setting log_file: .*service\.log"):
+        configure_log("info", "json", file)

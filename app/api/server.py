@@ -14,6 +14,7 @@ from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
 from truepath.app.api.service import Service
+from truepath.app.api.service_manager import ServiceManager
 from truepath.app.errors import BadInput
 from truepath.app.users.certificates import TlsFiles
 
@@ -27,6 +28,8 @@ log = structlog.get_logger(__name__)
 
 class Server(uvicorn.Server):
     """Uvicorn that stops motion before it waits for anybody.
+
+    What has started it, systemd say, is told that it answers, lives and ends.
 
     Not in the application's own shut-down: an open stream delays that, and a forced
     exit skips it.
@@ -57,10 +60,13 @@ class Server(uvicorn.Server):
         )
         super().__init__(config)
         self._service, self._address, self._listening = service, address, listening
+        self._manager = ServiceManager.of_environment()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to answer, and pass the address on."""
         await super().startup(sockets)
+        if self.started:
+            self._manager.begin(self._address)
         if self.started and self._listening is not None:
             threading.Thread(
                 target=self._listening, args=(self._address,), daemon=True
@@ -69,6 +75,7 @@ class Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Hold the feed, let streams end, then wait for answers under way."""
         log.info("ending: motion first")
+        self._manager.end()
         await run_sync(self._service.dispatcher.close)
         self._service.end_streams()
         await super().shutdown(sockets)

@@ -12,11 +12,13 @@ import typer
 
 from truepath.app.cli import (
     analysis_commands,
+    backup_commands,
     catalogue_commands,
     doctor_command,
     driver_commands,
     format_commands,
     import_command,
+    operation_commands,
     planning_commands,
     result_commands,
     service_commands,
@@ -93,6 +95,10 @@ app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
 app.command()(doctor_command.doctor)
+app.command()(backup_commands.backup)
+app.command()(backup_commands.restore)
+app.command()(operation_commands.settings)
+app.command()(operation_commands.systemd_unit)
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
 app.add_typer(tls_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")

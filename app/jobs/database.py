@@ -65,6 +65,16 @@ class Database:
         with _as_storage_errors(), self.engine.connect() as connection:
             yield connection
 
+    @contextmanager
+    def read_snapshot(self) -> Iterator[Connection]:
+        """Open a view that stays the same over several queries, whoever writes."""
+        with _as_storage_errors(), self.engine.connect() as raw:
+            connection = raw
+            if self.engine.dialect.name == "postgresql":
+                connection = raw.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
+
     def write(
         self, change: Callable[[Connection], T], then: Callable[[T], None] | None = None
     ) -> T:
@@ -81,15 +91,19 @@ class Database:
                 then(result)
             return result
 
-    def migrate(self) -> None:
+    def migrate(self, revision: str = "head") -> None:
         """Bring the tables up to this version; a SQLite file is copied first.
+
+        revision : an earlier one, to put back what has been exported from it
 
         Raises SchemaTooNew if a newer version of the service wrote the catalogue,
         CatalogueDamaged, CatalogueReadOnly.
         """
         before = self.check()
         config, head = _read_migrations()
-        if before == head:
+        if revision != "head":
+            _refuse_newer(config, revision)
+        if before == (head if revision == "head" else revision):
             return
         if before is not None:
             self._copy_aside(before)
@@ -99,9 +113,9 @@ class Database:
 
                 wait_for_migration(connection)
             config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+            command.upgrade(config, revision)
         self.engine.dispose()  # that connection is more patient than any request
-        log.info("catalogue migrated", before=before, now=head)
+        log.info("catalogue migrated", before=before, now=revision)
 
     @property
     def file(self) -> Path | None:

@@ -1,0 +1,100 @@
+"""Tables as lines: what comes back is what was there, on either database."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from sqlalchemy import select, text
+
+from truepath.app.errors import BadInput
+from truepath.app.jobs import schema
+from truepath.app.jobs.catalogue_tables import import_tables, open_export
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import SchemaTooNew
+from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.store import IdempotencyKey, Store
+from truepath.app.users.accounts import Accounts
+from truepath.app.users.roles import Role
+
+
+def read_all(database):
+    with open_export(database) as export:
+        return {name: list(export.read(name)) for name in export.tables}
+
+
+@pytest.fixture
+def filled(database):
+    """A catalogue with something in most tables; JSON that a parser would change."""
+    store = Store(database, lambda _: None)
+    job, _ = store.create(
+        Job(JobKind.PLAN), IdempotencyKey("k", b"{}"), {"request": {"µm": 1.0}}
+    )
+    store.create(Job(JobKind.PLAN))
+    odd = '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
+    with database.engine.begin() as connection:
+        connection.execute(
+            text("UPDATE jobs SET plan = :odd WHERE id = :id"),
+            {"odd": odd, "id": job.id},
+        ) if database.engine.dialect.name == "sqlite" else connection.execute(
+            text("UPDATE jobs SET plan = CAST(:odd AS JSON) WHERE id = :id"),
+            {"odd": odd, "id": job.id},
+        )
+        connection.execute(text("UPDATE jobs SET failure = NULL"))
+    Accounts(database).add("ada", Role.OPERATOR, "a long enough password")
+    return database
+
+
+def test_what_comes_back_is_what_was_there(filled, tmp_path):
+    before = read_all(filled)
+    assert len(before["jobs"]) == 2
+    assert len(before["users"]) == 1
+    assert json.loads(before["jobs"][0])["plan"] == '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
+    other = Database(f"sqlite:///{tmp_path / 'other.sqlite'}")
+    with open_export(filled) as export:
+        revision = export.revision
+    import_tables(other, revision, before)
+    assert read_all(other) == before
+    again, is_new = Store(other, lambda _: None).create(Job(JobKind.PLAN))
+    assert (again.seq, is_new) == (3, True), "rows are counted on"
+    other.close()
+
+
+def test_a_catalogue_moves_to_postgresql_and_counts_on(
+    filled, postgres_server, tmp_path
+):
+    before = read_all(filled)
+    name = postgres_server.make_database()
+    other = Database(postgres_server.url(name))
+    with open_export(filled) as export:
+        import_tables(other, export.revision, before)
+    assert read_all(other) == before
+    again, _ = Store(other, lambda _: None).create(Job(JobKind.PLAN))
+    assert again.seq == 3
+    with other.read() as connection:
+        nulls = select(schema.jobs.c.id).where(schema.jobs.c.failure.is_(None))
+        assert len(connection.execute(nulls).all()) >= 2, "NULL stays NULL"
+    other.close()
+    postgres_server.drop_database(name)
+
+
+def test_the_export_is_one_view_whoever_writes_meanwhile(filled):
+    with open_export(filled) as export:
+        assert len(list(export.read("jobs"))) == 2
+        Store(filled, lambda _: None).create(Job(JobKind.PLAN))
+        assert len(list(export.read("jobs"))) == 2
+        assert len(list(export.read("events"))) == 2
+
+
+def test_a_catalogue_that_is_not_empty_is_left_alone(filled):
+    before = read_all(filled)
+    with pytest.raises(BadInput, match="not empty"):
+        import_tables(filled, "v0009", before)
+    assert read_all(filled) == before
+
+
+def test_an_export_of_a_newer_version_is_refused(tmp_path):
+    other = Database(f"sqlite:///{tmp_path / 'other.sqlite'}")
+    with pytest.raises(SchemaTooNew):
+        import_tables(other, "v9999", {})
+    other.close()

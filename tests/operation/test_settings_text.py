@@ -1,0 +1,122 @@
+"""Settings as text: the page is current, the example loads, no secret is shown."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from truepath.app.cli.command import run
+from truepath.app.operation.redaction import HIDDEN, Redactor, redact_settings
+from truepath.app.operation.settings_text import list_settings
+from truepath.app.settings import Settings, load_settings
+
+ROOT = Path(__file__).parents[2]
+TOGETHER = {"tls_cert": {"tls_key": "/k.pem"}, "tls_key": {"tls_cert": "/c.pem"}}
+
+
+@pytest.fixture(autouse=True)
+def nothing_set(monkeypatch, tmp_path):
+    for name in list(os.environ):
+        if name.startswith("TRUEPATH_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def test_the_page_is_that_of_the_settings():
+    script = ROOT / "docs" / "write_settings.py"
+    checked = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert checked.returncode == 0, "python docs/write_settings.py writes it"
+
+
+def test_every_setting_says_what_it_means():
+    settings = list(list_settings())
+    assert {one.name for one in settings} == set(Settings.model_fields)
+    assert not [one.name for one in settings if not one.meaning]
+    assert not [one.name for one in settings if not (one.default or one.example)]
+
+
+def test_the_example_loads_as_it_is_and_is_the_defaults(tmp_path, capsys):
+    assert run(["settings", "--example"]) == 0
+    text = capsys.readouterr().out
+    file = tmp_path / "truepath.toml"
+    file.write_text(text)
+    assert load_settings(file).model_dump() == load_settings().model_dump()
+    assert max(map(len, text.splitlines())) < 140
+
+
+@pytest.mark.parametrize("one", list(list_settings()), ids=lambda one: one.name)
+def test_every_line_of_the_example_is_a_setting_that_loads(one, tmp_path):
+    for shown in filter(None, (one.default, one.example)):
+        given = tomllib.loads(f"{one.name} = {shown}")
+        file = tmp_path / "truepath.toml"
+        file.write_text(f"{one.name} = {shown}\n")
+        beside = TOGETHER.get(one.name, {})
+        settings = load_settings(file, **beside)
+        dumped = settings.model_dump(mode="json")[one.name]
+        assert dumped == given[one.name]
+
+
+def test_the_settings_in_effect_are_toml_that_loads_and_hides_secrets(tmp_path, capsys):
+    password = tmp_path / "password"
+    password.write_text("planted-one\n")
+    file = tmp_path / "truepath.toml"
+    file.write_text(
+        'database_url = "postgresql+psycopg://me:planted-two@db/x"\n'
+        'tracker_options = { host = "h", password = "planted-three" }\n'
+        'motion_options = { url = "http://u:planted-four@h/", list = ["a"] }\n'
+        f'database_password_file = "{password}"\n'
+    )
+    assert run(["settings", "--config", str(file)]) == 0
+    shown = capsys.readouterr().out
+    assert "planted" not in shown
+    in_effect = tomllib.loads(shown)
+    assert in_effect["tracker_options"] == {"host": "h", "password": HIDDEN}
+    assert in_effect["database_password_file"] == str(password)
+    assert in_effect["port"] == 8411
+
+
+PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PEM,
+        "a key that is cut -----BEGIN PRIVATE KEY-----\nMIplanted",
+        "Authorization: Bearer planted-token-1",
+        "cookie truepath_session=planted; path=/",
+        "key tp_planted_0123456789abcdef",
+        '{"password": "planted word"}',
+        "password=planted",
+        "DATABASE_PASSWORD: planted",
+        "postgresql://me:planted@host/x",
+        "hash $argon2id$v=19$m=1$planted",
+        "as set up: planted-in-settings",
+    ],
+)
+def test_a_secret_in_a_text_is_hidden(text):
+    settings = load_settings(tracker_options={"password": "planted-in-settings"})
+    hidden = Redactor(settings).redact(text)
+    assert "planted" not in hidden
+    assert HIDDEN in hidden
+
+
+def test_what_is_no_secret_stays():
+    text = (
+        '{"event": "job ended", "job_id": "019a-17", "path": "/api/v1/jobs/x/arm", '
+        '"link": "http://127.0.0.1:8411/docs", "tokens": 3}'
+    )
+    redacted = Redactor(load_settings()).redact(text)
+    assert re.sub(r'"tokens": .*}', "", redacted) == re.sub(r'"tokens": .*}', "", text)
+
+
+def test_nothing_but_secrets_is_hidden_of_the_settings():
+    settings = load_settings(tracker_options={"host": "h", "port": 5000})
+    shown = dict(redact_settings(settings))
+    assert shown == settings.model_dump(mode="json")
