@@ -76,8 +76,14 @@ validation: setup ## both papers reproduced and random machines; writes docs/val
 discovery-table: setup ## discovery on worlds that hide effects; writes docs/discovery.md
 	$(SINGLE) $(BIN)/python validation/discovery_worlds.py --fresh --jobs $(JOBS)
 
+.PHONY: wheelhouse
+wheelhouse: setup ## a folder to install from without a network
+	rm -rf wheelhouse
+	$(BIN)/python -m pip wheel --quiet -c constraints.txt -w wheelhouse ".[pg]"
+	@du -sh wheelhouse
+
 .PHONY: clean
 clean: ## remove everything that was made
-	rm -rf .venv var build dist *.egg-info .coverage .coverage.* htmlcov \
+	rm -rf .venv var build dist wheelhouse *.egg-info .coverage .coverage.* htmlcov \
 	  .pytest_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

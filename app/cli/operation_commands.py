@@ -1,4 +1,4 @@
-"""The commands of who operates the service: settings and the unit for systemd."""
+"""The commands of who operates the service: settings, unit of systemd, support."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from truepath.app.cli.terminal import Json, print_json, say
 from truepath.app.errors import BadInput
 
 Config = Annotated[
@@ -68,3 +69,36 @@ def systemd_unit(
         user=user,
     )
     print(write_unit(order), end="")
+
+
+def support_bundle(
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE.zip", help="A new zip file."),
+    ],
+    config: Config = None,
+    data_dir: DataDir = None,
+    max_mb: Annotated[
+        float, typer.Option(min=1.0, max=1000.0, help="Of all, before it is packed.")
+    ] = 20.0,
+    json: Json = False,
+) -> None:
+    """Logs, versions, findings, last jobs, metrics; no password, key or token.
+
+    Whether the service runs or not. Look through it before you send it.
+    """
+    from dataclasses import asdict
+
+    from truepath.app.operation.support_bundle import write_support_bundle
+    from truepath.app.service_log import configure_log
+    from truepath.app.settings import load_settings
+
+    configure_log("error", "console")
+    settings = load_settings(config, data_dir=data_dir)
+    written = write_support_bundle(settings, output, int(max_mb * 1e6))
+    if json:
+        print_json({"schema": "support-bundle-summary/1", **asdict(written)})
+        return
+    print(f"{output}: {', '.join(written.parts)}")
+    for name, why in written.missing.items():
+        say(f"missing: {name}: {why}")

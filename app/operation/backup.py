@@ -40,7 +40,7 @@ SCHEMA = "backup/1"
 MANIFEST, MANIFEST_SUM = "manifest.json", "manifest.sha256"
 _CATALOGUE, _FILES = "catalogue", ("runs", "results")
 _ROOTS = (_CATALOGUE, *_FILES)
-_OURS = (".lock", "tmp", "aside-", ".restoring-")
+_STAYS = (".lock", "tls", "tmp", "aside-", ".restoring-")  # keys are kept by nobody
 _BUNDLES = "bundles"  # packed from Runs, and packed again when asked for
 _RECORDED = "it is being recorded; keep the folder again once it is closed"
 _REPLACED = "it was replaced meanwhile"
@@ -228,8 +228,8 @@ def _open_lines(kept: Kept, draft: Path) -> Iterator[dict[str, Iterator[bytes]]]
 
 
 def _list_data(folder: Path) -> list[Path]:
-    """Return what the folder holds, its lock and earlier data left out."""
-    return [one for one in sorted(folder.iterdir()) if not one.name.startswith(_OURS)]
+    """Return what the folder holds, its lock, keys and earlier data left out."""
+    return [one for one in sorted(folder.iterdir()) if not one.name.startswith(_STAYS)]
 
 
 def _exchange(folder: Path, draft: Path, present: list[Path], aside: Path) -> None:

@@ -48,17 +48,32 @@ def find_service(settings: Settings) -> RunningService:
         return RunningService(is_there=False)
 
 
+def read_metrics(settings: Settings) -> str | None:
+    """Return the metrics of the service; None where it gives none without a log-in."""
+    content = _fetch(settings, "/metrics")
+    return None if content is None else content.decode("utf-8", "replace")
+
+
 def _ask(settings: Settings, path: str) -> dict[str, Any] | None:
+    content = _fetch(settings, path)
+    try:
+        told = None if content is None else json.loads(content)
+    except ValueError:
+        return None
+    return told if isinstance(told, dict) else None
+
+
+def _fetch(settings: Settings, path: str) -> bytes | None:
     link = _connect(settings)
     try:
         link.request("GET", path)
         answer = link.getresponse()
-        told = json.loads(answer.read()) if answer.status == HTTPStatus.OK else None
-    except (OSError, ValueError, HTTPException):
+        content = answer.read()
+    except (OSError, HTTPException):
         return None
     finally:
         link.close()
-    return told if isinstance(told, dict) else None
+    return content if answer.status == HTTPStatus.OK else None
 
 
 def _connect(settings: Settings) -> HTTPConnection:
