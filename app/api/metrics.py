@@ -7,7 +7,7 @@ service has a registry of its own, so that two in one process share nothing.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import accumulate
 
 from fastapi import APIRouter, Request, Response
@@ -28,8 +28,9 @@ from truepath.app.api.problems import declare_problems
 from truepath.app.api.route_roles import find_route
 from truepath.app.api.service import Service
 from truepath.app.jobs.cell_counters import CellCounts
-from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.cell_supervisor import CellStatus
 from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.measurement.durations import BOUNDS_S, Durations
 
 _STREAMS = "/events"
@@ -40,6 +41,52 @@ _TEXT = {
     "description": "Text format 0.0.4 of Prometheus.",
     "content": {"text/plain": {"schema": {"type": "string"}, "example": _EXAMPLE}},
 }
+
+_Value = Callable[[CellStatus, CellCounts], float]
+_GAUGES: tuple[tuple[str, str, _Value], ...] = (
+    (
+        "truepath_cell_up",
+        "Whether the cell process lives.",
+        lambda status, _: status.state not in _AWAY,
+    ),
+    (
+        "truepath_cell_connected",
+        "Whether tracker and controller answer.",
+        lambda status, _: status.connected,
+    ),
+    (
+        "truepath_recorder_queue_depth",
+        "What waits to be written to the Run.",
+        lambda _, counts: counts.queue_depth,
+    ),
+)
+_COUNTERS: tuple[tuple[str, str, _Value], ...] = (
+    (
+        "truepath_cell_restarts",
+        "Cell processes that ended.",
+        lambda status, _: status.restarts,
+    ),
+    (
+        "truepath_tracker_samples",
+        "Samples recorded.",
+        lambda _, counts: counts.samples,
+    ),
+    (
+        "truepath_tracker_lost_samples",
+        "Samples missing.",
+        lambda _, counts: counts.lost_samples,
+    ),
+    (
+        "truepath_tracker_gaps",
+        "Places where samples are missing.",
+        lambda _, counts: counts.gaps,
+    ),
+    (
+        "truepath_tracker_crc_errors",
+        "Frames refused.",
+        lambda _, counts: counts.crc_errors,
+    ),
+)
 
 router = APIRouter(tags=["system"])
 
@@ -132,8 +179,7 @@ class _ServiceCollector(Collector):
         free = service.free_bytes()
         yield _gauge("truepath_disk_free_bytes", "Free for Runs and results.", free)
         yield from _collect_jobs(service)
-        if service.cell is not None and service.machine is not None:
-            yield from _collect_cell(service.machine.name, service.cell)
+        yield from _collect_cells(service.machines)
 
 
 def _collect_jobs(service: Service) -> Iterator[Metric]:
@@ -151,52 +197,46 @@ def _collect_jobs(service: Service) -> Iterator[Metric]:
     yield family
 
 
-def _collect_cell(machine: str, cell: CellSupervisor) -> Iterator[Metric]:
-    status, counts = cell.status, cell.counters.read()
-    labels = {"machine": machine}
-    up, connected = status.state not in _AWAY, status.connected
-    yield _gauge("truepath_cell_up", "Whether the cell process lives.", up, labels)
-    text = "Whether tracker and controller answer."
-    yield _gauge("truepath_cell_connected", text, connected, labels)
-    text = "What waits to be written to the Run."
-    yield _gauge("truepath_recorder_queue_depth", text, counts.queue_depth, labels)
-    for name, text, value in _list_counters(counts, status.restarts):
-        family = CounterMetricFamily(name, text, labels=("machine",))
-        family.add_metric((machine,), value)
+def _collect_cells(machines: Machines) -> Iterator[Metric]:
+    """Yield the families of the cells, each with a sample a machine."""
+    read = {
+        one.id: (one.cell.status, one.cell.counters.read())
+        for one in machines.list_all()
+    }
+    for name, text, value in _GAUGES:
+        family = GaugeMetricFamily(name, text, labels=("machine",))
+        for machine, (status, counts) in read.items():
+            family.add_metric((machine,), value(status, counts))
         yield family
+    for name, text, value in _COUNTERS:
+        family = CounterMetricFamily(name, text, labels=("machine",))
+        for machine, (status, counts) in read.items():
+            family.add_metric((machine,), value(status, counts))
+        yield family
+    yield from _collect_durations({one: counts for one, (_, counts) in read.items()})
+
+
+def _collect_durations(read: dict[str, CellCounts]) -> Iterator[Metric]:
     commits = HistogramMetricFamily(
         "truepath_recorder_commit_seconds",
         "Time of a commit to the Run, its fsync included.",
         labels=("machine",),
     )
-    _add_durations(commits, (machine,), counts.commits)
-    yield commits
     commands = HistogramMetricFamily(
         "truepath_cell_command_seconds",
         "Time until the cell has confirmed a command.",
         labels=("machine", "command"),
     )
-    for command, durations in counts.commands.items():
-        _add_durations(commands, (machine, command), durations)
+    for machine, counts in read.items():
+        _add_durations(commits, (machine,), counts.commits)
+        for command, durations in counts.commands.items():
+            _add_durations(commands, (machine, command), durations)
+    yield commits
     yield commands
 
 
-def _list_counters(counts: CellCounts, restarts: int) -> list[tuple[str, str, int]]:
-    return [
-        ("truepath_tracker_samples", "Samples recorded.", counts.samples),
-        ("truepath_tracker_lost_samples", "Samples missing.", counts.lost_samples),
-        ("truepath_tracker_gaps", "Places where samples are missing.", counts.gaps),
-        ("truepath_tracker_crc_errors", "Frames refused.", counts.crc_errors),
-        ("truepath_cell_restarts", "Cell processes that ended.", restarts),
-    ]
-
-
-def _gauge(
-    name: str, text: str, value: float, labels: dict[str, str] | None = None
-) -> Metric:
-    family = GaugeMetricFamily(name, text, labels=tuple(labels or ()))
-    family.add_metric(tuple((labels or {}).values()), value)
-    return family
+def _gauge(name: str, text: str, value: float) -> Metric:
+    return GaugeMetricFamily(name, text, value=value)
 
 
 def _add_durations(

@@ -57,7 +57,7 @@ def progress(samples, lost=0, crc=0, gaps=0, commits=None):
 
 def test_the_format_is_that_of_prometheus_and_names_the_machine(scrape):
     found = scrape()
-    machine = ("machine", "demo")
+    machine = ("machine", "default")
     assert found["truepath_cell_up", machine] == 1
     assert found["truepath_cell_connected", machine] == 0
     assert found["truepath_catalogue_up",] == 1
@@ -109,7 +109,7 @@ def test_an_aborted_measurement_times_its_commands(
 ):
     client.post(f"/api/v1/jobs/{armed['id']}/abort")
     until(armed, "aborted")
-    machine = ("machine", "demo")
+    machine = ("machine", "default")
     count = "truepath_cell_command_seconds_count"
     found = wait_until(
         lambda: (now := scrape()).get((count, ("command", "abort"), machine)) and now,
