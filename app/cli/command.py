@@ -25,6 +25,7 @@ from truepath.app.cli import (
     tls_commands,
     trend_commands,
     user_commands,
+    verification_commands,
 )
 from truepath.app.errors import BadInput, TruepathError
 from truepath.app.thread_limits import choose_thread_limits
@@ -89,6 +90,7 @@ app.command()(analysis_commands.discover)
 app.command()(planning_commands.grade)
 app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
+app.command()(verification_commands.verify)
 app.command()(result_commands.export)
 app.command()(trend_commands.trend)
 app.command()(planning_commands.plan)

@@ -1,0 +1,55 @@
+"""Compensation files as a controller applies them while it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.compensation.format import Correction
+from truepath.app.compensation.installed import load_format
+from truepath.app.errors import BadInput
+from truepath.app.files.whole_files import read_whole
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.machine import Machine
+
+AddedMotion = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
+"""What a controller adds, mm, under conditions that say from where an axis came."""
+
+
+def read_active_files(
+    files: Sequence[Path], name: str | None, machine: Machine
+) -> AddedMotion | None:
+    """Return what the files of a format add; None where there are none.
+
+    Raises BadInput if the format is not named, or a file is not of it.
+    """
+    if not files:
+        if name is not None:
+            raise BadInput(f"--format {name}: name its files with --compensation FILE")
+        return None
+    if name is None:
+        raise BadInput(
+            f"{files[0]}: say its format with --format; `formats` lists them"
+        )
+    content = {file.name: read_whole(file).decode("utf-8", "replace") for file in files}
+    return follow_approach(load_format(name).read(content, machine), machine)
+
+
+def follow_approach(correction: Correction, machine: Machine) -> AddedMotion:
+    """Return a correction of one direction of all axes by the approach of each.
+
+    A format corrects lost motion along the axis that it belongs to: half the difference
+    of both directions counts by the last motion of that axis.
+    """
+    columns = [machine.axis_names.index(name) for name in "XYZ"]
+
+    def add(at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        forward = correction(at.position_mm, 1.0)
+        backward = correction(at.position_mm, -1.0)
+        half = 0.5 * (forward - backward)
+        return 0.5 * (forward + backward) + half * at.approach[:, columns]
+
+    return add

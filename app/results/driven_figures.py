@@ -1,0 +1,339 @@
+"""What standards state of standstills on lines and circles: ISO 230-2, -4 and -6.
+
+Positions that follow one another on a straight line are a line: of one axis alone it is
+a test of ISO 230-2, of two or three in proportion a diagonal of ISO 230-6. The
+deviation is that along the line, target by target, by the side that it was come from:
+
+    x̄↑, x̄↓ means and s↑, s↓ standard deviations over the runs, B = x̄↑ − x̄↓
+    M  range of (x̄↑ + x̄↓)/2               mean bidirectional positioning deviation
+    E  range of all x̄↑ and x̄↓             bidirectional systematic deviation
+    R  largest of 2 s↑ + 2 s↓ + |B|, 4 s↑, 4 s↓       bidirectional repeatability
+    A  range of all x̄ ± 2 s               bidirectional accuracy
+    B  largest |x̄↑ − x̄↓|                  reversal
+
+A circle of ISO 230-4 is a polygon of standstills: of its radial deviations, G is the
+range about the circle of least squares in both senses, F the largest and smallest about
+the commanded centre. Standing still, it shows geometry and lost motion, no servo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.results.measured_places import MeasuredPlaces
+
+_SAME_MM = 1e-3
+_FEWEST_TARGETS, _FEWEST_RUNS = 3, 2
+_FEWEST_ON_CIRCLE = 12
+LINE_FIGURES = ("A", "E", "R", "B", "M")
+CIRCLE_FIGURES = ("G", "F_max", "F_min")
+Rows = list[Int64[np.ndarray, " r"]]
+
+
+@dataclass(frozen=True, slots=True)
+class LineFigures:
+    """A line in figures, µm.
+
+    axes : that move on it; kind : `iso-230-2` or `iso-230-6`
+    begin_mm, end_mm : (a,) positions of its first and last target
+    position_mm : (t,) of targets along it; runs : of each direction at the least
+    forward_um, backward_um : (t,) means
+    figures, uncertainty_um : by name, k = 1; own_um : what noise alone would make of
+        each figure
+    predicted_um : by name, from the result, without R and A
+    """
+
+    axes: str
+    kind: str
+    begin_mm: Float64[np.ndarray, " a"]
+    end_mm: Float64[np.ndarray, " a"]
+    runs: int
+    position_mm: Float64[np.ndarray, " t"]
+    forward_um: Float64[np.ndarray, " t"]
+    backward_um: Float64[np.ndarray, " t"]
+    figures_um: dict[str, float]
+    uncertainty_um: dict[str, float]
+    own_um: dict[str, float]
+    predicted_um: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class CircleFigures:
+    """A circle in figures, µm.
+
+    plane : both axes; angle_deg, radial_um : (n,) of its places, about the commanded
+        centre; predicted_um : by name, from the result
+    """
+
+    plane: str
+    centre_mm: Float64[np.ndarray, " a"]
+    radius_mm: float
+    angle_deg: Float64[np.ndarray, " n"]
+    radial_um: Float64[np.ndarray, " n"]
+    figures_um: dict[str, float]
+    uncertainty_um: dict[str, float]
+    predicted_um: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenFigures:
+    """Lines and circles that were measured at standstill."""
+
+    lines: tuple[LineFigures, ...]
+    circles: tuple[CircleFigures, ...]
+
+
+def evaluate_driven(
+    places: MeasuredPlaces,
+    measured_mm: Float64[np.ndarray, "n 3"],
+    predicted_mm: Float64[np.ndarray, "n 3"],
+    noise_mm: Float64[np.ndarray, "n 3 d"],
+) -> DrivenFigures:
+    """Return the figures of the lines and circles that places lie on.
+
+    noise_mm : drawn from the noise of measured_mm
+    """
+    order = np.flatnonzero(places.at.line < 0)
+    position = places.at.position_mm[order]
+    values = np.concatenate([measured_mm[..., None], noise_mm], axis=2)[order]
+    lines = [
+        _evaluate_line(position, passed, values, predicted_mm[order], places)
+        for passed in _find_lines(position)
+    ]
+    circles = [
+        _evaluate_circle(position, own, values, predicted_mm[order], places)
+        for own in _find_circles(position)
+    ]
+    return DrivenFigures(
+        tuple(line for line in lines if line is not None), tuple(circles)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Passes:
+    """All passes of one line.
+
+    direction : (a,) unit; origin_mm : (a,) a point of it
+    place, sign : (k,) places that were come to along it, and from which side
+    """
+
+    direction: Float64[np.ndarray, " a"]
+    origin_mm: Float64[np.ndarray, " a"]
+    place: Int64[np.ndarray, " k"]
+    sign: Float64[np.ndarray, " k"]
+
+
+def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
+    """Return the lines that three places in a row lie on, with all their passes."""
+    step = np.diff(position, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = step / np.maximum(length, _SAME_MM)[:, None]
+    moves = length > _SAME_MM
+    straight = np.abs(np.einsum("ni,ni->n", unit[1:], unit[:-1])) > 1.0 - 1e-9
+    straight &= moves[1:] & moves[:-1]
+    on_line = np.zeros(len(step), bool)
+    on_line[1:] |= straight
+    on_line[:-1] |= straight
+    found: list[_Passes] = []
+    for k in np.flatnonzero(on_line).tolist():
+        direction = unit[k] * np.sign(unit[k][np.argmax(np.abs(unit[k]) > 1e-9)])
+        sign = float(np.sign(direction @ unit[k]))
+        for number, line in enumerate(found):
+            away = position[k] - line.origin_mm
+            away = away - (away @ line.direction) * line.direction
+            if (
+                np.abs(line.direction - direction).max() < 1e-6
+                and np.abs(away).max() < _SAME_MM
+            ):
+                found[number] = _Passes(
+                    direction,
+                    line.origin_mm,
+                    np.append(line.place, k + 1),
+                    np.append(line.sign, sign),
+                )
+                break
+        else:
+            place = np.array([k + 1])
+            found.append(_Passes(direction, position[k], place, np.array([sign])))
+    return found
+
+
+def _evaluate_line(
+    position: Float64[np.ndarray, "n a"],
+    passed: _Passes,
+    values: Float64[np.ndarray, "n 3 e"],
+    predicted_mm: Float64[np.ndarray, "n 3"],
+    places: MeasuredPlaces,
+) -> LineFigures | None:
+    """Return the figures of a line; None if it has too few targets or runs."""
+    machine = places.at.machine
+    linear = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
+    direction = passed.direction[linear]
+    if np.linalg.norm(direction) < 1.0 - 1e-6:
+        return None  # a rotary axis turns
+    along = (position[passed.place] - passed.origin_mm) @ passed.direction
+    target = np.round(along / _SAME_MM).astype(np.int64)
+    groups = _group_by_target(target, passed.sign)
+    if groups is None:
+        return None
+    at_mm, pairs = groups
+    column = np.array(["XYZ".index(machine.axis_names[k]) for k in linear])
+    vector = np.zeros(3)
+    vector[column] = direction
+    deviation = UM_PER_MM * np.einsum("i,nie->ne", vector, values[passed.place])
+    expected = UM_PER_MM * predicted_mm[passed.place] @ vector
+    # Column 0 is the measurement; the others are noise alone.
+    drawn = deviation[:, :1] + deviation[:, 1:]
+    figures = _compute_figures(deviation[:, :1], pairs)
+    spread = _compute_figures(drawn, pairs)
+    own = _compute_figures(deviation[:, 1:], pairs)
+    model = _compute_figures(expected[:, None], pairs)
+    axes = "".join(
+        machine.axis_names[k] for k in linear if abs(passed.direction[k]) > 1e-6
+    )
+    mean = [np.array([deviation[rows, 0].mean() for rows in side]) for side in pairs]
+    ends = [passed.origin_mm + at * passed.direction for at in (at_mm[0], at_mm[-1])]
+    return LineFigures(
+        axes,
+        "iso-230-2" if len(axes) == 1 else "iso-230-6",
+        ends[0],
+        ends[1],
+        min(len(rows) for side in pairs for rows in side),
+        at_mm,
+        mean[0],
+        mean[1],
+        {name: float(value[0]) for name, value in figures.items()},
+        {name: float(value.std()) for name, value in spread.items()},
+        {name: float(value.mean()) for name, value in own.items()},
+        {name: float(model[name][0]) for name in ("E", "B", "M")},
+    )
+
+
+def _group_by_target(
+    target: Int64[np.ndarray, " k"], sign: Float64[np.ndarray, " k"]
+) -> tuple[Float64[np.ndarray, " t"], tuple[Rows, Rows]] | None:
+    """Return targets that were come to from both sides, and the passes of each."""
+    forward: Rows = []
+    backward: Rows = []
+    at: list[float] = []
+    for one in np.unique(target):
+        up = np.flatnonzero((target == one) & (sign > 0))
+        down = np.flatnonzero((target == one) & (sign < 0))
+        if min(len(up), len(down)) >= _FEWEST_RUNS:
+            forward.append(up)
+            backward.append(down)
+            at.append(float(one) * _SAME_MM)
+    if len(at) < _FEWEST_TARGETS:
+        return None
+    return np.array(at), (forward, backward)
+
+
+def _compute_figures(
+    deviation: Float64[np.ndarray, "k e"], pairs: tuple[Rows, Rows]
+) -> dict[str, Float64[np.ndarray, " e"]]:
+    up, down = (np.stack([deviation[r].mean(axis=0) for r in side]) for side in pairs)
+    s_up, s_down = (
+        np.stack([deviation[r].std(axis=0, ddof=1) for r in side]) for side in pairs
+    )
+    reversal = up - down
+    both = np.concatenate([up, down])
+    half = 2.0 * np.concatenate([s_up, s_down])
+    repeatability = np.maximum.reduce(
+        [2.0 * (s_up + s_down) + np.abs(reversal), 4.0 * s_up, 4.0 * s_down]
+    )
+    mean = 0.5 * (up + down)
+    return {
+        "A": (both + half).max(axis=0) - (both - half).min(axis=0),
+        "E": both.max(axis=0) - both.min(axis=0),
+        "R": repeatability.max(axis=0),
+        "B": np.abs(reversal).max(axis=0),
+        "M": mean.max(axis=0) - mean.min(axis=0),
+    }
+
+
+def _find_circles(
+    position: Float64[np.ndarray, "n a"],
+) -> list[Int64[np.ndarray, " k"]]:
+    """Return the places of each circle, in both senses: equal chords that turn."""
+    found: dict[tuple[float, ...], Rows] = {}
+    step = np.diff(position, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    turn = np.einsum("ni,ni->n", step[1:], step[:-1]) / np.maximum(
+        length[1:] * length[:-1], _SAME_MM**2
+    )
+    alike = np.abs(length[1:] - length[:-1]) < 10.0 * _SAME_MM
+    rounds: Bool[np.ndarray, " m"] = alike & (turn > 0.0) & (turn < 1.0 - 1e-6)
+    changes = np.diff(np.concatenate([[0], rounds.astype(np.int64), [0]]))
+    begins, ends = np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)
+    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
+        own: Int64[np.ndarray, " k"] = np.arange(first, last + 2)
+        _, centre_mm, radius = _fit_nominal(position[own])
+        off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
+        if len(own) >= _FEWEST_ON_CIRCLE and off.max() < 10.0 * _SAME_MM:
+            key = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
+            found[key] = [*found.get(key, []), own]
+    return [np.concatenate(both) for both in found.values()]
+
+
+def _fit_nominal(
+    position: Float64[np.ndarray, "n a"],
+) -> tuple[Int64[np.ndarray, "2"], Float64[np.ndarray, " a"], float]:
+    """Return plane, centre and radius of commanded positions on a circle."""
+    plane = np.sort(np.argsort(-np.ptp(position, axis=0))[:2])
+    flat = position[:, plane]
+    columns = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    fitted = np.linalg.pinv(columns) @ (flat**2).sum(axis=1)
+    centre = position.mean(axis=0)
+    centre[plane] = fitted[:2]
+    return plane, centre, float(np.sqrt(fitted[2] + fitted[:2] @ fitted[:2]))
+
+
+def _evaluate_circle(
+    position: Float64[np.ndarray, "n a"],
+    own: Int64[np.ndarray, " k"],
+    values: Float64[np.ndarray, "n 3 e"],
+    predicted_mm: Float64[np.ndarray, "n 3"],
+    places: MeasuredPlaces,
+) -> CircleFigures:
+    plane, centre_mm, radius_mm = _fit_nominal(position[own])
+    out = (position[own] - centre_mm)[:, plane] / radius_mm
+    every = places.at.machine.axis_names
+    names = "".join(every[int(k)] for k in plane)
+    column = ["XYZ".index(name) for name in names]
+    radial = UM_PER_MM * np.einsum("ni,nie->ne", out, values[own][:, column])
+    expected = UM_PER_MM * np.einsum("ni,ni->n", out, predicted_mm[own][:, column])
+    drawn = _state_circle(radial[:, :1] + radial[:, 1:], out)
+    figures = _state_circle(radial[:, :1], out)
+    model = _state_circle(expected[:, None], out)
+    return CircleFigures(
+        names,
+        centre_mm,
+        radius_mm,
+        np.degrees(np.arctan2(out[:, 1], out[:, 0])),
+        radial[:, 0],
+        {name: float(value[0]) for name, value in figures.items()},
+        {name: float(value.std()) for name, value in drawn.items()},
+        {name: float(value[0]) for name, value in model.items()},
+    )
+
+
+def _state_circle(
+    radial: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
+) -> dict[str, Float64[np.ndarray, " e"]]:
+    # Each angle counts once, however often the circle was begun and ended there.
+    _, place, count = np.unique(
+        np.round(out, 4), axis=0, return_inverse=True, return_counts=True
+    )
+    root = np.sqrt(1.0 / count[place.ravel()])[:, None]
+    columns = np.column_stack([out, np.ones(len(out))])
+    fit = np.linalg.pinv(root * columns) @ (root * radial)
+    centred = radial - out @ fit[:2]
+    return {
+        "G": np.ptp(centred, axis=0),
+        "F_max": radial.max(axis=0),
+        "F_min": radial.min(axis=0),
+    }

@@ -1,0 +1,291 @@
+"""A verification as `verification.json` (schema `verification/1`), and in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.alignment.left_out import LeftOut
+from truepath.app.files.verdict import verdict_json
+from truepath.app.results.conformity import Conformity
+from truepath.app.results.driven_figures import CircleFigures, LineFigures
+from truepath.app.results.length_statistics import LengthStatistics
+from truepath.app.results.number_format import format_number
+from truepath.app.results.place_conformity import PlaceConformity
+from truepath.app.results.verification import K, PlaceVectors, Verification
+
+SCHEMA = "verification/1"
+_DIRECTIONS = "XYZ"
+_NEARLY = 0.2  # of the map's scale, about 0 and 2
+_DECISIONS = {
+    Conformity.WITHIN: "passes",
+    Conformity.OUTSIDE: "fails",
+    Conformity.UNDECIDED: "cannot be said to pass or fail",
+}
+
+
+def verification_json(found: Verification) -> dict[str, Any]:
+    """Return the content of `verification.json`.
+
+    Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
+    """
+    machine, consistency = found.result.machine, found.consistency
+    return {
+        "schema": SCHEMA,
+        "machine": machine.name,
+        "compensated": found.is_compensated,
+        "verdict": verdict_json(found.result.verdict),
+        "statements": list(state_findings(found)),
+        "agreement": {
+            "consistent": consistency.is_consistent,
+            "chi_square": consistency.chi_square,
+            "freedom": consistency.freedom,
+            "noise_freedom": consistency.known_by,
+            "chance": consistency.chance,
+            "share_within_expanded": consistency.share_within,
+            "chance_of_any_machine": consistency.repeated,
+        },
+        "map_scale": found.scale
+        and {"value": found.scale.value, "uncertainty": found.scale.uncertainty},
+        "conformity": {
+            name: _conformity_json(one, found) for name, one in found.conformity.items()
+        },
+        "volumetric_error_um": {
+            name: _statistics_json(one) for name, one in found.statistics.items()
+        },
+        "difference_um": _difference_json(found),
+        "directions": _directions_json(found.deviation),
+        "worst": _worst_json(found),
+        "lines": [_line_json(one) for one in found.driven.lines],
+        "circles": [_circle_json(one) for one in found.driven.circles],
+        "places": _places_json(found),
+        "components": "all three"
+        if found.places.is_whole
+        else "three at standstills, the two across the travel on lines",
+        "gauge": "without the best-fit rigid motion over the measured places, each "
+        "component counting the same",
+        "noise": {
+            "white_of_stated": list(found.noise.white),
+            "correlated_of_stated": list(found.noise.ou),
+            "correlation_time_s": found.noise.ou_time_s,
+        },
+        "run": {
+            "name": found.run.name,
+            "mode": found.run.mode,
+            "input_sha256": found.run.digest,
+            "samples_used": found.samples[0],
+            "samples_offered": found.samples[1],
+            "left_out": [_left_out_json(one) for one in found.left_out],
+        },
+        "provenance": {
+            "software": "truepath",
+            "software_version": version("truepath"),
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "result": dict(found.result.provenance),
+        },
+    }
+
+
+def state_findings(found: Verification) -> Iterator[str]:
+    """Yield what the verification says, a sentence each, what matters most first."""
+    for name, one in found.conformity.items():
+        what = (
+            "The machine as it is"
+            if name == "measured"
+            else "The result, as a prediction of the machine,"
+        )
+        yield (
+            f"{what} {_DECISIONS[one.conformity]}: the worst of "
+            f"{len(found.places)} places is {_um(one.length_um)} ± "
+            f"{_um(one.expanded_um)} µm against {one.tolerance_um:g} µm "
+            f"(k = {one.coverage_factor:.1f}, so that all places lie within together "
+            "in 95 % of cases)."
+        )
+    yield _state_agreement(found)
+    yield from _state_scale(found)
+    measured, predicted = (
+        found.statistics[name]["mean"] for name in ("measured", "predicted")
+    )
+    yield (
+        f"Mean volumetric error as measured {_um(measured.value_um)} ± "
+        f"{_um(K * measured.uncertainty_um)} µm, as stated by the result "
+        f"{_um(predicted.value_um)} ± {_um(K * predicted.uncertainty_um)} µm (k = 2)."
+    )
+
+
+def _state_agreement(found: Verification) -> str:
+    one = found.consistency
+    figures = (
+        f"chi-square {one.chi_square:.0f} with {one.freedom} degrees of freedom, "
+        f"chance {100.0 * one.chance:.1f} %; {100.0 * one.share_within:.0f} % of the "
+        "components lie within their expanded uncertainties (k = 2)"
+    )
+    if one.is_consistent:
+        return f"Measurement and result agree within what both state: {figures}."
+    if one.fits_together:
+        return (
+            "Measurement and result do not agree within what both state, and a "
+            f"machine that has changed would explain it: {figures}."
+        )
+    return (
+        "Measurement and result do not agree, and no machine of this model explains "
+        f"the measurement either: look at tracker and reflector first; {figures}."
+    )
+
+
+def _state_scale(found: Verification) -> Iterator[str]:
+    """Yield what the scale of the map says, where it is not what is expected."""
+    if found.scale is None:
+        return
+    scale, clear = found.scale.value, 3.0 * found.scale.uncertainty + _NEARLY
+    if abs(scale - 2.0) < clear:
+        yield (
+            f"The machine errs by {scale:.2f} times what the result says of it as "
+            "found: the controller adds the compensation with the wrong sign."
+        )
+    elif found.is_compensated and abs(scale - 1.0) < clear:
+        yield (
+            f"The machine errs by {scale:.2f} times what the result says of it as "
+            "found: the compensation is not active."
+        )
+    elif not found.is_compensated and abs(scale) < clear:
+        yield (
+            f"The machine errs by {scale:.2f} times what the result says of it as "
+            "found: a compensation is active; name it to hold what it leaves."
+        )
+
+
+def _conformity_json(one: PlaceConformity, found: Verification) -> dict[str, Any]:
+    return {
+        "conformity": one.conformity.value,
+        "rule": "ISO 14253-1",
+        "tolerance_um": one.tolerance_um,
+        "coverage_factor": one.coverage_factor,
+        "length_um": one.length_um,
+        "expanded_uncertainty_um": one.expanded_um,
+        "row": int(found.places.row[one.worst]),
+        "position": found.places.at.position_mm[one.worst].tolist(),
+    }
+
+
+def _statistics_json(one: LengthStatistics) -> dict[str, float]:
+    content: dict[str, float] = {}
+    for name, statistic in one.items():
+        content[name] = statistic.value_um
+        content[f"{name}_uncertainty"] = statistic.uncertainty_um
+    return content
+
+
+def _difference_json(found: Verification) -> dict[str, Any]:
+    """Return measured less predicted of each statistic, and whether it is within U."""
+    content: dict[str, Any] = {}
+    measured, predicted = found.statistics["measured"], found.statistics["predicted"]
+    for name, one in measured.items():
+        other = predicted[name]
+        expanded = K * float(np.hypot(one.uncertainty_um, other.uncertainty_um))
+        difference = one.value_um - other.value_um
+        content[name] = {
+            "value": difference,
+            "expanded_uncertainty": expanded,
+            "within": abs(difference) <= expanded,
+        }
+    return content
+
+
+def _directions_json(deviation: PlaceVectors) -> dict[str, Any]:
+    value_um = 1e3 * deviation.vector_mm
+    return {
+        name: {
+            "rms_um": float(np.sqrt(np.mean(value_um[:, k] ** 2))),
+            "largest_um": float(np.abs(value_um[:, k]).max()),
+            "uncertainty_um": float(np.sqrt(np.mean(deviation.sigma_um[:, k] ** 2))),
+        }
+        for k, name in enumerate(_DIRECTIONS)
+    }
+
+
+def _worst_json(found: Verification) -> dict[str, Any]:
+    """Return the places of the largest lengths."""
+    content: dict[str, Any] = {}
+    for name, one in (("measured", found.measured), ("deviation", found.deviation)):
+        worst = int(np.argmax(one.length_um))
+        content[name] = {
+            "row": int(found.places.row[worst]),
+            "position": found.places.at.position_mm[worst].tolist(),
+            "length_um": float(one.length_um[worst]),
+            "expanded_uncertainty_um": K * float(one.length_sigma_um[worst]),
+        }
+    return content
+
+
+def _line_json(one: LineFigures) -> dict[str, Any]:
+    return {
+        "axes": one.axes,
+        "standard": one.kind,
+        "from": one.begin_mm.tolist(),
+        "to": one.end_mm.tolist(),
+        "runs": one.runs,
+        "position_mm": one.position_mm.tolist(),
+        "forward_um": one.forward_um.tolist(),
+        "backward_um": one.backward_um.tolist(),
+        "figures_um": one.figures_um,
+        "uncertainty_um": one.uncertainty_um,
+        "by_the_noise_alone_um": one.own_um,
+        "predicted_um": one.predicted_um,
+    }
+
+
+def _circle_json(one: CircleFigures) -> dict[str, Any]:
+    return {
+        "plane": one.plane,
+        "standard": "iso-230-4",
+        "centre": one.centre_mm.tolist(),
+        "radius_mm": one.radius_mm,
+        "angle_deg": one.angle_deg.tolist(),
+        "radial_um": one.radial_um.tolist(),
+        "figures_um": one.figures_um,
+        "uncertainty_um": one.uncertainty_um,
+        "predicted_um": one.predicted_um,
+        "driven": "standstills on a polygon, in the senses that were commanded",
+    }
+
+
+def _places_json(found: Verification) -> dict[str, Any]:
+    at = found.places.at
+    return {
+        "row": found.places.row.tolist(),
+        "position": at.position_mm.tolist(),
+        "standstill": (at.line < 0).tolist(),
+        "measured_um": _um_rows(found.measured.vector_mm),
+        "measured_uncertainty_um": found.measured.sigma_um.tolist(),
+        "predicted_um": _um_rows(found.predicted.vector_mm),
+        "predicted_uncertainty_um": found.predicted.sigma_um.tolist(),
+        "deviation_um": _um_rows(found.deviation.vector_mm),
+    }
+
+
+def _left_out_json(one: LeftOut) -> dict[str, Any]:
+    return {
+        "cause": one.cause,
+        "row": one.row,
+        "from_s": _or_none(one.begin_s),
+        "to_s": _or_none(one.end_s),
+        "samples": one.samples,
+    }
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _um_rows(vector_mm: Float64[np.ndarray, "n 3"]) -> list[list[float]]:
+    return (1e3 * vector_mm).tolist()
+
+
+def _um(value: float) -> str:
+    return format_number(value, 2)

@@ -1,0 +1,91 @@
+"""Figures of ISO 230-2, -4 and -6, from deviations whose figures are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.results.driven_figures import evaluate_driven
+
+TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
+BEYOND = 10.0, 400.0
+RUNS = 5
+
+
+def places_at(machine, position):
+    return SimpleNamespace(at=make_standstill(machine, np.array(position)))
+
+
+def axis_runs(machine, start, direction):
+    """Return positions of five runs to and fro along a line, with both overruns."""
+    along = np.array([BEYOND[0], *TARGETS, BEYOND[1], *TARGETS[::-1]])
+    distance = np.append(np.tile(along, RUNS), BEYOND[0])
+    return np.array(start) + distance[:, None] * np.array(direction), distance
+
+
+def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9):
+    nothing = np.zeros_like(deviation_mm)
+    noise = noise_mm * rng.standard_normal((*deviation_mm.shape, 50))
+    return evaluate_driven(places_at(machine, position), deviation_mm, nothing, noise)
+
+
+def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
+    position, distance = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
+    came = np.sign(np.diff(distance, prepend=distance[0] - 1.0))
+    # 10 µm a metre, 3 µm of reversal, and runs that scatter by −1, 0 or 1 µm.
+    run = np.minimum(np.arange(len(distance)) // (2 * len(TARGETS) + 2), RUNS - 1)
+    scatter = np.array([-1.0, 1.0, 0.0, 1.0, -1.0])[run]
+    deviation = np.zeros((len(position), 3))
+    deviation[:, 0] = 1e-3 * (0.01 * distance + 1.5 * came + scatter)
+    found = evaluate(mill, position, deviation, rng).lines
+    assert [(one.axes, one.kind, one.runs) for one in found] == [("X", "iso-230-2", 5)]
+    figures = found[0].figures_um
+    assert found[0].position_mm == pytest.approx(TARGETS - BEYOND[0])
+    assert figures["B"] == pytest.approx(3.0, abs=1e-6)
+    assert figures["M"] == pytest.approx(3.7, abs=1e-6)
+    assert figures["E"] == pytest.approx(6.7, abs=1e-6)
+    s = np.std([-1.0, 1.0, 0.0, 1.0, -1.0], ddof=1)
+    assert figures["R"] == pytest.approx(4.0 * s + 3.0, abs=1e-6)
+    assert figures["A"] == pytest.approx(6.7 + 4.0 * s, abs=1e-6)
+
+
+def test_what_the_tracker_scatters_is_said_beside_repeatability(mill, rng):
+    position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
+    still = np.zeros((len(position), 3))
+    (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).lines
+    assert found.figures_um["R"] == 0.0
+    assert 4.0 < found.own_um["R"] < 9.0
+    assert found.own_um["E"] < found.own_um["A"]
+
+
+def test_a_line_of_three_axes_is_a_diagonal(mill, rng):
+    position, distance = axis_runs(mill, (0.0, 0.0, -300.0), (0.6, 0.48, 0.64))
+    deviation = 1e-5 * distance[:, None] * np.array([0.6, 0.48, 0.64])
+    (found,) = evaluate(mill, position, deviation, rng).lines
+    assert (found.axes, found.kind) == ("XYZ", "iso-230-6")
+    assert found.figures_um["E"] == pytest.approx(3.7, abs=1e-3)
+
+
+def test_scattered_points_are_no_line(mill, rng):
+    position = rng.uniform((0.0, 0.0, -300.0), (500.0, 400.0, 0.0), (40, 3))
+    found = evaluate(mill, position, np.zeros((40, 3)), rng)
+    assert found.lines == ()
+    assert found.circles == ()
+
+
+def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
+    angle = np.linspace(0.0, 2.0 * np.pi, 25)
+    angle = np.concatenate([angle, angle[::-1]])
+    out = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    position = np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
+    deviation = np.zeros_like(position)
+    deviation[:, 0] = 4e-3 * out[:, 0]  # X 40 µm a metre too long
+    found = evaluate(mill, position, deviation, rng)
+    (circle,) = found.circles
+    assert found.lines == ()
+    assert circle.plane == "XY"
+    assert circle.radius_mm == pytest.approx(100.0, abs=1e-3)
+    assert circle.figures_um["G"] == pytest.approx(4.0, abs=0.05)
+    assert circle.figures_um["F_max"] == pytest.approx(4.0, abs=0.01)
+    assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)

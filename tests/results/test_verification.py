@@ -1,0 +1,193 @@
+"""A result against measurements it was not made from, of a machine that is known."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from truepath.app.errors import BadInput
+from truepath.app.files.result_file import result_from_json
+from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.results.analysis import analyse
+from truepath.app.results.measured_places import correlate_means
+from truepath.app.results.result_json import result_json
+from truepath.app.results.verification import predict_displacement, verify
+from truepath.app.results.verification_json import state_findings, verification_json
+from truepath.simulators import synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.truth_machine import TruthMachine
+
+MACHINE = 1
+POINTS = 30
+TOLERANCE_UM = 5.0
+
+
+@pytest.fixture(scope="module")
+def calibrated(record):
+    """The result of a measurement, as its file is read."""
+    run, _ = record(MACHINE, rows=24)
+    return result_from_json(json.loads(json.dumps(result_json(analyse(run)))))
+
+
+@pytest.fixture(scope="module")
+def remeasured(record):
+    """Measure the machine again, from elsewhere; as it is or as another one."""
+
+    def measured(seed, mode="standstill", truth=None):
+        setting = synthetic.Setting(machine_seed=MACHINE, truth=truth)
+        rows = POINTS if mode == "standstill" else 14
+        return record(seed, mode, rows=rows, feed=6000.0, setting=setting)
+
+    return measured
+
+
+@dataclass(frozen=True)
+class Compensated(TruthMachine):
+    """A machine whose controller adds to commanded positions."""
+
+    correction: object = None
+
+    def point_mm(self, q, reflector, frame="workpiece", carry=None):
+        moved = q + self.correction(q)
+        return TruthMachine.point_mm(self, moved, reflector, frame, carry)
+
+
+def truth_with(sign, result):
+    """Return the machine whose controller adds so many times the stated error."""
+    truth = random_machine(parse_machine(load_machine("demo")), MACHINE)
+
+    def add(q):
+        return sign * predict_displacement(result, make_standstill(result.machine, q))
+
+    return Compensated(truth.machine, truth.joints, truth.squareness_rad, add)
+
+
+def leave(sign, result):
+    """Return what such a controller adds, as verification takes it."""
+    return lambda at: (
+        sign
+        * predict_displacement(result, make_standstill(result.machine, at.position_mm))
+    )
+
+
+def leaned(urad):
+    """Return the machine with Y out of square to X by so much more."""
+    truth = random_machine(parse_machine(load_machine("demo")), MACHINE)
+    y = truth.joints["Y"]
+    turned = np.array(y.direction) + 1e-6 * urad * np.array([-1.0, 0.0, 0.0])
+    joints = {**truth.joints, "Y": replace(y, direction=tuple(turned.tolist()))}
+    return replace(truth, joints=joints)
+
+
+@pytest.mark.parametrize("mode", ["standstill", "otf"])
+def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured, mode):
+    run, _ = remeasured(101, mode)
+    found = verify(calibrated, run, tolerance_um=TOLERANCE_UM)
+    assert found.consistency.is_consistent
+    assert found.consistency.fits_together
+    assert found.consistency.share_within > 0.85
+    assert found.conformity["deviation"].conformity == "within"
+    assert found.conformity["measured"].conformity == "outside"
+    assert found.scale.value == pytest.approx(1.0, abs=0.03)
+    largest = max(one.value_um for one in found.statistics["deviation"].values())
+    assert largest < 3.0
+
+
+def test_the_volumetric_error_as_measured_is_that_of_the_machine(
+    calibrated, remeasured, rigid_free
+):
+    run, truth = remeasured(102)
+    found = verify(calibrated, run)
+    position = found.places.at.position_mm
+    point = found.places.at.point_mm
+    length = 1e3 * np.linalg.norm(
+        rigid_free(point, truth.deviation_mm(position)), axis=1
+    )
+    for name, value in (
+        ("mean", length.mean()),
+        ("p95", np.quantile(length, 0.95)),
+        ("largest", length.max()),
+    ):
+        stated = found.statistics["measured"][name]
+        assert abs(stated.value_um - value) < 3.0 * stated.uncertainty_um
+
+
+def test_stated_uncertainties_hold_the_deviations_at_their_rate(calibrated, remeasured):
+    found = [verify(calibrated, remeasured(seed)[0]) for seed in range(110, 118)]
+    within = np.mean([one.consistency.share_within for one in found])
+    assert 0.88 <= within <= 0.99  # of 95 %; one calibration stands behind all
+    assert sum(one.consistency.is_consistent for one in found) >= 7
+
+
+def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, remeasured):
+    run, _ = remeasured(103, truth=leaned(40.0))  # 16 µm over the travel of Y
+    found = verify(calibrated, run, tolerance_um=3.0)
+    assert found.conformity["deviation"].conformity == "outside"
+    assert not found.consistency.is_consistent
+    assert found.consistency.fits_together  # some machine does so: not the tracker
+    assert any("a machine that has changed" in s for s in state_findings(found))
+
+
+def test_a_change_that_the_uncertainty_hides_is_not_decided(calibrated, remeasured):
+    run, _ = remeasured(104, truth=leaned(40.0))
+    length = verify(calibrated, run).deviation.length_um.max()
+    found = verify(calibrated, run, tolerance_um=float(length) - 0.3)
+    assert found.conformity["deviation"].conformity == "undecided"
+
+
+def test_a_compensated_machine_is_left_with_what_is_stated(calibrated, remeasured):
+    run, _ = remeasured(105, truth=truth_with(-1.0, calibrated))
+    found = verify(
+        calibrated, run, tolerance_um=8.0, correction=leave(-1.0, calibrated)
+    )
+    assert found.conformity["measured"].conformity == "within"
+    assert found.consistency.is_consistent
+    assert abs(found.scale.value) < 0.03
+    assert found.statistics["measured"]["mean"].value_um < 1.5
+
+
+def test_a_compensation_of_the_wrong_sign_is_named(calibrated, remeasured):
+    run, _ = remeasured(106, truth=truth_with(1.0, calibrated))
+    found = verify(calibrated, run, correction=leave(-1.0, calibrated))
+    assert found.scale.value == pytest.approx(2.0, abs=0.03)
+    assert not found.consistency.is_consistent
+    assert any("wrong sign" in sentence for sentence in state_findings(found))
+
+
+def test_a_compensation_that_is_not_active_is_named(calibrated, remeasured):
+    found = verify(calibrated, remeasured(101)[0], correction=leave(-1.0, calibrated))
+    assert any("is not active" in sentence for sentence in state_findings(found))
+
+
+def test_a_result_is_not_verified_by_its_own_measurement(calibrated, record):
+    with pytest.raises(BadInput, match="was made from this measurement"):
+        verify(calibrated, record(MACHINE, rows=24)[0])
+
+
+def test_the_file_says_what_was_found(calibrated, remeasured):
+    found = verify(calibrated, remeasured(101)[0], tolerance_um=TOLERANCE_UM)
+    content = json.loads(json.dumps(verification_json(found), allow_nan=False))
+    assert content["schema"] == "verification/1"
+    assert content["conformity"]["deviation"]["conformity"] == "within"
+    places = content["places"]
+    assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
+    difference = content["difference_um"]["mean"]
+    assert difference["within"]
+    assert difference["value"] == pytest.approx(
+        content["volumetric_error_um"]["measured"]["mean"]
+        - content["volumetric_error_um"]["predicted"]["mean"]
+    )
+
+
+def test_means_of_correlated_noise_are_correlated_as_their_samples_are(rng):
+    tau_s, step_s, samples = 0.7, 0.01, 60
+    time_s = step_s * (np.arange(4 * samples) + 0.5)
+    covariance = np.exp(-np.abs(time_s[:, None] - time_s) / tau_s)
+    mean = np.kron(np.eye(4), np.full((1, samples), 1.0 / samples))
+    expected = mean @ covariance @ mean.T
+    span = np.full(4, step_s * samples)
+    found = correlate_means(mean @ time_s, span, tau_s)
+    np.testing.assert_allclose(found, expected, atol=2e-3)
