@@ -18,6 +18,7 @@ from truepath.app.api.models.job import (
     JobLinks,
     JobOut,
     JobPage,
+    ReanalysisLinks,
     ResultLinks,
     Stopped,
     TrendLinks,
@@ -196,6 +197,7 @@ def describe_job(job: Job) -> JobOut:
         result=ResultLinks.of(id=job.id) if job.has_result else None,
         discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
         trend=TrendLinks.of(id=job.id) if job.has_trend else None,
+        reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
         error=Problem(**describe_failure(failure)) if failure else None,
         links=JobLinks.of(id=job.id, run_id=job.run_id),
     )

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse
 
 from truepath.app.api.models.base import Identifier, TargetUm
+from truepath.app.api.models.reanalysis import ReanalysisOut
 from truepath.app.api.models.trend import TrendOut
 from truepath.app.api.models.volumetric_error import (
     SpreadOut,
@@ -20,6 +21,7 @@ from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.errors import NotFound
 from truepath.app.files.verdict import Verdict, verdict_from_json, verdict_json
+from truepath.app.jobs.reanalysis import RUNS, SUMMARY
 from truepath.app.results.conformity import decide_conformity
 
 router = APIRouter(prefix="/jobs", tags=["results"])
@@ -193,6 +195,27 @@ def get_trend_report(job_id: str, service: ServiceDep) -> FileResponse:
     return _send_page(_find_file(service, job_id, "report.html", of="trend"))
 
 
+@router.get(
+    "/{job_id}/reanalysis",
+    response_model=ReanalysisOut,
+    responses=declare_problems(404),
+)
+def get_reanalysis(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return what has become of every Run: before, after, or why it failed."""
+    return FileResponse(_find_file(service, job_id, SUMMARY, of="reanalysis"))
+
+
+@_serve_file("/{job_id}/reanalysis/runs/{run_id}", "application/json", "object")
+def get_reanalysed_run(job_id: str, run_id: str, service: ServiceDep) -> FileResponse:
+    """Return the `result.json` of one Run of a reanalysis."""
+    record = service.runs.get(run_id)
+    summary = _find_file(service, job_id, SUMMARY, of="reanalysis")
+    file = summary.parent / RUNS / record.id / "result.json"
+    if not file.is_file():
+        raise NotFound(f"reanalysis {job_id} has no result of run {run_id}")
+    return FileResponse(file)
+
+
 def _send_page(report: Path) -> FileResponse:
     return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
@@ -224,6 +247,7 @@ def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> 
         "result": job.has_result,
         "discovery": job.has_discovery,
         "trend": job.has_trend,
+        "reanalysis": job.has_reanalysis,
     }
     if not made[of] or not file.is_file():
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")

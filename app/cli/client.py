@@ -23,12 +23,14 @@ Json = dict[str, Any]
 class Client:
     """Speaks to one service at `http://host:port`.
 
+    token : an API key, where the service asks for a log-in
+
     Raises JobError: in the words of the service's problem where it refuses, naming the
     address where nobody answers.
     """
 
-    def __init__(self, address: str) -> None:
-        self.address = address.rstrip("/")
+    def __init__(self, address: str, token: str = "") -> None:
+        self.address, self._token = address.rstrip("/"), token
         self._host = urlsplit(self.address).netloc
 
     def get(self, path: str) -> Json:
@@ -66,6 +68,8 @@ class Client:
         self, method: str, path: str, body: Json | None, version: int | None
     ) -> Json:
         headers = {"Content-Type": "application/json"}
+        if self._token:
+            headers["Authorization"] = f"Bearer {self._token}"
         if version is not None:
             headers["If-Match"] = f'"{version}"'
         connection = HTTPConnection(self._host, timeout=_TIMEOUT_S)

@@ -20,6 +20,7 @@ from truepath.app.cli import (
     import_command,
     operation_commands,
     planning_commands,
+    reanalyse_command,
     result_commands,
     service_commands,
     tls_commands,
@@ -93,6 +94,7 @@ app.command()(result_commands.compare)
 app.command()(verification_commands.verify)
 app.command()(result_commands.export)
 app.command()(trend_commands.trend)
+app.command()(reanalyse_command.reanalyse)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)

@@ -17,7 +17,7 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.event_bus import EventBus
-from truepath.app.jobs.executor import Computation
+from truepath.app.jobs.executor import Computing
 from truepath.app.jobs.job import (
     Failure,
     Health,
@@ -68,7 +68,7 @@ class ActiveJob:
         self._armed = self._aborted = self._interrupted = False
         self.wants_cancel = False
         self._wish: OnNotice | None = None
-        self._computation: Computation | None = None
+        self._computation: Computing | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
         self._unstored: tuple[State | None, Failure] | None = None
@@ -141,7 +141,7 @@ class ActiveJob:
             self._armed = False
         self.checkpoint()
 
-    def compute(self, computation: Computation) -> Any:
+    def compute(self, computation: Computing) -> Any:
         """Wait for a computation; it is cancelled when the job is."""
         with self._changed:
             self._computation = computation

@@ -28,6 +28,7 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.job import Failure, Job, JobKind, Json, Stage, format_file_time
+from truepath.app.jobs.reanalysis import SUMMARY
 from truepath.app.jobs.run_reader import RunReader
 from truepath.app.jobs.runs import RunCatalogue, RunRecord
 from truepath.app.jobs.store import Store
@@ -36,7 +37,12 @@ from truepath.app.results.model_history import DISCOVERY, MODEL, RESULT
 
 TREND = "trend.json"
 _KNOWN_POINTS = ", known points, "  # in the names of Runs that check a station
-_KINDS = {RESULT: JobKind.ANALYSE, DISCOVERY: JobKind.DISCOVER, TREND: JobKind.TREND}
+_KINDS = {
+    RESULT: JobKind.ANALYSE,
+    DISCOVERY: JobKind.DISCOVER,
+    TREND: JobKind.TREND,
+    SUMMARY: JobKind.REANALYSE,
+}
 
 
 @dataclass(frozen=True, slots=True)

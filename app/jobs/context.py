@@ -14,7 +14,12 @@ from truepath.app.jobs.live_process import LiveEstimateOrder
 from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.plan_orders import plan_measurement
 from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.science import check_station, discover_recorded, follow_recorded
+from truepath.app.jobs.science import (
+    check_station,
+    discover_recorded,
+    follow_recorded,
+    reanalyse_run,
+)
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.jobs.workers import Workers
@@ -27,8 +32,9 @@ class JobContext:
 
     machines : those that the service drives
     driven : that of the job; None of a job that drives and plans for none
-    planner, science, discoverer, follower, checker : called as `plan_measurement`,
-        `analyse_recorded`, `discover_recorded`, `follow_recorded`, `check_station`
+    planner, science, discoverer, follower, checker, reanalyser : called as
+        `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
+        `check_station`, `reanalyse_run`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
     confirm_s : time in which the cell has to confirm each state
@@ -49,6 +55,7 @@ class JobContext:
     discoverer: Task = discover_recorded
     follower: Task = follow_recorded
     checker: Task = check_station
+    reanalyser: Task = reanalyse_run
 
     def of_machine(self, machine_id: str | None) -> JobContext:
         """Return it for a job on a machine; without a name on the only one.

@@ -176,9 +176,11 @@ class Database:
         file = self.file
         if file is None:
             return
-        copy = file.with_name(
-            f"{file.stem}.before-{revision}-{int(time.time())}.sqlite"
-        )
+        stamp = int(time.time())
+        while (
+            copy := file.with_name(f"{file.stem}.before-{revision}-{stamp}.sqlite")
+        ).exists():
+            stamp += 1  # tried again within a second
         with self.engine.connect() as connection:
             raw = connection.execution_options(isolation_level="AUTOCOMMIT")
             raw.execute(text("VACUUM INTO :copy"), {"copy": str(copy)})

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Protocol
 
 import structlog
 
@@ -43,7 +43,7 @@ class ProcessExecutor:
     def __init__(
         self, count: int = 1, prepare: Callable[[], None] | None = None
     ) -> None:
-        self._prepare = prepare
+        self.count, self._prepare = count, prepare
         self._changed = threading.Condition()
         self._free: list[WorkerProcess | None] = [None] * count  # None: not started
         self._busy: set[WorkerProcess] = set()
@@ -107,6 +107,16 @@ class ProcessExecutor:
         return WorkerProcess(
             "worker", niceness=BACKGROUND_NICENESS, prepare=self._prepare
         )
+
+
+class Computing(Protocol):
+    """What is under way in worker processes: one task, or many."""
+
+    def result(self) -> Any:
+        """Wait for what comes of it. Raises Aborted once it is cancelled."""
+
+    def cancel(self) -> None:
+        """End it now. Idempotent, any thread."""
 
 
 @dataclass(eq=False, slots=True)

@@ -27,7 +27,7 @@ class JobKind(StrEnum):
 
     `PLAN` chooses what a measuring job may drive. `MEASURE_EXTRA` drives the lines that
     a discovery asks for and ends with a discovery in all their Runs. `TREND` follows a
-    machine over Runs.
+    machine over Runs. `REANALYSE` analyses many Runs again, each for itself.
     """
 
     MEASURE_OTF = "measure-otf"
@@ -37,6 +37,7 @@ class JobKind(StrEnum):
     ANALYSE = "analyse"
     DISCOVER = "discover"
     TREND = "trend"
+    REANALYSE = "reanalyse"
     PLAN = "plan"
 
     @property
@@ -231,6 +232,11 @@ class Job:
     def has_trend(self) -> bool:
         """Whether it has followed a machine over time."""
         return self.state is State.SUCCEEDED and self.kind is JobKind.TREND
+
+    @property
+    def has_reanalysis(self) -> bool:
+        """Whether it has analysed its Runs again, or said why not."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,8 @@ class RequestedJob:
     discovery_id : of the job whose discovery asks for the extra lines to drive
     continues : job whose stations are measured that it has left out
     plan_request : what is asked of a plan or an adaptive measurement, as
-        `plan_orders` states it, or of a trend, as `Question.of` reads it
+        `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
+        reanalysis `since`, where it names no Runs
     on_notice : what is done where the live estimate notices a change
     machine : that is measured or planned for; without it the only one, or that of
         the plan, job or discovery that is named
@@ -108,6 +109,10 @@ def _make_driving_job(request: RequestedJob, context: JobContext) -> tuple[Job, 
 
 
 def _make_computing_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
+    if request.kind is JobKind.REANALYSE:
+        order = {"run_ids": _choose_runs(request, context)}
+        only = request.perpendicular_only
+        return Job(request.kind, perpendicular_only=only), {"request": order}
     first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
     if request.kind is JobKind.TREND:
         _check_order_of_time(request, context)
@@ -119,6 +124,26 @@ def _make_computing_job(request: RequestedJob, context: JobContext) -> tuple[Job
         monte_carlo=request.monte_carlo,
     )
     return job, {"request": _make_plan_order(request, context)}
+
+
+def _choose_runs(request: RequestedJob, context: JobContext) -> list[str]:
+    """Return the Runs to analyse again. Raises NotFound, BadInput where none is."""
+    if request.run_ids:
+        found = context.runs.find(request.run_ids)
+        missing = [run_id for run_id in request.run_ids if run_id not in set(found)]
+        if missing:
+            raise NotFound(f"there is no run {missing[0]}")
+        return found
+    since, name = (request.plan_request or {}).get("since"), None
+    if request.machine is not None:
+        name = context.machines.get(request.machine).machine.name
+    found = context.runs.list_of_machine(name, since)
+    if not found:
+        raise NotFound(
+            f"there is no Run of {name or 'any machine'}"
+            f"{f' since {since}' if since else ''}"
+        )
+    return found
 
 
 def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:

@@ -173,6 +173,16 @@ class RunCatalogue:
             known = set(connection.execute(query).scalars())
         return [i for i in run_ids if i in known]
 
+    def list_of_machine(self, machine: str | None, since: datetime | None) -> list[str]:
+        """Return the Runs of a machine since a time, the oldest first; None: of all."""
+        query = select(runs.c.id).order_by(runs.c.id)
+        if machine is not None:
+            query = query.where(runs.c.machine == machine)
+        if since is not None:
+            query = query.where(runs.c.created >= format_utc(since))
+        with self._database.read() as connection:
+            return list(connection.execute(query).scalars())
+
     def list_page(
         self, limit: int, *, before_seq: int | None = None
     ) -> list[RunRecord]:

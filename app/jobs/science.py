@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from truepath.app.errors import AlignmentError
+from truepath.app.errors import AlignmentError, TruepathError
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import State
-from truepath.app.files.whole_files import sync_to_disk
+from truepath.app.files.whole_files import sync_to_disk, write_files
 from truepath.app.jobs.job import Json
+from truepath.app.jobs.reanalysis import RunOrder, figures_of, keep_outcome
 from truepath.app.jobs.workers import Workers, open_workers
 from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.numerics.adaptive_trials import TrialPlan
@@ -64,6 +66,33 @@ def analyse_recorded(
     _replace(Path(folder), lambda part: write_analysis(analysis, part))
     on_progress(1.0, "reporting")
     return findings.verdict.state
+
+
+def reanalyse_run(
+    order: RunOrder, perpendicular_only: bool, *, on_progress: Progress
+) -> None:
+    """Analyse one Run and keep its result, or why there is none, with its outcome."""
+    # Imported where it computes: the service itself carries no science and no plots.
+    from truepath.app.files.file_model import encode_json
+    from truepath.app.results.analysis import analyse
+    from truepath.app.results.error_table_files import error_tables_csv
+    from truepath.app.results.result_json import result_json
+
+    begun_s = time.monotonic()
+    try:
+        findings = analyse(
+            open_recorded(Path(order.file)), perpendicular_only=perpendicular_only
+        )
+        result = result_json(findings)
+        tables = error_tables_csv(findings.tables, findings.verdict)
+    except TruepathError as error:
+        keep_outcome(order, failure=(type(error).__name__, str(error)))
+        return
+    files = {"error_tables.csv": tables.encode(), "result.json": encode_json(result)}
+    write_files(Path(order.folder), files)
+    took_s = time.monotonic() - begun_s
+    keep_outcome(order, after=figures_of(result), took_s=took_s)
+    on_progress(1.0, "reporting")
 
 
 def discover_recorded(

@@ -111,6 +111,18 @@ class Store:
 
         return self._database.write(change)
 
+    def find_analyses_of_one(self) -> dict[str, str]:
+        """Return, by Run, the newest job with a result of that Run alone."""
+        query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
+        query = query.where(jobs.c.state == str(State.SUCCEEDED))
+        found: dict[str, str] = {}
+        with self._database.read() as connection:
+            for row in connection.execute(query.order_by(jobs.c.seq)).mappings():
+                is_alone = row["run_id"] and not row["further_run_ids"]
+                if is_alone and JobKind(row["kind"]).analyses:
+                    found[row["run_id"]] = row["id"]
+        return found
+
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:

@@ -31,6 +31,7 @@ from truepath.app.jobs.executor import Task
 from truepath.app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
 from truepath.app.jobs.notices import add_to_result
 from truepath.app.jobs.plan_orders import order_first_part
+from truepath.app.jobs.reanalysis import Reanalysis, list_orders, write_summary
 from truepath.app.jobs.station_steps import StationSteps, begin_at_station
 from truepath.app.jobs.transitions import State, Verb
 from truepath.app.motion.configurations import Commanded
@@ -150,6 +151,8 @@ class _JobSteps:
             self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
         if job.kind is JobKind.TREND:
             self._follow()
+        if job.kind is JobKind.REANALYSE:
+            self._reanalyse()
 
     def _plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
@@ -213,6 +216,31 @@ class _JobSteps:
             State.RUNNING, Stage.ESTIMATING, context.follower, *told
         )
         self.active.store_values(verdict=verdict)
+
+    def _reanalyse(self) -> None:
+        """Analyse many Runs, each for itself, and write what has changed."""
+        context, job = self.context, self.job
+        folder = context.results / job.id
+        orders = list_orders(
+            context.store.read_plan_request(job.id)["run_ids"],
+            folder,
+            runs=context.runs,
+            store=context.store,
+            results=context.results,
+        )
+        reanalysis = Reanalysis(
+            context.executor,
+            context.reanalyser,
+            orders,
+            (job.perpendicular_only,),
+            started=lambda: self.active.enter(State.RUNNING, Stage.ESTIMATING),
+            report=self.active.report_progress,
+        )
+        outcomes = self.active.compute(reanalysis)
+        self.active.checkpoint()
+        # Where all was done before the service ended, no task has begun.
+        self.active.enter(State.RUNNING, Stage.ESTIMATING)
+        write_summary(folder, outcomes)
 
     def _find_model(self) -> tuple[str | None, str | None]:
         """Return file and identifier of the model that the job builds on, if any."""

@@ -273,6 +273,8 @@ class ScriptedLive:
 class Inline:
     """Computes in the thread that waits for the result."""
 
+    count = 1
+
     def __init__(self):
         self.closed = False
 

@@ -56,6 +56,12 @@ class TrendLinks(Links):
     report_html: Annotated[str, "/jobs/{id}/trend/report.html"]
 
 
+class ReanalysisLinks(Links):
+    """Where the summary of many Runs is."""
+
+    reanalysis: Annotated[str, "/jobs/{id}/reanalysis"]
+
+
 class JobLinks(Links):
     """Where else to look."""
 
@@ -189,6 +195,9 @@ class JobOut(BaseModel):
     )
     trend: TrendLinks | None = Field(
         description="Of a job of kind trend that has succeeded."
+    )
+    reanalysis: ReanalysisLinks | None = Field(
+        None, description="Of a job of kind reanalyse that has succeeded."
     )
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."

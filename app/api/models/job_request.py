@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AwareDatetime, ConfigDict, Field, model_validator
 
 from truepath.app.api.models.base import (
     JOB_ID,
@@ -25,7 +25,7 @@ from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.motion.commanded_rows import MAX_ROWS
 from truepath.app.numerics.adaptive_trials import TrialPlan
 
-MAX_RUNS = 50
+MAX_RUNS, MAX_REANALYSED = 50, 10_000
 ADAPTIVE_MINUTES = 10.0
 _MEASURED = {"machine", "plan_id", "target_um", "model_id", "continues", "on_notice"}
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
@@ -37,6 +37,7 @@ _ALLOWED = {
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
+    "reanalyse": {"run_ids", "machine", "since"},
 }
 
 
@@ -71,6 +72,12 @@ class JobRequest(RequestBody):
                     "limit_um": 5,
                 },
                 {"kind": "measure-extra", "discovery_id": JOB_ID},
+                {"kind": "reanalyse", "run_ids": [JOB_ID, OTHER_ID]},
+                {
+                    "kind": "reanalyse",
+                    "machine": "mill-3",
+                    "since": "2026-01-31T08:00:00Z",
+                },
                 {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
@@ -91,11 +98,13 @@ class JobRequest(RequestBody):
         "analyse",
         "discover",
         "trend",
+        "reanalyse",
     ]
     machine: MachineId | None = Field(
         None,
-        description="The machine to measure. May be left out where the service drives "
-        "only one, or where a plan, a job or a discovery is named.",
+        description="The machine to measure, or whose Runs to analyse again. May be "
+        "left out where the service drives only one, or where a plan, a job or a "
+        "discovery is named.",
     )
     run_id: Identifier | None = Field(
         None, description="The Run to analyse, or to discover in."
@@ -103,9 +112,15 @@ class JobRequest(RequestBody):
     run_ids: list[Identifier] | None = Field(
         None,
         min_length=1,
-        max_length=MAX_RUNS,
+        max_length=MAX_REANALYSED,
         description="Runs of one machine, of either mode, to analyse together; in "
-        "place of run_id. Of a trend two or more, in the order of time.",
+        "place of run_id: 50 at most. Of a trend two or more, in the order of time. Of "
+        "a reanalysis up to 10 000 of any machine, each analysed for itself.",
+    )
+    since: AwareDatetime | None = Field(
+        None,
+        description="Of a reanalysis, in place of run_ids: Runs created not before; "
+        "with `machine` those of one.",
     )
     at_h: list[Hours] | None = Field(
         None,
@@ -205,6 +220,10 @@ class JobRequest(RequestBody):
             raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
         if self.kind == "trend" and len(self.run_ids or ()) < 2:
             raise ValueError("a job of kind trend needs run_ids, two or more")
+        if self.kind == "reanalyse":
+            self._require_runs_to_reanalyse()
+        elif len(self.run_ids or ()) > MAX_RUNS:
+            raise ValueError(f"run_ids names more than {MAX_RUNS} Runs")
         if self.kind == "measure-extra" and self.discovery_id is None:
             raise ValueError("a job of kind measure-extra needs a discovery_id")
         again = self.on_notice in (OnNotice.CHECK, OnNotice.REPLAN)
@@ -233,6 +252,14 @@ class JobRequest(RequestBody):
             raise ValueError("run_ids names a Run twice; give each once")
         return self
 
+    def _require_runs_to_reanalyse(self) -> None:
+        chosen = self.machine is not None or self.since is not None
+        if chosen == (self.run_ids is not None):
+            raise ValueError(
+                "a job of kind reanalyse needs run_ids, or in their place a machine, "
+                "since when, or both"
+            )
+
     def to_requested_job(self) -> RequestedJob:
         """Return the request as the dispatcher takes it."""
         rows, trials = self.path or self.points, self.monte_carlo
@@ -243,6 +270,8 @@ class JobRequest(RequestBody):
             order["perpendicular_only"] = self.perpendicular_only
         if self.kind == "trend":
             order = self.model_dump(include=_OF_TREND)
+        if self.kind == "reanalyse":
+            order = {"since": self.since}
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id", "continues", "machine")
         return RequestedJob(

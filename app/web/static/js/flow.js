@@ -12,6 +12,7 @@ export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
 export const isExtra = (job) => job?.kind === "measure-extra";
 export const isDiscovery = (job) => job?.kind === "discover" || isExtra(job);
 export const isTrend = (job) => job?.kind === "trend";
+export const isReanalysis = (job) => job?.kind === "reanalyse";
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);
@@ -28,6 +29,7 @@ export const rowsNow = (plan, job) =>
 export function stepOf(job) {
   if (!job) return "connect";
   if (job.state === "succeeded" && isTrend(job)) return "trend";
+  if (job.state === "succeeded" && isReanalysis(job)) return "run";
   if (job.state === "succeeded") return isDiscovery(job) ? "discover" : "result";
   if (isMeasuring(job) && BEFORE_MOTION.has(job.state)) return "check";
   return "run";

@@ -1,0 +1,161 @@
+"""A data folder of an earlier version, opened by this one and by the next."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import sys
+import zipfile
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from alembic.script import ScriptDirectory
+from starlette.testclient import TestClient
+
+from truepath.app.api.application import create_application
+from truepath.app.jobs import database as database_module
+from truepath.app.main import open_service
+from truepath.app.operation.backup import make_backup, restore_backup
+from truepath.app.settings import load_settings
+from truepath.app.users.roles import Role
+
+sys.path.append(str(Path(__file__).parent / "data"))
+from make_data_folder import PASSWORD
+
+FIXTURE = Path(__file__).parent / "data" / "data_folder_v0009.zip"
+NEXT = '''
+"""The next version."""
+import sqlalchemy as sa
+from alembic import op
+
+revision, down_revision = "9999", "{head}"
+branch_labels = depends_on = None
+
+
+def upgrade() -> None:
+    op.create_table("notes", sa.Column("id", sa.Integer, primary_key=True))
+    with op.batch_alter_table("jobs") as jobs:
+        jobs.add_column(sa.Column("note", sa.String(10), nullable=True))
+    op.execute("DELETE FROM events")
+    {then}
+
+
+def downgrade() -> None:
+    raise NotImplementedError
+'''
+
+
+@pytest.fixture(scope="module", autouse=True)
+def logged_plainly(plain_log):
+    """Plain traces."""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The data folder of schema 0009."""
+    with zipfile.ZipFile(FIXTURE) as archive:
+        archive.extractall(tmp_path / "data")
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def next_version(tmp_path, monkeypatch):
+    """Let the code have one more migration, which ends as a test says."""
+
+    def make(then="pass"):
+        migrations = tmp_path / "migrations"
+        shutil.copytree(database_module._MIGRATIONS, migrations)
+        head = ScriptDirectory(str(migrations)).get_current_head()
+        text = NEXT.format(head=head, then=then)
+        (migrations / "versions" / "v9999_next.py").write_text(text)
+        monkeypatch.setattr(database_module, "_MIGRATIONS", migrations)
+
+    return make
+
+
+def dump(file):
+    with closing(sqlite3.connect(file)) as database:
+        return list(database.iterdump())
+
+
+def read_revision(file):
+    with closing(sqlite3.connect(file)) as database:
+        (revision,) = database.execute("SELECT version_num FROM alembic_version")
+        return revision[0]
+
+
+def require_all(folder):
+    """Read everything that the folder holds over REST."""
+    settings = load_settings(data_dir=folder, port=0)
+    with (
+        open_service(settings) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        items = client.get("/api/v1/jobs").json()["items"]
+        jobs = {job["kind"]: job for job in items}
+        assert {kind: job["state"] for kind, job in jobs.items()} == {
+            "analyse": "succeeded",
+            "measure-standstill": "aborted",
+            "plan": "failed",
+        }
+        assert jobs["plan"]["error"]["detail"] == "no time"
+        result = client.get(jobs["analyse"]["result"]["result"]).json()
+        assert result["schema"] == "result/1"
+        tables = client.get(jobs["analyse"]["result"]["error_tables_json"]).json()
+        assert "EXX" in tables["error_tables"]
+        runs = client.get("/api/v1/runs").json()["items"]
+        assert {run["origin"] for run in runs} == {"measured", "uploaded"}
+        for run in runs:
+            packed = client.get(f"/api/v1/runs/{run['id']}/bundle")
+            assert packed.headers["content-type"] == "application/zip"
+        assert client.get("/api/v1/users").json()["items"][0]["name"] == "ada"
+        assert client.get("/api/v1/keys").json()["items"][0]["name"] == "gauge-7"
+        audit = client.get("/api/v1/audit").json()["items"]
+        assert {row["request_id"] for row in audit} >= {"r0", "r1", "r2"}
+        token, actor = service.access.log_in("ada", PASSWORD, "127.0.0.1")
+        assert token
+        assert actor.role is Role.ADMINISTRATOR
+        assert service.access.audit_log.verify() == []
+
+
+def test_everything_of_schema_0009_is_read_by_this_version(folder):
+    require_all(folder)
+    copies = list(folder.glob("catalogue.before-0009-*.sqlite"))
+    migrated = read_revision(folder / "catalogue.sqlite") != "0009"
+    assert len(copies) == migrated
+
+
+def test_the_next_version_migrates_it_and_keeps_a_copy_of_before(folder, next_version):
+    before = dump(folder / "catalogue.sqlite")
+    next_version()
+    require_all(folder)
+    assert read_revision(folder / "catalogue.sqlite") == "9999"
+    (copy,) = folder.glob("catalogue.before-0009-*.sqlite")
+    assert dump(copy) == before
+
+
+def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
+    folder, next_version, monkeypatch
+):
+    before = dump(folder / "catalogue.sqlite")
+    own = database_module._MIGRATIONS
+    next_version('raise RuntimeError("midway")')
+    with pytest.raises(RuntimeError, match="midway"):
+        require_all(folder)
+    assert dump(folder / "catalogue.sqlite") == before
+    assert read_revision(folder / "catalogue.sqlite") == "0009"
+    monkeypatch.setattr(database_module, "_MIGRATIONS", own)
+    require_all(folder)
+
+
+def test_a_backup_of_schema_0009_is_restored_by_the_next_version(
+    folder, next_version, tmp_path
+):
+    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
+    next_version()
+    target = tmp_path / "elsewhere"
+    kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
+    assert kept.revision == "0009"
+    assert read_revision(target / "catalogue.sqlite") == "9999"
+    require_all(target)
