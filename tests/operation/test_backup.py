@@ -7,8 +7,10 @@ import shutil
 import sys
 import zipfile
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -19,7 +21,7 @@ from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.jobs.errors import InUse
 from truepath.app.main import open_service
 from truepath.app.operation.archive import check_name
-from truepath.app.operation.backup import make_backup, restore_backup
+from truepath.app.operation.backup import Kept, make_backup, restore_backup
 from truepath.app.settings import load_settings
 from truepath.app.users.roles import Role
 
@@ -30,6 +32,14 @@ from service_process import ROWS, arm, create, follow, moving
 @pytest.fixture(scope="module", autouse=True)
 def logged_plainly(plain_log):
     """The commands set the log up; it is put back."""
+
+
+class Backups(NamedTuple):
+    folder: Path
+    kept: Kept
+    analysed: str
+    measuring: str
+    metrics: str
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +64,31 @@ def backups(tmp_path_factory, record):
         job = create(client, path=ROWS)
         arm(client, job)
         moving(client, job["id"])
+        scraped = client.get("/metrics").text
         kept = make_backup(settings, folder / "folder")
         make_backup(settings, folder / "one.zip")
         assert client.get(f"/api/v1/jobs/{job['id']}").json()["state"] == "running"
         client.post(f"/api/v1/jobs/{job['id']}/abort")
         follow(client, job["id"], "aborted")
-    return folder, kept, analysed["id"], job["id"]
+    return Backups(folder, kept, analysed["id"], job["id"], scraped)
+
+
+@pytest.mark.timeout(240)
+def test_a_measurement_under_way_is_counted_as_prometheus_reads_it(backups):
+    found = {
+        sample.name: sample.value
+        for family in text_string_to_metric_families(backups.metrics)
+        for sample in family.samples
+        if sample.labels.get("machine") == "default"
+    }
+    assert found["truepath_tracker_samples_total"] > 500
+    assert (
+        found["truepath_tracker_gaps_total"] <= found["truepath_tracker_samples_total"]
+    )
+    assert found["truepath_recorder_commit_seconds_count"] > 5
+    assert found["truepath_recorder_commit_seconds_sum"] > 0
+    assert 0 <= found["truepath_recorder_queue_depth"] < 200
+    assert found["truepath_cell_connected"] == 1
 
 
 def list_bytes(folder):
@@ -75,7 +104,7 @@ def list_bytes(folder):
 def test_what_was_kept_under_a_running_measurement_comes_back_whole(
     backups, tmp_path, name, capsys
 ):
-    folder, kept, analysed, measuring = backups
+    folder, kept, analysed, measuring, _ = backups
     assert list(kept.left_out) == [f"runs/{measuring}.sqlite"]
     target = tmp_path / "elsewhere"
     assert run(["restore", str(folder / name), "--data-dir", str(target)]) == 0
@@ -107,7 +136,7 @@ def flip(file, place=0.5):
 
 @pytest.fixture
 def copy(backups, tmp_path):
-    return shutil.copytree(backups[0] / "folder", tmp_path / "copy")
+    return shutil.copytree(backups.folder / "folder", tmp_path / "copy")
 
 
 def test_a_flipped_byte_is_refused_by_the_name_of_its_file(copy, tmp_path):
@@ -126,8 +155,8 @@ def test_a_flipped_byte_is_refused_by_the_name_of_its_file(copy, tmp_path):
 
 def test_a_flipped_byte_of_a_zip_file_is_refused(backups, tmp_path):
     target = tmp_path / "elsewhere"
-    whole = (backups[0] / "one.zip").read_bytes()
-    with zipfile.ZipFile(backups[0] / "one.zip") as archive:
+    whole = (backups.folder / "one.zip").read_bytes()
+    with zipfile.ZipFile(backups.folder / "one.zip") as archive:
         names = {
             info.filename: info.header_offset
             for info in archive.infolist()
@@ -196,7 +225,7 @@ def test_a_folder_without_a_catalogue_and_a_place_that_is_taken_are_refused(
     words = ["backup", "-o", str(tmp_path / "b"), "--data-dir", str(tmp_path / "data")]
     assert run(words) == 2
     assert not (tmp_path / "b").exists()
-    folder = backups[0]
+    folder = backups.folder
     words = ["--data-dir", str(folder / "data")]
     assert run(["backup", "-o", str(folder / "one.zip"), *words]) == 2
     assert run(["backup", "-o", str(folder / "data" / "b"), *words]) == 2
