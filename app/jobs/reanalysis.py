@@ -12,13 +12,11 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from truepath.app.errors import NotFound
 from truepath.app.files.whole_files import replace_file
 from truepath.app.jobs.errors import Aborted, TaskFailed, WorkerDied
 from truepath.app.jobs.executor import Computation, ProcessExecutor, Task
@@ -60,19 +58,16 @@ def list_orders(
 
     folder : of the job
     """
-    records = {record.id: record for record in runs.list_all()}
-    before = store.find_analyses_of_one()
+    files, before = runs.list_files(), store.find_analyses_of_one()
     orders: list[RunOrder] = []
     for run_id in run_ids:
-        record, job_id = records.get(run_id), before.get(run_id)
-        file = ""
-        with suppress(NotFound):
-            file = str(runs.file(run_id))
+        name, file = files.get(run_id, ("", Path()))
+        job_id = before.get(run_id)
         orders.append(
             RunOrder(
                 run_id,
-                record.name if record else "",
-                file,
+                name,
+                str(file) if file.is_file() else "",
                 job_id,
                 str(results / job_id / RESULT) if job_id else "",
                 str(folder / RUNS / run_id),
