@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +40,7 @@ SENSOR_KINDS = frozenset(
     }
 )
 _UNKNOWN = Refraction()
+_MOST_SHOWN = 1000  # rows of a path in a picture
 _TOLD = frozenset(map(str, TrackerEventKind))
 
 
@@ -126,6 +127,19 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class CommandedFacts:
+    """What was commanded: enough to know it again, and to draw it.
+
+    digest : SHA-256 of the commanded rows; rows : how many there are
+    shown_mm : linear axes at every row, or at every so many of a long path
+    """
+
+    digest: str = ""
+    rows: int = 0
+    shown_mm: tuple[tuple[float, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class RunSummary:
     """The facts of one measurement.
 
@@ -141,6 +155,7 @@ class RunSummary:
     told : what the tracker itself has said meanwhile, each once
     interruptions : of the stream; driven_again : which lines were, each time
     quality : of the samples, if the tracker tells it
+    commanded : what was commanded
     """
 
     name: str
@@ -159,6 +174,7 @@ class RunSummary:
     interruptions: Interruptions = NO_INTERRUPTIONS
     driven_again: tuple[str, ...] = ()
     quality: SampleQuality | None = None
+    commanded: CommandedFacts = CommandedFacts()
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -185,6 +201,7 @@ def summarize_run(run: Run) -> RunSummary:
         find_interruptions(run.tracker, *_count_events(run, "search", "found")),
         tuple(e.text for e in run.events if e.kind == "again"),
         state_quality(run.tracker),
+        _state_commanded(run),
     )
 
 
@@ -210,19 +227,41 @@ def number_names(names: Sequence[str]) -> list[str]:
 def digest_run(run: Run) -> str:
     """Return the SHA-256 of what an analysis reads of a Run."""
     machine = json.dumps(machine_to_json(run.machine), sort_keys=True)
-    digest = hashlib.sha256(machine.encode())
-    digest.update(json.dumps([run.mode, *run.commanded.target]).encode())
-    commanded = [run.commanded.position, run.commanded.dwell_s]
-    if isinstance(run.commanded, Path):
-        commanded.append(run.commanded.feed_mm_min)
     stream = run.tracker
+    blocks = [stream.device_time_s, stream.position_mm, stream.status]
     if run.points is not None:
-        commanded += [run.points.row, run.points.count, run.points.covariance_mm2]
-    for block in (*commanded, stream.device_time_s, stream.position_mm, stream.status):
-        digest.update(str(block.shape).encode())
-        kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"
-        digest.update(np.ascontiguousarray(block, dtype=kind).tobytes())
+        blocks = [run.points.row, run.points.count, run.points.covariance_mm2, *blocks]
+    return _hash([machine.encode(), *_encode_commanded(run), *_encode_blocks(blocks)])
+
+
+def _hash(parts: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
     return digest.hexdigest()
+
+
+def _encode_commanded(run: Run) -> Iterator[bytes]:
+    yield json.dumps([run.mode, *run.commanded.target]).encode()
+    blocks = [run.commanded.position, run.commanded.dwell_s]
+    if isinstance(run.commanded, Path):
+        blocks.append(run.commanded.feed_mm_min)
+    yield from _encode_blocks(blocks)
+
+
+def _encode_blocks(blocks: Iterable[np.ndarray]) -> Iterator[bytes]:
+    for block in blocks:
+        yield str(block.shape).encode()
+        kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"
+        yield np.ascontiguousarray(block, dtype=kind).tobytes()
+
+
+def _state_commanded(run: Run) -> CommandedFacts:
+    rows = len(run.commanded)
+    linear = [run.machine.axis_names.index(a.name) for a in run.machine.linear_axes]
+    shown = run.commanded.position[:: max(1, -(-rows // _MOST_SHOWN)), linear]
+    digest = _hash(_encode_commanded(run))
+    return CommandedFacts(digest, rows, tuple(map(tuple, shown.round(3).tolist())))
 
 
 def combine_digests(summaries: Sequence[RunSummary]) -> str:

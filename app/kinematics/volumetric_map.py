@@ -86,12 +86,18 @@ def compute_volumetric_gram(
     C is the covariance of θ. It is the integral of the Gram matrix in closed form
     (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
     """
+    return compute_component_grams(model, target).sum(axis=0)
+
+
+def compute_component_grams(
+    model: MachineModel, target: str = ""
+) -> Float64[np.ndarray, "3 p p"]:
+    """Return Gₖ with E δₖ² = tr(Gₖ C), k in x, y, z, as `compute_volumetric_gram`."""
     at, weight = _quadrature(model.machine, target)
     columns, centre = _machine_columns(model, at), weight @ at.point_mm
     columns -= _rigid_columns(at, centre) @ _fit_rigid(at, weight, centre, columns)
     columns *= np.sqrt(weight)[:, None, None]
-    flat = columns.reshape(-1, model.size)
-    return flat.T @ flat
+    return np.array([columns[:, k].T @ columns[:, k] for k in range(3)])
 
 
 @dataclass(frozen=True, slots=True)

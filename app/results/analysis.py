@@ -14,6 +14,7 @@ from importlib.metadata import version
 from truepath.app.alignment.align import align_all
 from truepath.app.errors import BundleError
 from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.budget import split_uncertainty
 from truepath.app.estimation.contributions import find_contributions
 from truepath.app.estimation.disturbances import CheckedEstimate, estimate_checked
 from truepath.app.estimation.known_effects import KnownEffects
@@ -86,13 +87,14 @@ def analyse(
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     brought = find_contributions(estimated, checked.given)
+    budget = split_uncertainty(estimated)
     ranges = judge_range(_score_ranges(checked.estimate), checked.given, names)
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     driven = judge_driving([each.driving for each in observed], names)
     air = judge_air([run.refraction for run in runs], names)
     verdict = Verdict.merge([found.verdict, ranges, driven, air])
-    return replace(found, contributions=brought, verdict=verdict)
+    return replace(found, contributions=brought, budget=budget, verdict=verdict)
 
 
 def _score_ranges(estimated: Estimate) -> list[RangeOffsetScore | None]:

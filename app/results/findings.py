@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.estimation.batch import Estimate
+from truepath.app.estimation.budget import UncertaintyBudget
 from truepath.app.estimation.contributions import Contributions
 from truepath.app.estimation.disturbances import CheckedEstimate
 from truepath.app.estimation.prior_model import PriorModel
@@ -113,6 +114,7 @@ class Findings:
     verdict : whether the result may be used
     left_out : of each Run given, what was not used; knocks : at which Runs were split
     contributions : what each Run given brought, if it was asked
+    budget : what each source of uncertainty brings, if it was asked
     """
 
     estimate: Estimate
@@ -126,6 +128,7 @@ class Findings:
     left_out: tuple[tuple[LeftOut, ...], ...] = ()
     knocks: tuple[Knock, ...] = ()
     contributions: Contributions | None = None
+    budget: UncertaintyBudget | None = None
 
     @property
     def main(self) -> RunFindings:

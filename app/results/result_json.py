@@ -21,6 +21,7 @@ from truepath.app.files.result_file import RESULT_SCHEMA
 from truepath.app.files.run import combine_digests
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.app.files.verdict import verdict_json
+from truepath.app.results.budget_json import budget_json
 from truepath.app.results.environment_json import environment_json
 from truepath.app.results.error_table_files import observability_json, tables_json
 from truepath.app.results.error_tables import ErrorTables, compute_half_differences
@@ -62,6 +63,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "volumetric_error": _volumetric_json(found),
         "volumetric_uncertainty_um": found.contributions
         and UM_PER_MM * found.contributions.sigma_mm,
+        "uncertainty_budget": found.budget and budget_json(found.budget),
         "alignment": _alignment_json(found, found.main),
         "residuals": _residuals_json(
             np.concatenate([r.estimate.residuals.residual_mm for r in found.runs]),
@@ -185,6 +187,11 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         "input_sha256": summary.digest,
         "source": summary.source,
         "tracker_told": list(summary.told),
+        "commanded": {
+            "sha256": summary.commanded.digest,
+            "rows": summary.commanded.rows,
+            "shown_mm": [list(at) for at in summary.commanded.shown_mm],
+        },
         "environment": environment_json(summary),
         "interruptions": {
             **asdict(summary.interruptions),
