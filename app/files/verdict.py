@@ -189,9 +189,13 @@ class Reason:
     run: str = ""
 
     def __str__(self) -> str:
-        shown = {name: _show(name, value) for name, value in self.values.items()}
-        text = SENTENCES[self.kind].text.format(**shown)
+        text = SENTENCES[self.kind].text.format(**self.shown)
         return f"Run {self.run}: {text}" if self.run else text
+
+    @property
+    def shown(self) -> dict[str, str]:
+        """What the sentence names, with units."""
+        return {name: _show(name, value) for name, value in self.values.items()}
 
     @property
     def severity(self) -> int:

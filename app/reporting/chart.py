@@ -38,6 +38,7 @@ class Scale:
     """A linear or logarithmic map of `low` … `high` to `begin` … `end` of a figure.
 
     names : of the only numbers it has, where they stand for classes
+    decimal_mark : of the numbers at its ticks
     """
 
     low: float
@@ -46,6 +47,7 @@ class Scale:
     end: float
     logarithmic: bool = False
     names: Mapping[float, str] | None = None
+    decimal_mark: str = "."
 
     def place(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the places of numbers."""
@@ -73,7 +75,8 @@ class Scale:
         while digits < 6 and not np.allclose(ticks, np.round(ticks, digits), rtol=1e-6):
             digits += 1
         form = "g" if self.logarithmic else f"z,.{digits}f"
-        return [format(tick, form).replace("-", "−") for tick in ticks.tolist()]
+        signs = str.maketrans({"-": "−", ".": self.decimal_mark})
+        return [format(tick, form).translate(signs) for tick in ticks.tolist()]
 
     def _list_decades(self) -> Float64[np.ndarray, " t"]:
         low, high = math.log10(self.low), math.log10(self.high)

@@ -40,7 +40,8 @@ _STOPS, _RED, _GREEN, _BLUE = (
     [111, 79, 128],
     [214, 174, 60],
 )
-_SHADES = 32
+SHADES = 32
+_WHITE, _PALE = 255.0, 0.55
 _HEIGHT = 266.0
 _SCENE = Frame(14.0, 22.0, 340.0, 212.0)
 _BAR = Frame(70.0, 230.0, 270.0, 236.0)
@@ -57,6 +58,25 @@ def draw_volume(findings: Findings) -> Markup:
     )
 
 
+def project(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
+    """Look at the volume from front, right and above; down is positive."""
+    x, y, z = np.moveaxis(points_mm, -1, 0)
+    return np.stack([0.88 * x + 0.47 * y, 0.22 * x - 0.34 * y - 0.93 * z], axis=-1)
+
+
+def mix_colour(shade: int, *, pale: bool = False) -> str:
+    """Return one of 32 shades, from small to large errors.
+
+    pale : mixed with white, for fields on which lines are drawn
+    """
+    share = np.array([(shade + 0.5) / SHADES])
+    mixed = [np.interp(share, _STOPS, channel) for channel in (_RED, _GREEN, _BLUE)]
+    colour = np.concatenate(mixed)
+    if pale:
+        colour = _WHITE - _PALE * (_WHITE - colour)
+    return "#" + colour.round().astype(np.uint8).tobytes().hex()
+
+
 def _draw_volume(findings: Findings) -> Markup:
     model = findings.estimate.model
     axes = model.machine.linear_axes
@@ -71,7 +91,7 @@ def _draw_volume(findings: Findings) -> Markup:
     reach = float(np.ptp(flat, axis=0).max())
     factor = round_down(0.09 * reach / largest * UM_PER_MM)
     moved = (flat + factor / UM_PER_MM * error).reshape(nominal.shape)
-    straight, bent = _scale_to_scene(_project(nominal), _project(moved))
+    straight, bent = _scale_to_scene(project(nominal), project(moved))
     sizes = size.reshape(nominal.shape[:2])
     shade = 0.5 * (sizes[:, :-1] + sizes[:, 1:]) / largest
     title = f"Volume with its errors, exaggerated {factor:,.0f} times"
@@ -86,7 +106,7 @@ def _draw_volume(findings: Findings) -> Markup:
                 opacity=0.5,
             ),
             *_draw_shaded(
-                bent, np.minimum(_SHADES * shade, _SHADES - 1).astype(np.int64)
+                bent, np.minimum(SHADES * shade, SHADES - 1).astype(np.int64)
             ),
             *_write_axis_names(straight, axes),
             *_draw_colour_bar(largest),
@@ -109,12 +129,6 @@ def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, 
                     yield low + line * (high - low)
 
 
-def _project(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
-    """Look at the volume from front, right and above; down is positive."""
-    x, y, z = np.moveaxis(points_mm, -1, 0)
-    return np.stack([0.88 * x + 0.47 * y, 0.22 * x - 0.34 * y - 0.93 * z], axis=-1)
-
-
 def _scale_to_scene(
     straight: Float64[np.ndarray, "l m 2"], bent: Float64[np.ndarray, "l m 2"]
 ) -> tuple[Float64[np.ndarray, "l m 2"], Float64[np.ndarray, "l m 2"]]:
@@ -135,13 +149,7 @@ def _draw_shaded(
     begin, end = lines[:, :-1], lines[:, 1:]
     for number in np.unique(shade):
         mine = shade == number
-        yield draw_segments(begin[mine], end[mine], _mix_colour(int(number)), width=1.3)
-
-
-def _mix_colour(shade: int) -> str:
-    share = np.array([(shade + 0.5) / _SHADES])
-    mixed = [np.interp(share, _STOPS, channel) for channel in (_RED, _GREEN, _BLUE)]
-    return "#" + np.concatenate(mixed).round().astype(np.uint8).tobytes().hex()
+        yield draw_segments(begin[mine], end[mine], mix_colour(int(number)), width=1.3)
 
 
 def _write_axis_names(
@@ -160,11 +168,11 @@ def _write_axis_names(
 
 def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
     scale = Scale(0.0, largest_um, _BAR.left, _BAR.right)
-    width = (_BAR.right - _BAR.left) / _SHADES
-    for i in range(_SHADES):
+    width = (_BAR.right - _BAR.left) / SHADES
+    for i in range(SHADES):
         # A little wider, so that no seam shows between two.
         yield fill_box(
-            _BAR.left + i * width, _BAR.top, width + 0.2, 6.0, _mix_colour(i)
+            _BAR.left + i * width, _BAR.top, width + 0.2, 6.0, mix_colour(i)
         )
     ticks = scale.find_ticks(28.0)
     for at, text in zip(

@@ -1,0 +1,123 @@
+"""What people state of a machine and its calibration: `identity.json`, kept per machine.
+
+Schema `identity/1`, one flat object of texts; every key may be missing. The file that
+keeps them (`identities/1`) has one such object by the name of each machine.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from truepath.app.errors import BadInput, BundleError
+from truepath.app.files.file_model import encode_json, parse_json, quote
+from truepath.app.files.whole_files import read_whole, replace_file
+
+Field = Literal[
+    "machine_maker",
+    "machine_model",
+    "machine_serial",
+    "control",
+    "tracker",
+    "tracker_serial",
+    "tracker_certificate",
+    "tracker_calibrated_on",
+    "target",
+    "operator",
+    "laboratory",
+    "customer",
+    "place",
+    "warm_up",
+    "measured_on",
+]
+FIELDS: tuple[Field, ...] = Field.__args__
+OF_ONE_MEASUREMENT: frozenset[Field] = frozenset({"warm_up", "measured_on"})
+"""Stated anew each time: what was true of the last measurement is not of this one."""
+
+LONGEST = 200
+SCHEMA, STORE_SCHEMA = "identity/1", "identities/1"
+_LARGEST_BYTES = 1 << 20
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+
+Identity = Mapping[str, str]
+"""Texts by the names of `FIELDS`; what nobody has stated is missing."""
+
+
+def read_identity(file: str | Path) -> Identity:
+    """Read an identity file. Raises BundleError naming the key."""
+    content = parse_json(read_whole(file, largest_bytes=_LARGEST_BYTES), str(file))
+    return identity_from_json(content, file=str(file))
+
+
+def identity_from_json(content: object, *, file: str) -> Identity:
+    """Return what an object states. Raises BundleError naming the key."""
+    if not isinstance(content, Mapping):
+        raise BundleError("is no object, {…}", file=file, remedy="write an object")
+    stated = dict(content)
+    if stated.pop("schema", SCHEMA) != SCHEMA:
+        raise BundleError(
+            f"schema is {quote(content['schema'])}",
+            file=file,
+            remedy=f'write "schema": "{SCHEMA}"',
+        )
+    return {key: _check(key, text, file) for key, text in stated.items() if text != ""}
+
+
+def read_assignments(assignments: list[str]) -> Identity:
+    """Return what `FIELD=TEXT` state. Raises BadInput naming the field."""
+    content: dict[str, str] = {}
+    for each in assignments:
+        name, equals, text = each.partition("=")
+        if not equals:
+            raise BadInput(f"--state {each!r}: write FIELD=TEXT")
+        content[name.strip()] = text.strip()
+    return identity_from_json(content, file="--state")
+
+
+class IdentityStore:
+    """What was stated of each machine, kept in one file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def load(self, machine: str) -> Identity:
+        """Return what is kept of a machine. Raises BundleError on a damaged file."""
+        return self._read_all().get(machine, {})
+
+    def keep(self, machine: str, stated: Identity) -> Identity:
+        """Keep what was stated beside what was before; return both together.
+
+        What holds for one measurement alone is returned and not kept.
+        """
+        every = self._read_all()
+        lasting = {k: v for k, v in stated.items() if k not in OF_ONE_MEASUREMENT}
+        before = every.get(machine, {})
+        if lasting.items() - before.items():
+            machines = {**every, machine: {**before, **lasting}}
+            content = {"schema": STORE_SCHEMA, "machines": machines}
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(self._file, encode_json(content, indent=1))
+        return {**before, **stated}
+
+    def _read_all(self) -> Mapping[str, Identity]:
+        if not self._file.exists():
+            return {}
+        name = str(self._file)
+        content = parse_json(read_whole(name, largest_bytes=_LARGEST_BYTES), name)
+        machines = content.get("machines") if isinstance(content, Mapping) else None
+        if not isinstance(machines, Mapping):
+            remedy = "restore it, or remove it and state the identities again"
+            raise BundleError("holds no machines", file=name, remedy=remedy)
+        return {str(k): identity_from_json(v, file=name) for k, v in machines.items()}
+
+
+def _check(key: object, text: object, file: str) -> str:
+    if key not in FIELDS:
+        remedy = f"write one of {', '.join(FIELDS)}"
+        raise BundleError(f"{quote(key)} is no field", file=file, remedy=remedy)
+    if not isinstance(text, str) or len(text) > LONGEST or _CONTROL.search(text):
+        remedy = f"write one line of text of at most {LONGEST} characters"
+        raise BundleError(f"{key} is {quote(text)}", file=file, remedy=remedy)
+    return text

@@ -1,0 +1,14 @@
+"""The calibration certificate: a result for those who own the machine, on paper.
+
+One template makes it in every language, as HTML; `pdf` prints the same HTML. What it
+states is in the files that it is made from: result, verification, account of
+compensation, and the identity that people state. What nobody has stated is shown as not
+stated.
+
+    issue            what a certificate is made from, and whether it may be
+    language         texts, numbers and names in one language, from one table
+    *_sections       views of the template's sections
+    setup_figure, map_figures    pictures
+    document         the HTML
+    pdf              the PDF
+"""

@@ -1,0 +1,184 @@
+"""What stands beside the numbers: effects, verification, compensation, origin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from truepath.app.files.verdict import STATES
+from truepath.app.reporting.certificate.issue import Certificate, Source
+from truepath.app.reporting.certificate.language import Language
+from truepath.app.reporting.templating import View
+from truepath.app.results.number_format import SIGN
+
+Row = tuple[str, ...]
+_MOST_ROWS = 40  # that a file of another kind may fill
+_HIDDEN = ("schema", "provenance", "verdict", "machine", "files")
+_K = 2.0
+
+
+def describe_effects(certificate: Certificate, language: Language) -> View:
+    """Return effects of the model beside the error motions, with their sizes."""
+    effects: Sequence[Mapping[str, Any]] = certificate.found.content.get("effects", [])
+    words = {True: "agrees_yes", False: "agrees_no", None: "agrees_unknown"}
+    return {
+        "rows": [
+            (
+                _name_effect(one, language),
+                "; ".join(_list_numbers(one["parameters"], language)),
+                language.say(words[one.get("agrees")]),
+            )
+            for one in effects
+        ]
+    }
+
+
+def describe_verification(certificate: Certificate, language: Language) -> View:
+    """Return what a verification states: its verdict, then its numbers as they are."""
+    source = certificate.verification
+    if source is None:
+        return {"source": None}
+    return {
+        "source": source,
+        "mismatch": _say_mismatch(
+            "verification_mismatch", source, certificate, language
+        ),
+        "verdict": _say_state(source.content.get("verdict"), language),
+        "rows": list(_flatten(source.content, language))[:_MOST_ROWS],
+    }
+
+
+def describe_compensation(certificate: Certificate, language: Language) -> View:
+    """Return what compensation files leave, with its uncertainty."""
+    source = certificate.compensation
+    if source is None:
+        return {"source": None}
+    account = source.content
+    error = account["volumetric_error_um"]
+    after = error["after"]
+    key = f"format.{account['format']}"
+    carries = language.shared.get(f"{key}.carries", account["carries"])
+    not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
+    rows = [
+        ("compensation_control", account["control"]),
+        ("compensation_carries", carries),
+        ("compensation_not_carried", not_carried),
+        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
+        (
+            "compensation_after",
+            f"{language.expanded(after['mean'], after['mean_uncertainty'])} µm (k = 2)",
+        ),
+        ("compensation_file", ", ".join(map(_base_name, account["files"]))),
+    ]
+    return {
+        "source": source,
+        "mismatch": _say_mismatch(
+            "compensation_mismatch", source, certificate, language
+        ),
+        "rows": [(language.say(name), text) for name, text in rows],
+        "sign_open": not account["sign"]["verified"],
+    }
+
+
+def describe_provenance(certificate: Certificate, language: Language) -> View:
+    """Return digests of all that the numbers come from."""
+    return {"rows": list(_list_origins(certificate, language))}
+
+
+def describe_signatures(certificate: Certificate, language: Language) -> View:
+    """Return who signs."""
+    operator = certificate.identity.get("operator", "")
+    return {
+        "signatories": [
+            (language.say("signature_operator"), operator),
+            (language.say("signature_responsible"), ""),
+        ]
+    }
+
+
+def _name_effect(one: Mapping[str, Any], language: Language) -> str:
+    keys = [str(one[key]) for key in ("axis", "motion", "by", "direction") if key in one]
+    return " ".join([language.name_effect(one["name"]), *keys])
+
+
+def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator[str]:
+    for name, number in parameters.items():
+        stem, unit = next(
+            ((name.removesuffix(f"_{u}"), sign) for u, sign in SIGN.items()
+             if name.endswith(f"_{u}")),
+            (name, ""),
+        )
+        value, sigma = number["value"], number["uncertainty"]
+        pairs = zip(value, sigma, strict=True) if isinstance(value, list) else [
+            (value, sigma)
+        ]
+        shown = ", ".join(language.expanded(v, s) for v, s in pairs)
+        word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
+        yield f"{word} {shown} {unit}".strip()
+
+
+def _say_mismatch(
+    key: str, source: Source, certificate: Certificate, language: Language
+) -> str:
+    """Return a warning where a file was made from another result; else nothing."""
+    other, own = source.input_sha256, certificate.found.input_sha256
+    if not other or other == own:
+        return ""
+    return language.say(key, other=other[:16], own=own[:16])
+
+
+def _say_state(verdict: object, language: Language) -> str:
+    """Return a verdict in words: those of a result in the language, others as said."""
+    state = verdict.get("state") if isinstance(verdict, Mapping) else verdict
+    if state in STATES:
+        return language.say(f"{str(state).replace('-', '_')}_title")
+    return str(state) if state is not None else language.say("not_stated")
+
+
+def _flatten(
+    content: Mapping[str, Any], language: Language, name: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Yield names and values of what a file states, in its order; no long lists."""
+    for key, value in content.items():
+        if not name and key in _HIDDEN:
+            continue
+        path = f"{name}.{key}" if name else key
+        if isinstance(value, Mapping):
+            yield from _flatten(value, language, path)
+        elif isinstance(value, bool | str):
+            yield path, str(value)
+        elif isinstance(value, int | float):
+            yield path, language.number(value, 0 if isinstance(value, int) else 3)
+
+
+def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]:
+    content = certificate.found.content
+    provenance = content["provenance"]
+    for run in provenance.get("runs", []):
+        yield f"{language.say('provenance_run')} ({run['name']})", run["input_sha256"]
+    plans = dict.fromkeys(
+        run["commanded"]["sha256"] for run in content.get("runs", [])
+        if run.get("commanded")
+    )
+    for plan in plans:
+        yield language.say("provenance_plan"), plan
+    files = (
+        ("provenance_result", certificate.found),
+        ("provenance_left", certificate.left),
+        ("provenance_verification", certificate.verification),
+        ("provenance_compensation", certificate.compensation),
+    )
+    for key, source in files:
+        if source is not None:
+            yield language.say(key), source.sha256
+    version = f"truepath {provenance.get('software_version', '')}".strip()
+    yield language.say("provenance_software"), version
+    if model := provenance.get("model"):
+        text = language.say(
+            "provenance_model_is", version=model["version"], source=model["source"]
+        )
+        yield language.say("provenance_model"), text
+
+
+def _base_name(file: str) -> str:
+    return file.replace("\\", "/").rsplit("/", 1)[-1]

@@ -1,0 +1,75 @@
+"""The certificate as one HTML file that needs no other: on screen, and to be printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from truepath.app.errors import NotUsable
+from truepath.app.reporting.certificate.closing_sections import (
+    describe_compensation,
+    describe_effects,
+    describe_provenance,
+    describe_signatures,
+    describe_verification,
+)
+from truepath.app.reporting.certificate.heading_sections import (
+    describe_heading,
+    describe_identity,
+    describe_verdict,
+)
+from truepath.app.reporting.certificate.issue import Certificate
+from truepath.app.reporting.certificate.language import Language, load_language
+from truepath.app.reporting.certificate.measurement_sections import (
+    describe_measurement,
+    describe_setup,
+)
+from truepath.app.reporting.certificate.result_sections import (
+    describe_brief,
+    describe_budget,
+    describe_limits,
+    describe_positioning,
+    describe_single,
+    describe_tables,
+    describe_volume,
+)
+from truepath.app.reporting.templating import View, render_page
+
+_VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
+    "heading": describe_heading,
+    "verdict": describe_verdict,
+    "identity": describe_identity,
+    "brief": describe_brief,
+    "measurement": describe_measurement,
+    "setup": describe_setup,
+    "volume": describe_volume,
+    "budget": describe_budget,
+    "single": describe_single,
+    "limits": describe_limits,
+    "iso": describe_positioning,
+    "effects": describe_effects,
+    "verification": describe_verification,
+    "compensation": describe_compensation,
+    "tables": describe_tables,
+    "provenance": describe_provenance,
+    "signature": describe_signatures,
+}
+
+
+def render_certificate(
+    certificate: Certificate, *, accept_verdict: bool = False
+) -> str:
+    """Return the HTML.
+
+    accept_verdict : of a result that is not to be used as well; it says so
+
+    Raises NotUsable.
+    """
+    if not accept_verdict:
+        verdict = certificate.found.result.verdict
+        verdict.require_usable(f"{certificate.found.name}: the result")
+    language = load_language(certificate.language)
+    views = {name: view(certificate, language) for name, view in _VIEWS.items()}
+    return render_page(
+        "certificate.html",
+        {**views, "language": language.code, "say": language.say, "date": certificate.issued},
+    )

@@ -1,0 +1,100 @@
+"""What the first page states: who, what, when, and what the result says of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from truepath.app.files.identity_file import FIELDS
+from truepath.app.kinematics.machine import position_unit
+from truepath.app.reporting.certificate.issue import Certificate
+from truepath.app.reporting.certificate.language import Language
+from truepath.app.reporting.templating import View
+
+Row = tuple[str, str]
+
+
+def describe_heading(certificate: Certificate, language: Language) -> View:
+    """Return number and dates."""
+    provenance = certificate.found.content["provenance"]
+    analysed = _read_day(provenance.get("created"), language)
+    return {
+        "machine": certificate.found.result.machine.name,
+        "number": certificate.shown_number,
+        "dates": [
+            (language.say("number"), certificate.shown_number),
+            (language.say("issued"), language.day(certificate.issued)),
+            (language.say("measured_on"), _find_measured(certificate, language)),
+            (language.say("analysed_on"), analysed or language.say("not_stated")),
+        ],
+    }
+
+
+def describe_verdict(certificate: Certificate, language: Language) -> View:
+    """Return what the result says of itself, loud where it is not simply usable."""
+    verdict = certificate.found.result.verdict
+    reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
+    key = verdict.state.replace("-", "_")
+    texts = {
+        "usable": "usable_to_know" if reasons else "usable_means",
+        "doubtful": "doubtful_means",
+        "not-usable": "not_usable_accepted",
+    }
+    return {
+        "state": verdict.state,
+        "title": language.say(f"{key}_title"),
+        "text": language.say(texts[verdict.state]),
+        "reasons": [language.say_reason(reason) for reason in reasons],
+    }
+
+
+def describe_identity(certificate: Certificate, language: Language) -> View:
+    """Return who and what; what nobody has stated is shown as not stated."""
+    stated, machine = certificate.identity, certificate.found.result.machine
+    missing = language.say("not_stated")
+    travel = "; ".join(
+        f"{axis.name} {_say_range(axis.low, axis.high, language)} {position_unit(axis)}"
+        for axis in machine.axes
+    ).replace(" deg", "°")
+    targets = "; ".join(
+        f"{t.name} ({', '.join(language.number(v) for v in t.offset_mm)}) mm "
+        f"{language.say(f'on_{t.on}')}".strip()
+        for t in machine.targets
+    )
+    rows = [
+        (language.say("identity_machine"), machine.name),
+        *(
+            (language.say(f"identity_{name}"), stated.get(name, missing))
+            for name in FIELDS
+            if name not in ("warm_up", "measured_on")
+        ),
+        (language.say("chain"), machine.chain),
+        (language.say("travel"), travel),
+        (language.say("targets"), targets),
+    ]
+    return {"rows": rows, "missing": missing}
+
+
+def _find_measured(certificate: Certificate, language: Language) -> str:
+    """Return when it was measured: as stated, or as the Run itself knows it."""
+    if stated := certificate.identity.get("measured_on"):
+        return stated
+    runs: list[Mapping[str, Any]] = certificate.found.content.get("runs", [])
+    known = (run.get("source", {}).get("created") for run in runs)
+    days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))
+    return ", ".join(days) or language.say("not_stated")
+
+
+def _read_day(text: object, language: Language) -> str:
+    """Return the date of a time stamp in ISO 8601; empty for what is none."""
+    try:
+        return language.day(datetime.fromisoformat(str(text)))
+    except ValueError:
+        return ""
+
+
+def _say_range(low: float, high: float, language: Language) -> str:
+    return language.say(
+        "from_to", low=language.number(low, 0), high=language.number(high, 0)
+    )

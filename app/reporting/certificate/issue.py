@@ -1,0 +1,113 @@
+"""What a certificate is made from, and whether it may be issued."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from truepath.app.errors import BundleError
+from truepath.app.files.file_model import parse_json
+from truepath.app.files.identity_file import Identity
+from truepath.app.files.result_file import (
+    LARGEST_BYTES,
+    RESULT_SCHEMA,
+    CalibrationResult,
+    result_from_json,
+)
+from truepath.app.files.whole_files import read_whole
+from truepath.app.reporting.certificate.language import LanguageCode
+
+Content = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A JSON file that a certificate is made from, as it is on disk."""
+
+    name: str
+    content: Content
+    sha256: str
+
+    @property
+    def input_sha256(self) -> str:
+        """The digest of the Runs that it says it is from; empty where it does not."""
+        provenance = self.content.get("provenance")
+        found = provenance.get("input_sha256") if isinstance(provenance, Mapping) else ""
+        return found if isinstance(found, str) else ""
+
+
+@dataclass(frozen=True, slots=True)
+class ResultSource(Source):
+    """A result file, with the machine and estimate that it holds."""
+
+    result: CalibrationResult
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """Everything that a certificate states, before it is said in a language.
+
+    found : the result as found; left : that of a measurement after compensation
+    verification, compensation : contents of their files, where there are any
+    number : empty for one that follows from the result
+    """
+
+    found: ResultSource
+    issued: date
+    left: ResultSource | None = None
+    verification: Source | None = None
+    compensation: Source | None = None
+    identity: Identity = field(default_factory=dict[str, str])
+    language: LanguageCode = "en"
+    number: str = ""
+
+    @property
+    def shown_number(self) -> str:
+        """The number, or one made of the dates and digest of the result."""
+        if self.number:
+            return self.number
+        created = str(self.found.content["provenance"].get("created", ""))[:10]
+        return f"TP-{created.replace('-', '')}-{self.found.sha256[:8].upper()}"
+
+
+def read_result_source(file: str | Path, name: str = "") -> ResultSource:
+    """Read a result file. Raises BundleError, for a model file as well."""
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    shown = name or str(file)
+    content = parse_json(data, shown)
+    result = result_from_json(content, file=shown)
+    assert isinstance(content, Mapping)  # noqa: S101 (it was read as a result)
+    if content["schema"] != RESULT_SCHEMA:
+        remedy = "give the result.json of an analysis"
+        raise BundleError("is a model, not a result", file=shown, remedy=remedy)
+    return ResultSource(Path(shown).name, content, _digest(data), result)
+
+
+def read_source(file: str | Path, schema: str) -> Source:
+    """Read another file of a certificate, whose schema begins so. Raises BundleError."""
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    content = parse_json(data, str(file))
+    given = content.get("schema") if isinstance(content, Mapping) else None
+    if not isinstance(given, str) or given != schema:
+        remedy = f"give a file of {schema}"
+        raise BundleError(f"schema is {given!r}", file=str(file), remedy=remedy)
+    return Source(Path(file).name, content, _digest(data))
+
+
+def require_same_machine(found: ResultSource, left: ResultSource) -> None:
+    """Raise BundleError where a result as left is of another machine."""
+    one, other = found.result.machine, left.result.machine
+    if (one.name, one.chain) != (other.name, other.chain):
+        raise BundleError(
+            f"is of machine {other.name} ({other.chain}), not {one.name} ({one.chain})",
+            file=left.name,
+            remedy="give a result of the same machine",
+        )
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,43 @@
+"""The certificate as PDF, printed by WeasyPrint from the same HTML.
+
+The same HTML makes the same bytes: no clock and no chance is in it, and nothing is
+fetched. See docs/decisions/pdf.md.
+"""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+from truepath.app.errors import BadInput
+
+REMEDY = (
+    "install it with `pip install 'truepath[pdf]'` and the system library Pango "
+    "(Debian: libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0); HTML needs neither"
+)
+
+
+class PdfUnavailable(BadInput):
+    """This installation cannot print."""
+
+
+def print_pdf(html: str) -> bytes:
+    """Return the PDF of an HTML page. Raises PdfUnavailable with the remedy."""
+    try:
+        # Imported where it prints: it is an extra, and takes half a second to come up.
+        from weasyprint import HTML
+    except (ImportError, OSError) as error:
+        raise PdfUnavailable(f"no PDF can be made here ({_say(error)}): {REMEDY}") from (
+            error
+        )
+    page = HTML(string=html, url_fetcher=_refuse)
+    return page.write_pdf(pdf_variant="pdf/ua-1")
+
+
+def _say(error: Exception) -> str:
+    if isinstance(error, ImportError):
+        return "WeasyPrint is not installed"
+    return "WeasyPrint does not find Pango"
+
+
+def _refuse(url: str, *_: object, **__: object) -> NoReturn:
+    raise ValueError(f"a certificate fetches nothing, not {url}")
