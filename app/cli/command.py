@@ -14,6 +14,7 @@ from truepath.app.cli import (
     analysis_commands,
     backup_commands,
     catalogue_commands,
+    certificate_command,
     doctor_command,
     driver_commands,
     format_commands,
@@ -93,6 +94,7 @@ app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
 app.command()(verification_commands.verify)
 app.command()(result_commands.export)
+app.command()(certificate_command.certificate)
 app.command()(trend_commands.trend)
 app.command()(reanalyse_command.reanalyse)
 app.command()(planning_commands.plan)

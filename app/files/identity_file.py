@@ -1,7 +1,8 @@
-"""What people state of a machine and its calibration: `identity.json`, kept per machine.
+"""What people state of a machine and its calibration, kept for each machine.
 
-Schema `identity/1`, one flat object of texts; every key may be missing. The file that
-keeps them (`identities/1`) has one such object by the name of each machine.
+`identity.json` (schema `identity/1`) is one flat object of texts; every key may be
+missing. The file that keeps them (`identities/1`) has one such object by the name of
+each machine.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 from truepath.app.errors import BadInput, BundleError
 from truepath.app.files.file_model import encode_json, parse_json, quote
@@ -81,6 +82,11 @@ class IdentityStore:
 
     def __init__(self, file: Path) -> None:
         self._file = file
+
+    @classmethod
+    def of_folder(cls, data_folder: Path) -> Self:
+        """Return the store of a data folder."""
+        return cls(data_folder / "identities.json")
 
     def load(self, machine: str) -> Identity:
         """Return what is kept of a machine. Raises BundleError on a damaged file."""

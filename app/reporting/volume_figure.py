@@ -171,9 +171,7 @@ def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
     width = (_BAR.right - _BAR.left) / SHADES
     for i in range(SHADES):
         # A little wider, so that no seam shows between two.
-        yield fill_box(
-            _BAR.left + i * width, _BAR.top, width + 0.2, 6.0, mix_colour(i)
-        )
+        yield fill_box(_BAR.left + i * width, _BAR.top, width + 0.2, 6.0, mix_colour(i))
     ticks = scale.find_ticks(28.0)
     for at, text in zip(
         scale.place(ticks).tolist(), scale.name_ticks(ticks), strict=True

@@ -21,7 +21,8 @@ def budget_json(budget: UncertaintyBudget) -> dict[str, Any]:
     variance = budget.variance_mm2
     return {
         "sources_um": {
-            source: _state_um(row) for source, row in zip(SOURCES, variance, strict=True)
+            source: _state_um(row)
+            for source, row in zip(SOURCES, variance, strict=True)
         },
         "total_um": _state_um(variance.sum(axis=0)),
         "on": _ON,
@@ -32,5 +33,9 @@ def _state_um(variance_mm2: Float64[np.ndarray, "3"]) -> dict[str, float]:
     # The remainder of a difference may be below 0 by rounding.
     every = np.maximum([*variance_mm2, variance_mm2.sum()], 0.0)
     return dict(
-        zip(("x", "y", "z", "volume"), (UM_PER_MM * np.sqrt(every)).tolist(), strict=True)
+        zip(
+            ("x", "y", "z", "volume"),
+            (UM_PER_MM * np.sqrt(every)).tolist(),
+            strict=True,
+        )
     )

@@ -97,21 +97,28 @@ def describe_signatures(certificate: Certificate, language: Language) -> View:
 
 
 def _name_effect(one: Mapping[str, Any], language: Language) -> str:
-    keys = [str(one[key]) for key in ("axis", "motion", "by", "direction") if key in one]
+    keys = [
+        str(one[key]) for key in ("axis", "motion", "by", "direction") if key in one
+    ]
     return " ".join([language.name_effect(one["name"]), *keys])
 
 
 def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator[str]:
     for name, number in parameters.items():
         stem, unit = next(
-            ((name.removesuffix(f"_{u}"), sign) for u, sign in SIGN.items()
-             if name.endswith(f"_{u}")),
+            (
+                (name.removesuffix(f"_{u}"), sign)
+                for u, sign in SIGN.items()
+                if name.endswith(f"_{u}")
+            ),
             (name, ""),
         )
         value, sigma = number["value"], number["uncertainty"]
-        pairs = zip(value, sigma, strict=True) if isinstance(value, list) else [
-            (value, sigma)
-        ]
+        pairs = (
+            zip(value, sigma, strict=True)
+            if isinstance(value, list)
+            else [(value, sigma)]
+        )
         shown = ", ".join(language.expanded(v, s) for v, s in pairs)
         word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
         yield f"{word} {shown} {unit}".strip()
@@ -157,7 +164,8 @@ def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]
     for run in provenance.get("runs", []):
         yield f"{language.say('provenance_run')} ({run['name']})", run["input_sha256"]
     plans = dict.fromkeys(
-        run["commanded"]["sha256"] for run in content.get("runs", [])
+        run["commanded"]["sha256"]
+        for run in content.get("runs", [])
         if run.get("commanded")
     )
     for plan in plans:

@@ -1,10 +1,9 @@
-"""The certificate as one HTML file that needs no other: on screen, and to be printed."""
+"""The certificate as one HTML file that needs no other, for screen and paper."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from truepath.app.errors import NotUsable
 from truepath.app.reporting.certificate.closing_sections import (
     describe_compensation,
     describe_effects,
@@ -71,5 +70,10 @@ def render_certificate(
     views = {name: view(certificate, language) for name, view in _VIEWS.items()}
     return render_page(
         "certificate.html",
-        {**views, "language": language.code, "say": language.say, "date": certificate.issued},
+        {
+            **views,
+            "language": language.code,
+            "say": language.say,
+            "date": certificate.issued,
+        },
     )

@@ -12,7 +12,7 @@ from truepath.app.reporting.certificate.issue import Certificate
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
 
-Row = tuple[str, str]
+_DEVICES = {"tracker": "tracker", "control": "motion"}
 
 
 def describe_heading(certificate: Certificate, language: Language) -> View:
@@ -51,7 +51,8 @@ def describe_verdict(certificate: Certificate, language: Language) -> View:
 
 def describe_identity(certificate: Certificate, language: Language) -> View:
     """Return who and what; what nobody has stated is shown as not stated."""
-    stated, machine = certificate.identity, certificate.found.result.machine
+    machine = certificate.found.result.machine
+    stated = {**_read_devices(certificate), **certificate.identity}
     missing = language.say("not_stated")
     travel = "; ".join(
         f"{axis.name} {_say_range(axis.low, axis.high, language)} {position_unit(axis)}"
@@ -76,12 +77,23 @@ def describe_identity(certificate: Certificate, language: Language) -> View:
     return {"rows": rows, "missing": missing}
 
 
+def _read_devices(certificate: Certificate) -> dict[str, str]:
+    """Return what the Runs themselves have recorded of tracker and control."""
+    runs: list[Mapping[str, Any]] = certificate.found.content.get("runs", [])
+    known: dict[str, str] = {}
+    for field, device in _DEVICES.items():
+        said = [run.get("source", {}).get(device) for run in runs]
+        if names := dict.fromkeys(str(one).strip() for one in said if one):
+            known[field] = "; ".join(names)
+    return known
+
+
 def _find_measured(certificate: Certificate, language: Language) -> str:
     """Return when it was measured: as stated, or as the Run itself knows it."""
     if stated := certificate.identity.get("measured_on"):
         return stated
     runs: list[Mapping[str, Any]] = certificate.found.content.get("runs", [])
-    known = (run.get("source", {}).get("created") for run in runs)
+    known = (run.get("source", {}).get("started") for run in runs)
     days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))
     return ", ".join(days) or language.say("not_stated")
 
@@ -89,7 +101,7 @@ def _find_measured(certificate: Certificate, language: Language) -> str:
 def _read_day(text: object, language: Language) -> str:
     """Return the date of a time stamp in ISO 8601; empty for what is none."""
     try:
-        return language.day(datetime.fromisoformat(str(text)))
+        return language.day(datetime.fromisoformat(str(text)).date())
     except ValueError:
         return ""
 

@@ -21,6 +21,7 @@ from truepath.app.files.result_file import (
 from truepath.app.files.whole_files import read_whole
 from truepath.app.reporting.certificate.language import LanguageCode
 
+VERIFICATION, COMPENSATION = "verification/1", "compensation/1"
 Content = Mapping[str, Any]
 
 
@@ -36,7 +37,9 @@ class Source:
     def input_sha256(self) -> str:
         """The digest of the Runs that it says it is from; empty where it does not."""
         provenance = self.content.get("provenance")
-        found = provenance.get("input_sha256") if isinstance(provenance, Mapping) else ""
+        found = (
+            provenance.get("input_sha256") if isinstance(provenance, Mapping) else ""
+        )
         return found if isinstance(found, str) else ""
 
 
@@ -74,6 +77,33 @@ class Certificate:
         return f"TP-{created.replace('-', '')}-{self.found.sha256[:8].upper()}"
 
 
+def gather_certificate(
+    found: ResultSource,
+    *,
+    issued: date,
+    left: Path | None = None,
+    verification: Path | None = None,
+    compensation: Path | None = None,
+    identity: Identity,
+    language: LanguageCode = "en",
+    number: str = "",
+) -> Certificate:
+    """Read what stands beside a result. Raises BundleError for what does not fit."""
+    as_left = None if left is None else read_result_source(left)
+    if as_left is not None:
+        require_same_machine(found, as_left)
+    return Certificate(
+        found,
+        issued,
+        as_left,
+        None if verification is None else read_source(verification, VERIFICATION),
+        None if compensation is None else read_source(compensation, COMPENSATION),
+        identity,
+        language,
+        number,
+    )
+
+
 def read_result_source(file: str | Path, name: str = "") -> ResultSource:
     """Read a result file. Raises BundleError, for a model file as well."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
@@ -88,13 +118,12 @@ def read_result_source(file: str | Path, name: str = "") -> ResultSource:
 
 
 def read_source(file: str | Path, schema: str) -> Source:
-    """Read another file of a certificate, whose schema begins so. Raises BundleError."""
+    """Read another file of a certificate. Raises BundleError for another schema."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     content = parse_json(data, str(file))
-    given = content.get("schema") if isinstance(content, Mapping) else None
-    if not isinstance(given, str) or given != schema:
+    if not isinstance(content, Mapping) or content.get("schema") != schema:
         remedy = f"give a file of {schema}"
-        raise BundleError(f"schema is {given!r}", file=str(file), remedy=remedy)
+        raise BundleError("is of another schema", file=str(file), remedy=remedy)
     return Source(Path(file).name, content, _digest(data))
 
 

@@ -7,6 +7,7 @@ those of effects the catalogue's: each is said in one place.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from truepath.app.results.number_format import format_expanded, format_number
 
 LANGUAGES = ("en", "de")
 LanguageCode = Literal["en", "de"]
+_POINT = re.compile(r"(?<=\d)\.(?=\d)")
 _SQUARE = {"C0Y": ("Y", "X"), "B0Z": ("Z", "X"), "A0Z": ("Z", "Y")}
 
 
@@ -63,7 +65,16 @@ class Language:
 
     def mark(self, text: str) -> str:
         """Return numbers with the language's decimal mark."""
-        return text.replace(".", ",") if self.code == "de" else text
+        return _POINT.sub(self.decimal_mark, text)
+
+    @property
+    def decimal_mark(self) -> str:
+        """What stands before the decimals of a number."""
+        return "," if self.code == "de" else "."
+
+    def continue_with(self, name: str) -> str:
+        """Return a name as it stands within a sentence: German nouns are capital."""
+        return name if self.code == "de" else name[:1].lower() + name[1:]
 
     def day(self, value: date) -> str:
         """Return a date as it is written."""

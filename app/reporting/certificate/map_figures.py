@@ -32,9 +32,9 @@ from truepath.app.reporting.svg import (
 from truepath.app.reporting.volume_figure import SHADES, mix_colour
 
 _COLUMNS, _ROWS, _LEVELS = 11, 9, 3
-_HEIGHT, _TOP, _BOTTOM = 196.0, 34.0, 146.0
-_BAR_TOP, _BAR_WIDTH = 174.0, 200.0
-_ARROW = 0.9  # of a cell: the longest
+_HEIGHT, _TOP, _BOTTOM = 232.0, 34.0, 180.0
+_BAR_TOP, _BAR_WIDTH = 208.0, 200.0
+_ARROW = 0.8  # of a cell: the longest
 _BINS = 30
 _CHART_HEIGHT = 170.0
 
@@ -81,9 +81,7 @@ def draw_slices(
 ) -> Markup:
     """Draw three slices side by side, on one scale."""
     largest = max(float(slices.length_um.max()), 1e-6)
-    parts: list[Markup] = [
-        write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK)
-    ]
+    parts: list[Markup] = [write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK)]
     factor = _choose_factor(slices)
     for level in range(_LEVELS):
         parts.append(_draw_slice(slices, level, names, largest, factor, language))
@@ -116,9 +114,7 @@ def _choose_factor(slices: Slices) -> float:
     place = slices.position_mm[0, :, :, :2]
     cell_mm = min(place[0, 1, 0] - place[0, 0, 0], place[1, 0, 1] - place[0, 0, 1])
     flat = np.linalg.norm(slices.error_um[..., :2], axis=-1)
-    return round_down(
-        _ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6)
-    )
+    return round_down(_ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6))
 
 
 def _draw_slice(
@@ -130,16 +126,17 @@ def _draw_slice(
     language: Language,
 ) -> Markup:
     place, length = slices.position_mm[level], slices.length_um[level]
-    panel = (WIDTH - 2.0 * 14.0) / _LEVELS
-    left, right = level * (panel + 14.0) + 14.0, level * (panel + 14.0) + panel
+    panel = WIDTH / _LEVELS
+    left, right = level * panel + 20.0, (level + 1) * panel - 12.0
     span = place[-1, -1, :2] - place[0, 0, :2]
     scale = min((right - left) / span[0], (_BOTTOM - _TOP) / span[1])
     width, height = scale * span
     middle = 0.5 * (left + right)
-    x = Scale(*place[0, [0, -1], 0].tolist(), middle - width / 2, middle + width / 2)
-    y = Scale(*place[[0, -1], 0, 1].tolist(), _BOTTOM, _BOTTOM - height)
+    (west, south), (east, north) = place[0, 0, :2].tolist(), place[-1, -1, :2].tolist()
+    x = Scale(west, east, middle - width / 2, middle + width / 2)
+    y = Scale(south, north, _BOTTOM, _BOTTOM - height)
     heading = f"{names[2]} = {language.number(float(place[0, 0, 2]), 0)} mm"
-    top = _BOTTOM - height
+    top = _BOTTOM - height - 6.0
     parts = [
         write_label(middle, top - 4.0, heading, anchor="middle", colour=Colour.INK),
         *_draw_cells(length, x, y, largest),
@@ -147,9 +144,10 @@ def _draw_slice(
     if slices.error_um is not None:
         parts.append(_draw_arrows(place, slices.error_um[level], x, y, factor))
     parts += [
-        write_label(middle, _BOTTOM + 10.0, names[0], anchor="middle"),
-        write_label(middle - width / 2 - 6.0, _BOTTOM - height / 2, names[1],
-                    anchor="middle"),
+        write_label(middle, _BOTTOM + 17.0, names[0], anchor="middle"),
+        write_label(
+            middle - width / 2 - 14.0, _BOTTOM - height / 2, names[1], anchor="middle"
+        ),
     ]
     return join_shapes(parts)
 
@@ -158,7 +156,9 @@ def _draw_cells(
     length: Float64[np.ndarray, "r c"], x: Scale, y: Scale, largest: float
 ) -> list[Markup]:
     """Return a field of colour a cell, each the mean of its four corners."""
-    mean = 0.25 * (length[1:, 1:] + length[1:, :-1] + length[:-1, 1:] + length[:-1, :-1])
+    mean = 0.25 * (
+        length[1:, 1:] + length[1:, :-1] + length[:-1, 1:] + length[:-1, :-1]
+    )
     rows, columns = mean.shape
     width, height = (x.end - x.begin) / columns, (y.begin - y.end) / rows
     shades = np.minimum(SHADES * mean / largest, SHADES - 1).astype(int)
@@ -234,15 +234,18 @@ def _draw_histogram(
 ) -> Markup:
     edge = np.linspace(0.0, max(1.02 * float(lengths.max()), 1e-6), _BINS + 1)
     share = 100.0 * np.histogram(lengths, edge)[0] / len(lengths)
-    mark = language.mark(".")
+    mark = language.decimal_mark
     x = replace(frame.make_x(0.0, float(edge[-1])), decimal_mark=mark)
     highest = 1.08 * float(share.max())
     y = replace(frame.make_y(0.0, highest, margin=0.0), decimal_mark=mark)
     at, height = x.place(edge), y.place(share)
     bars = [
         fill_box(
-            float(at[i]), float(height[i]), float(at[i + 1] - at[i]) - 0.6,
-            frame.bottom - float(height[i]), colour,
+            float(at[i]),
+            float(height[i]),
+            float(at[i + 1] - at[i]) - 0.6,
+            frame.bottom - float(height[i]),
+            colour,
         )
         for i in range(_BINS)
         if share[i] > 0.0

@@ -6,9 +6,12 @@ fetched. See docs/decisions/pdf.md.
 
 from __future__ import annotations
 
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from truepath.app.errors import BadInput
+
+if TYPE_CHECKING:
+    from weasyprint import HTML
 
 REMEDY = (
     "install it with `pip install 'truepath[pdf]'` and the system library Pango "
@@ -17,20 +20,30 @@ REMEDY = (
 
 
 class PdfUnavailable(BadInput):
-    """This installation cannot print."""
+    """No PDF can be made by this installation."""
+
+
+def require_printer() -> None:
+    """Raise PdfUnavailable, with the remedy, where no PDF can be made."""
+    _load_printer()
 
 
 def print_pdf(html: str) -> bytes:
     """Return the PDF of an HTML page. Raises PdfUnavailable with the remedy."""
+    page = _load_printer()(string=html, url_fetcher=_refuse)
+    printed = page.write_pdf(pdf_variant="pdf/ua-1")
+    assert printed is not None  # noqa: S101 (no file was named to write to)
+    return printed
+
+
+def _load_printer() -> type[HTML]:
     try:
         # Imported where it prints: it is an extra, and takes half a second to come up.
         from weasyprint import HTML
     except (ImportError, OSError) as error:
-        raise PdfUnavailable(f"no PDF can be made here ({_say(error)}): {REMEDY}") from (
-            error
-        )
-    page = HTML(string=html, url_fetcher=_refuse)
-    return page.write_pdf(pdf_variant="pdf/ua-1")
+        text = f"no PDF can be made here ({_say(error)}): {REMEDY}"
+        raise PdfUnavailable(text) from error
+    return HTML
 
 
 def _say(error: Exception) -> str:

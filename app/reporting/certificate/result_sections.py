@@ -44,7 +44,10 @@ _REMEDIES = (
 def describe_brief(certificate: Certificate, language: Language) -> View:
     """Return the volumetric error as found, expected, and as left."""
     stated = certificate.found.content["volumetric_error"]
-    states = [("before", stated["before"]), ("after_expected", stated["after_expected"])]
+    states = [
+        ("before", stated["before"]),
+        ("after_expected", stated["after_expected"]),
+    ]
     if certificate.left is not None:
         left = certificate.left.content["volumetric_error"]["before"]
         states.append(("after_left", left))
@@ -254,7 +257,9 @@ def _list_values(
 
 
 def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ...]]:
-    for symbol, table in content.get("direction", {}).get("half_difference", {}).items():
+    for symbol, table in (
+        content.get("direction", {}).get("half_difference", {}).items()
+    ):
         unit = _unit_of(table, "value")
         value, sigma = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
         largest = int(np.argmax(np.abs(value)))
@@ -282,7 +287,7 @@ def _say_merged(text: str, language: Language) -> str:
         language.say(
             "limits_unobservable",
             symbol=symbol,
-            name=language.name_symbol(symbol),
+            name=language.continue_with(language.name_symbol(symbol)),
             others=_join(found["others"], language),
         )
     ]
@@ -303,7 +308,7 @@ def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str
         return language.expanded(stated.value, stated.uncertainty)
 
     return (
-        f"{one.symbol[2]}, {SIGN[one.unit]}",
+        f"{one.symbol[2]},\u00a0{SIGN[one.unit]}",
         say(one.mean_range),
         say(one.reversal),
         say(one.systematic_range),

@@ -56,8 +56,10 @@ def draw_setup(
         for at in trackers_mm
     ]
     parts += [_draw_path(path, fit) for path in paths_mm if len(path)]
-    parts += [_draw_tracker(at, number, fit, language)
-              for number, at in enumerate(trackers_mm, start=1)]
+    parts += [
+        _draw_tracker(at, number, fit, language)
+        for number, at in enumerate(trackers_mm, start=1)
+    ]
     parts += _write_axes(axes, corners, fit)
     return paint(draw_image(_HEIGHT, language.say("section_setup"), parts))
 
@@ -106,11 +108,11 @@ def _draw_tracker(
     name = language.say("tracker") + (f" {number}" if number > 1 else "")
     is_right = x > WIDTH / 2.0
     return fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD) + write_label(
-        x - 6.0 if is_right else x + 6.0,
-        y - 7.0,
+        x,
+        y + 14.0,
         name,
         colour=Colour.INK,
-        anchor="end" if is_right else "start",
+        anchor="end" if is_right else "middle",
     )
 
 

@@ -1,0 +1,260 @@
+"""`certificate`: what it states is what the result states, in both languages."""
+
+import io
+import json
+import re
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from itertools import zip_longest
+
+import pypdf
+import pytest
+
+from truepath.app.cli.command import run
+from truepath.app.reporting.certificate import pdf
+
+ISSUED = ("--issued", "2026-11-24")
+
+
+@dataclass
+class Page(HTMLParser):
+    """The tables of a certificate by the section that they stand in."""
+
+    tables: dict[str, list[list[list[str]]]] = field(default_factory=dict)
+    text: str = ""
+    _section: str = ""
+    _in_cell: bool = False
+
+    def __post_init__(self):
+        super().__init__()
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "section":
+            self._section = dict(attrs)["id"]
+        elif tag == "table":
+            self.tables.setdefault(self._section, []).append([])
+        elif tag == "tr":
+            self.tables[self._section][-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[self._section][-1][-1].append("")
+            self._in_cell = True
+
+    def handle_endtag(self, tag):
+        self._in_cell = self._in_cell and tag not in ("td", "th")
+
+    def handle_data(self, data):
+        self.text += data
+        if self._in_cell:
+            self.tables[self._section][-1][-1][-1] += data
+
+
+def read_page(file):
+    page = Page()
+    page.feed(file.read_text(encoding="utf-8"))
+    return page
+
+
+def numbers(text):
+    """The numbers of a cell, in either language."""
+    plain = text.replace("−", "-").replace("\u202f", "").replace(",", ".")
+    return [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", plain)]
+
+
+@pytest.fixture
+def issue(analysed, tmp_path):
+    def certify(name, *more, result=None):
+        file = tmp_path / name
+        source = result or analysed / "result.json"
+        kept = ("--data-dir", str(tmp_path / "data"))
+        words = ["certificate", str(source), "-o", str(file), *ISSUED, *kept, *more]
+        return run(words), file
+
+    return certify
+
+
+@pytest.fixture
+def result(analysed):
+    return json.loads((analysed / "result.json").read_text())
+
+
+@pytest.fixture
+def judged(result, tmp_path):
+    """A result file that says another thing of itself."""
+
+    def judge(state):
+        verdict = {"state": state, "reasons": ["The table shook."]}
+        file = tmp_path / "judged.json"
+        file.write_text(json.dumps({**result, "verdict": verdict}))
+        return file
+
+    return judge
+
+
+def half_a_digit(text):
+    """The rounding of the numbers of a cell."""
+    decimals = re.search(r"[.,](\d+)", text)
+    return 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_number_of_the_tables_is_the_results_and_u_is_twice_u(
+    issue, result, language
+):
+    status, file = issue("c.html", "--language", language)
+    assert status == 0
+    seen = set()
+    for table in read_page(file).tables["tables"]:
+        head, *rows = table
+        for column, title in enumerate(head[1:], start=1):
+            symbol = title.split(",")[0]
+            stated = result["error_tables"].get(symbol)
+            if stated is None:
+                continue
+            seen.add(symbol)
+            unit = "um" if "value_um" in stated else "urad"
+            rest = (stated["position_mm"], stated[f"value_{unit}"])
+            every = zip_longest(rows, *rest, stated[f"uncertainty_{unit}"])
+            for (row, at, value, sigma), beyond in zip(
+                every, stated["extrapolated"], strict=True
+            ):
+                assert row[0].endswith("*") == beyond
+                assert numbers(row[0])[0] == pytest.approx(at, abs=0.0500001)
+                shown, expanded = numbers(row[column])
+                digit = half_a_digit(row[column])
+                assert shown == pytest.approx(value, abs=digit)
+                assert expanded == pytest.approx(2.0 * sigma, abs=digit)
+    assert seen == set(result["error_tables"])
+
+
+def test_squareness_volume_and_budget_are_those_of_the_result(issue, result):
+    _, file = issue("c.html")
+    tables = read_page(file).tables
+    for symbol, _, cell in tables["single"][0][1:]:
+        value, expanded = numbers(cell)[:2]
+        stated = result["squareness_urad"][symbol]
+        assert value == pytest.approx(stated["value"], abs=half_a_digit(cell))
+        assert expanded == pytest.approx(
+            2.0 * stated["uncertainty"], abs=half_a_digit(cell)
+        )
+    before = tables["brief"][0][1]
+    mean = result["volumetric_error"]["before"]["mean"]
+    assert numbers(before[1]) == pytest.approx(
+        [mean["value_um"], 2.0 * mean["uncertainty_um"]], abs=half_a_digit(before[1])
+    )
+    *sources, total, expanded = tables["budget"][0][1:]
+    squares = sum(numbers(row[4])[0] ** 2 for row in sources)
+    stated = result["volumetric_uncertainty_um"]
+    assert squares**0.5 == pytest.approx(stated, abs=2e-3)
+    assert numbers(total[4])[0] == pytest.approx(stated, abs=6e-4)
+    assert numbers(expanded[4])[0] == pytest.approx(2.0 * stated, abs=6e-4)
+
+
+def test_what_nobody_has_stated_is_shown_as_not_stated(issue, capsys):
+    _, file = issue("c.html", "--state", "operator=Jörg Weiß")
+    identity = dict(read_page(file).tables["identity"][0])
+    assert identity["Operator"] == "Jörg Weiß"
+    assert identity["Serial number of the tracker"] == "not stated"
+    assert "not stated: machine_maker" in capsys.readouterr().err
+    _, file = issue("d.html", "--language", "de")
+    identity = dict(read_page(file).tables["identity"][0])
+    assert identity["Bediener"] == "Jörg Weiß"
+    assert identity["Seriennummer des Trackers"] == "nicht angegeben"
+
+
+@pytest.mark.parametrize(
+    ("language", "texts"),
+    [
+        ("en", ["Calibration certificate", "Uncertainty budget", "Page 2 of "]),
+        ("de", ["Kalibrierschein", "Überprüfung", "für", "Größte", "Seite 2 von "]),
+    ],
+)
+def test_the_pdf_is_a_readable_document_of_a_few_pages(issue, language, texts):
+    status, file = issue("c.pdf", "--language", language)
+    assert status == 0
+    document = pypdf.PdfReader(file)
+    assert 5 <= len(document.pages) <= 12
+    pages = [page.extract_text() for page in document.pages]
+    for text in texts:
+        assert any(text in page for page in pages), text
+    assert all(len(page) > 200 for page in pages)  # none is empty
+
+
+def test_the_same_result_makes_the_same_bytes(issue):
+    assert issue("a.pdf")[1].read_bytes() == issue("b.pdf")[1].read_bytes()
+
+
+def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
+    issue, judged, capsys
+):
+    status, file = issue("c.pdf", result=judged("not-usable"))
+    assert status == 2
+    assert not file.exists()
+    assert "--accept-verdict" in capsys.readouterr().err
+    _, file = issue("c.pdf", "--accept-verdict", result=judged("not-usable"))
+    first = pypdf.PdfReader(file).pages[0].extract_text()
+    assert "NOT TO BE USED" in first
+    assert "The table shook." in first
+
+
+def test_a_doubtful_result_states_its_reasons_on_the_first_page(issue, judged):
+    _, file = issue("c.pdf", "--language", "de", result=judged("doubtful"))
+    first = pypdf.PdfReader(file).pages[0].extract_text()
+    assert "ZWEIFELHAFT" in first
+    assert "The table shook." in first
+
+
+def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_remedy(
+    issue, monkeypatch, capsys
+):
+    def is_missing():
+        raise pdf.PdfUnavailable(f"no PDF can be made here (…): {pdf.REMEDY}")
+
+    monkeypatch.setattr(pdf, "_load_printer", is_missing)
+    status, file = issue("c.pdf")
+    assert status == 2
+    assert not file.exists()
+    assert "pip install 'truepath[pdf]'" in capsys.readouterr().err
+    assert issue("c.html")[0] == 0
+
+
+def test_files_beside_the_result_are_stated_and_held_against_it(
+    issue, analysed, result, tmp_path
+):
+    account = tmp_path / "c.json"
+    words = ["export", str(analysed / "result.json"), "--format", "json"]
+    assert run([*words, "-o", str(tmp_path / "c.tables.json")]) == 0
+    other = {"input_sha256": "f" * 64}
+    check = {"schema": "verification/1", "verdict": "pass", "provenance": other}
+    verification = tmp_path / "v.json"
+    verification.write_text(json.dumps({**check, "largest_um": 3.25}))
+    left = ("--as-left", str(analysed / "result.json"))
+    beside = ("--compensation", str(account), "--verification", str(verification))
+    _, file = issue("c.html", *beside, *left)
+    page = read_page(file)
+    assert "IT WAS MADE FOR ANOTHER RESULT" in page.text
+    assert "THE FILES WERE MADE FROM ANOTHER" not in page.text
+    assert ["largest_um", "3.250"] in page.tables["verification"][0]
+    after = json.loads(account.read_text())["volumetric_error_um"]["after"]
+    shown = dict(page.tables["compensation"][0])[
+        "With the files, as the control reads them"
+    ]
+    assert numbers(shown)[:2] == pytest.approx(
+        [after["mean"], 2.0 * after["mean_uncertainty"]], abs=half_a_digit(shown)
+    )
+    assert [row[0] for row in page.tables["brief"][0][1:]][-1] == "As left, measured"
+    assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
+
+
+def test_a_file_of_another_kind_is_refused_by_its_name(issue, analysed, capsys):
+    status, _ = issue("c.html", "--verification", str(analysed / "result.json"))
+    assert status == 2
+    assert "verification/1" in capsys.readouterr().err
+    assert issue("c.txt")[0] == 2
+    assert ".pdf or .html" in capsys.readouterr().err
+
+
+def test_the_html_fetches_nothing_and_has_no_script(issue):
+    _, file = issue("c.html")
+    html = file.read_text(encoding="utf-8")
+    assert not re.search(r"<script|https?://|url\(|@import|<link|<img", html)
+    assert io.StringIO(html).readline().strip() == "<!DOCTYPE html>"
