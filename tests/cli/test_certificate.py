@@ -176,7 +176,7 @@ def test_the_pdf_is_a_readable_document_of_a_few_pages(issue, language, texts):
     pages = [page.extract_text() for page in document.pages]
     for text in texts:
         assert any(text in page for page in pages), text
-    assert all(len(page) > 200 for page in pages)  # none is empty
+    assert all(len(page) > 400 for page in pages[:-1])  # none is empty
 
 
 def test_the_same_result_makes_the_same_bytes(issue):
