@@ -34,7 +34,7 @@ from truepath.app.reporting.volume_figure import SHADES, mix_colour
 _COLUMNS, _ROWS, _LEVELS = 11, 9, 3
 _HEIGHT, _TOP, _BOTTOM = 232.0, 34.0, 180.0
 _BAR_TOP, _BAR_WIDTH = 208.0, 200.0
-_ARROW = 0.8  # of a cell: the longest
+_ARROW = 1.4  # of a cell: the longest, before the factor is rounded down
 _BINS = 30
 _CHART_HEIGHT = 170.0
 
