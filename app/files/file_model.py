@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import (
     BaseModel,
@@ -123,6 +123,11 @@ def _list_texts(content: object) -> Iterator[str]:
                 left += values
             case _:
                 pass
+
+
+def as_object(content: object) -> Mapping[str, Any]:
+    """Return parsed JSON where it is an object; an empty one for anything else."""
+    return cast(Mapping[str, Any], content) if isinstance(content, Mapping) else {}
 
 
 def encode_json(content: object, *, indent: int | None = None) -> bytes:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from truepath.app.files.file_model import as_object
 from truepath.app.files.verdict import STATES
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
@@ -113,12 +116,8 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
             ),
             (name, ""),
         )
-        value, sigma = number["value"], number["uncertainty"]
-        pairs = (
-            zip(value, sigma, strict=True)
-            if isinstance(value, list)
-            else [(value, sigma)]
-        )
+        value, sigma = (np.atleast_1d(number[key]) for key in ("value", "uncertainty"))
+        pairs = zip(value.tolist(), sigma.tolist(), strict=True)
         shown = ", ".join(language.expanded(v, s) for v, s in pairs)
         word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
         yield f"{word} {shown} {unit}".strip()
@@ -136,7 +135,7 @@ def _say_mismatch(
 
 def _say_state(verdict: object, language: Language) -> str:
     """Return a verdict in words: those of a result in the language, others as said."""
-    state = verdict.get("state") if isinstance(verdict, Mapping) else verdict
+    state = as_object(verdict).get("state", verdict)
     if state in STATES:
         return language.say(f"{str(state).replace('-', '_')}_title")
     return str(state) if state is not None else language.say("not_stated")
@@ -150,8 +149,8 @@ def _flatten(
         if not name and key in _HIDDEN:
             continue
         path = f"{name}.{key}" if name else key
-        if isinstance(value, Mapping):
-            yield from _flatten(value, language, path)
+        if below := as_object(value):
+            yield from _flatten(below, language, path)
         elif isinstance(value, bool | str):
             yield path, str(value)
         elif isinstance(value, int | float):

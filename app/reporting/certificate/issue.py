@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from truepath.app.errors import BundleError
-from truepath.app.files.file_model import parse_json
+from truepath.app.files.file_model import as_object, parse_json
 from truepath.app.files.identity_file import Identity
 from truepath.app.files.result_file import (
     LARGEST_BYTES,
@@ -36,10 +36,7 @@ class Source:
     @property
     def input_sha256(self) -> str:
         """The digest of the Runs that it says it is from; empty where it does not."""
-        provenance = self.content.get("provenance")
-        found = (
-            provenance.get("input_sha256") if isinstance(provenance, Mapping) else ""
-        )
+        found = as_object(self.content.get("provenance")).get("input_sha256")
         return found if isinstance(found, str) else ""
 
 
@@ -108,9 +105,8 @@ def read_result_source(file: str | Path, name: str = "") -> ResultSource:
     """Read a result file. Raises BundleError, for a model file as well."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     shown = name or str(file)
-    content = parse_json(data, shown)
-    result = result_from_json(content, file=shown)
-    assert isinstance(content, Mapping)  # noqa: S101 (it was read as a result)
+    parsed = parse_json(data, shown)
+    result, content = result_from_json(parsed, file=shown), as_object(parsed)
     if content["schema"] != RESULT_SCHEMA:
         remedy = "give the result.json of an analysis"
         raise BundleError("is a model, not a result", file=shown, remedy=remedy)
@@ -120,8 +116,8 @@ def read_result_source(file: str | Path, name: str = "") -> ResultSource:
 def read_source(file: str | Path, schema: str) -> Source:
     """Read another file of a certificate. Raises BundleError for another schema."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
-    content = parse_json(data, str(file))
-    if not isinstance(content, Mapping) or content.get("schema") != schema:
+    content = as_object(parse_json(data, str(file)))
+    if content.get("schema") != schema:
         remedy = f"give a file of {schema}"
         raise BundleError("is of another schema", file=str(file), remedy=remedy)
     return Source(Path(file).name, content, _digest(data))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from truepath.app.files.file_model import as_object
 from truepath.app.reporting.certificate.issue import Certificate
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.certificate.setup_figure import draw_setup
@@ -135,7 +136,7 @@ def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
 
 
 def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
-    refraction = environment.get("refraction") or {}
+    refraction = as_object(environment.get("refraction"))
     key = _AIR.get(refraction.get("by", ""), "unknown")
     yield language.say(f"air_{key}")
     if scale := environment.get("range_scale"):

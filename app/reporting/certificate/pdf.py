@@ -6,17 +6,27 @@ fetched. See docs/decisions/pdf.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+from collections.abc import Callable
+from typing import NoReturn, Protocol, cast
 
 from truepath.app.errors import BadInput
-
-if TYPE_CHECKING:
-    from weasyprint import HTML
 
 REMEDY = (
     "install it with `pip install 'truepath[pdf]'` and the system library Pango "
     "(Debian: libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0); HTML needs neither"
 )
+
+
+class _Page(Protocol):
+    """What is used of WeasyPrint, which has no types of its own."""
+
+    def __init__(self, *, string: str, url_fetcher: Callable[..., NoReturn]) -> None:
+        """Lay out an HTML page."""
+        ...
+
+    def write_pdf(self, *, pdf_variant: str) -> bytes | None:
+        """Return the PDF."""
+        ...
 
 
 class PdfUnavailable(BadInput):
@@ -36,14 +46,14 @@ def print_pdf(html: str) -> bytes:
     return printed
 
 
-def _load_printer() -> type[HTML]:
+def _load_printer() -> type[_Page]:
     try:
         # Imported where it prints: it is an extra, and takes half a second to come up.
-        from weasyprint import HTML
+        from weasyprint import HTML  # pyright: ignore[reportMissingTypeStubs]
     except (ImportError, OSError) as error:
         text = f"no PDF can be made here ({_say(error)}): {REMEDY}"
         raise PdfUnavailable(text) from error
-    return HTML
+    return cast(type[_Page], HTML)
 
 
 def _say(error: Exception) -> str:
