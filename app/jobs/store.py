@@ -84,14 +84,18 @@ class Store:
 
         Raises KeyReused, CellBusy.
         """
+        identified = replace(new, id=make_id())
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
+            added = _find_first_event(connection, identified.id)
+            if added is not None:  # the word that it was committed got lost
+                return _read_job(connection, identified.id), added
             earlier = _find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
                 _refuse_second_measurement(connection, new.machine)
-            job = _insert_job(connection, new, plan)
+            job = _insert_job(connection, identified, plan)
             if key is not None:
                 _insert_key(connection, key, job.id)
             return job, _insert_event(connection, job)
@@ -303,7 +307,7 @@ def _refuse_second_measurement(connection: Connection, machine: str | None) -> N
 def _insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
     goal = State.READY if new.kind.measures else State.SUCCEEDED
     now = format_utc_now()
-    job = replace(new, id=make_id(), desired_state=str(goal), created=now)
+    job = replace(new, desired_state=str(goal), created=now)
     query = insert(jobs).values(**_encode_columns(job), plan=plan)
     done = connection.execute(query)
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
@@ -331,6 +335,13 @@ def _insert_event(connection: Connection, job: Job) -> JobEvent:
     done = connection.execute(insert(events).values(**row))
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
     return JobEvent("job", job.id, body, done.inserted_primary_key[0])
+
+
+def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
+    """Return the event of a job that was added, None where there is no such job."""
+    query = select(events).where(events.c.job_id == job_id).order_by(events.c.id)
+    row = connection.execute(query.limit(1)).mappings().first()
+    return row and JobEvent(row["type"], job_id, row["body"], row["id"])
 
 
 def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:

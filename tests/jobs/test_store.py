@@ -135,6 +135,24 @@ def test_a_change_behind_the_back_of_the_process_is_seen(store, database):
 
 
 @pytest.mark.fault_row(33)
+@pytest.mark.fault_row(37)
+@pytest.mark.parametrize("new", [ANALYSE, MEASURE], ids=lambda job: str(job.kind))
+def test_a_job_whose_commit_is_not_confirmed_is_made_once(store, monkeypatch, new):
+    """A server that restarts may commit and lose its answer; the write is repeated."""
+    commit = store._database._commit
+
+    def commit_twice(change, deadline):
+        commit(change, deadline)
+        return commit(change, deadline)
+
+    monkeypatch.setattr(store._database, "_commit", commit_twice)
+    job, is_new = store.create(new)
+    assert is_new
+    assert [each.id for each in store.list_page(9)] == [job.id]
+    assert len(store.read_events_after(0)) == 1
+
+
+@pytest.mark.fault_row(33)
 def test_the_same_key_and_body_make_one_job(store):
     key = IdempotencyKey("k-1", b'{"kind": "analyse"}')
     job, is_new = store.create(ANALYSE, key)
