@@ -341,7 +341,9 @@ def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
     """Return the event of a job that was added, None where there is no such job."""
     query = select(events).where(events.c.job_id == job_id).order_by(events.c.id)
     row = connection.execute(query.limit(1)).mappings().first()
-    return row and JobEvent(row["type"], job_id, row["body"], row["id"])
+    if row is None:
+        return None
+    return JobEvent(row["type"], job_id, row["body"], row["id"])
 
 
 def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
