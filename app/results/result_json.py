@@ -35,6 +35,8 @@ from truepath.app.results.updated_effects import (
     state_updated_effects,
 )
 
+_BEAM_FRAME = "beam", "azimuth", "elevation"
+
 
 def result_json(found: Findings) -> dict[str, Any]:
     """Return the content of the result file."""
@@ -114,7 +116,7 @@ def _residuals_json(
         "rms_um": UM_PER_MM * rms_mm,
         "noise_floor_um": UM_PER_MM * floor_mm,
         "by_direction_um": dict(
-            zip(("beam", "azimuth", "elevation"), beam.tolist(), strict=True)
+            zip(_BEAM_FRAME, beam.tolist(), strict=True)
         ),
         "by_line": by_line,
     }
@@ -201,12 +203,15 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
         "without_it_um": found.find_without_um(run),
         "alignment": _alignment_json(found, run),
-        "residuals": _residuals_json(
-            residuals.residual_mm,
-            residuals.rms_mm,
-            residuals.floor_mm,
-            _lines_json(run),
-        ),
+        "residuals": {
+            **_residuals_json(
+                residuals.residual_mm,
+                residuals.rms_mm,
+                residuals.floor_mm,
+                _lines_json(run),
+            ),
+            "along_lines": _along_lines_json(found, run),
+        },
         "noise": _noise_json(run),
         "seats": [
             {
@@ -255,6 +260,29 @@ def _lines_json(run: RunFindings) -> list[dict[str, Any]]:
         {"row": int(row), "cells": int(cells), "rms_um": float(rms)}
         for row, cells, rms in zip(lines.row, lines.cells, lines.rms_um, strict=True)
     ]
+
+
+def _along_lines_json(found: Findings, run: RunFindings) -> list[dict[str, Any]]:
+    """Return the residual of every cell by line, over the way from the line's first."""
+    residuals, machine = run.estimate.residuals, found.estimate.model.machine
+    straight = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
+    place_mm = residuals.position_mm[:, straight]
+    lines: list[dict[str, Any]] = []
+    for row in np.unique(residuals.row):
+        own = np.flatnonzero(residuals.row == row)
+        along_mm = np.linalg.norm(place_mm[own] - place_mm[own[0]], axis=1)
+        parts_um = UM_PER_MM * residuals.residual_mm[own].T
+        lines.append(
+            {
+                "row": int(row),
+                "along_mm": along_mm.round(2).tolist(),
+                **{
+                    f"{name}_um": part.round(3).tolist()
+                    for name, part in zip(_BEAM_FRAME, parts_um, strict=True)
+                },
+            }
+        )
+    return lines
 
 
 def _noise_json(run: RunFindings) -> dict[str, Any]:

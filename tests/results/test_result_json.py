@@ -114,6 +114,22 @@ def test_rows_that_left_no_data_are_named(estimate, provenance, with_residuals):
     assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
 
 
+def test_residuals_along_the_lines_are_those_of_the_rows(content, estimate):
+    (run,) = content["runs"]
+    lines = run["residuals"]["along_lines"]
+    position_mm = estimate.runs[0].residuals.position_mm
+    for line, of_row in zip(lines, content["residuals"]["by_line"], strict=True):
+        parts = [line[f"{name}_um"] for name in ("beam", "azimuth", "elevation")]
+        assert line["row"] == of_row["row"]
+        assert line["along_mm"][0] == 0.0
+        assert len(line["along_mm"]) == of_row["cells"]
+        assert np.sqrt(np.mean(np.square(parts))) == pytest.approx(
+            of_row["rms_um"], abs=1e-2
+        )
+    second_mm = np.linalg.norm(position_mm[1] - position_mm[0])
+    assert lines[0]["along_mm"][1] == pytest.approx(second_mm, abs=0.01)
+
+
 def test_residuals_of_the_rows_add_up_to_the_whole(content):
     rows = content["residuals"]["by_line"]
     square = sum(r["cells"] * r["rms_um"] ** 2 for r in rows)

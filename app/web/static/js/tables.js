@@ -7,6 +7,7 @@ const ROTATIONS = "ABC";
 /** Error motions of a result by axis: [{axis, tables: [table, …]}, …], known or not.
  *
  * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties, known,
+ *         extrapolated: whether each position lies beyond what was measured; measured: that range or null,
  *         halves: half the difference of both directions of approach, null where there is none,
  *         why: what the result says of an error motion that it does not hold}
  */
@@ -14,15 +15,16 @@ export function tablesByAxis(result) {
   const entries = result.error_tables ?? {};
   const ways = result.direction?.half_difference ?? {};
   const unseen = result.observability?.unobservable ?? [];
+  const ranges = result.measured_range ?? {};
   const axes = Object.keys(result.machine?.axes ?? {}).sort(byLetter("XYZABC"));
   return axes.map((axis) => ({
     axis,
     tables: [...TRANSLATIONS + ROTATIONS].map((motion) => `E${motion}${axis}`)
-      .map((symbol) => read(symbol, entries[symbol] ?? {}, ways[symbol], unseen)).sort(byMotion(axis)),
+      .map((symbol) => read(symbol, entries[symbol] ?? {}, ways[symbol], unseen, ranges[axis])).sort(byMotion(axis)),
   }));
 }
 
-function read(symbol, entry, way, unseen) {
+function read(symbol, entry, way, unseen, range) {
   const kind = TRANSLATIONS.includes(symbol[1]) ? "error" : "angle";
   const rotary = Boolean(entry.position_deg);
   const values = entry.value_um ?? entry.value_urad ?? [];
@@ -32,6 +34,8 @@ function read(symbol, entry, way, unseen) {
     positions: entry.position_mm ?? entry.position_deg ?? [],
     values,
     uncertainties: entry.uncertainty_um ?? entry.uncertainty_urad ?? [],
+    extrapolated: entry.extrapolated ?? [],
+    measured: range ? [range.from_mm ?? range.from_deg, range.to_mm ?? range.to_deg] : null,
     halves: way ? way.value_um ?? way.value_urad : null,
     known: values.length > 0 && values.every((v) => v !== null),
     why: unseen.find((text) => text.startsWith(symbol)) ?? "",

@@ -1,5 +1,5 @@
 /* One error motion over its axis, with the band of its expanded uncertainty (k = 2). */
-import { number } from "../texts.js";
+import { number, t } from "../texts.js";
 import { decimalsOf, shown, unitOf } from "../units.js";
 import { colour, font } from "./colours.js";
 
@@ -23,6 +23,13 @@ export function columns(table) {
   };
 }
 
+/** Least and largest that is drawn of a table with 0 among it, in shown units. */
+export function extentOf(table) {
+  const { low, high, up, down } = columns(table);
+  const all = [low, high, up ?? [], down ?? [], 0].flat();
+  return [Math.min(...all), Math.max(...all)];
+}
+
 /** Largest magnitude that is drawn of a table, in shown units. */
 export function reachOf(table) {
   const { low, high, up, down } = columns(table);
@@ -35,13 +42,14 @@ export function roundReach(reach) {
   return decade * [1, 1.5, 2, 3, 4, 6, 8, 10].find((step) => step * decade >= reach - 1e-12);
 }
 
-/** Draw a table; `reach` fixes the scale to ± reach, `read(text)` follows the cursor.
+/** Draw a table; `read(text)` follows the cursor.
  *
- * sparse: marks at 0 and ± reach alone, for charts too low for more
+ * span: height of the scale in shown units, which then lies where the table is; null for the table's own
+ * reach: fixes the scale to ± reach instead, with marks at 0 and ± reach alone, for charts too low for more
  * Answers {update(table, reach), close}.
  */
-export function drawErrors(element, table, { reach = null, read = () => {}, sparse = false } = {}) {
-  const drawn = { table, reach, sparse, data: columns(table) };
+export function drawErrors(element, table, { reach = null, span = null, read = () => {} } = {}) {
+  const drawn = { table, reach, span, data: columns(table) };
   const chart = new uPlot(options(element, drawn, read), rows(drawn.data), element);
   const watcher = new ResizeObserver(() => {
     if (element.clientWidth) chart.setSize(sizeOf(element));
@@ -66,7 +74,7 @@ const sizeOf = (element) => ({ width: element.clientWidth, height: element.clien
 
 function options(element, drawn, read) {
   const accent = colour("accent");
-  const range = () => scale(drawn.reach ?? reachOf(drawn.table));
+  const range = () => (drawn.reach === null ? around(drawn) : symmetric(drawn.reach));
   // Not aligned to whole pixels: a smooth error must not look like a staircase.
   const line = (stroke, width, dash) => ({ stroke, width, dash, points: { show: false }, pxAlign: 0 });
   const edge = line("transparent");
@@ -82,21 +90,22 @@ function options(element, drawn, read) {
     bands: [{ series: [3, 2], fill: colour("band") }],
     hooks: {
       setCursor: [(chart) => read(reading(chart.cursor.idx, drawn))],
-      drawAxes: [drawZero],
+      drawAxes: [(chart) => hatchUnmeasured(chart, drawn.table), drawZero],
     },
   };
 }
 
-function axes(drawn) {
+function axes({ table, reach }) {
+  const named = reach === null;
+  const label = (text) => (named ? { label: text, labelSize: 18, labelGap: 2, labelFont: font(13) } : {});
   const common = {
     stroke: colour("quiet"), font: font(12), ticks: { show: false },
     grid: { stroke: colour("line"), width: 1 },
+    values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))),
   };
-  const x = { ...common, size: 26, space: 56, grid: { show: false },
-    values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
-  const y = { ...common, size: 44, space: 26,
-    ...(drawn.sparse ? { splits: () => [-drawn.reach, 0, drawn.reach] } : {}),
-    values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
+  const x = { ...common, size: 24, space: 56, grid: { show: false }, ...label(`${table.axis} (${unitOf(table.positionKind)})`) };
+  const y = { ...common, size: named ? 40 : 44, space: 26, ...label(`${table.symbol} (${unitOf(table.kind)})`),
+    ...(named ? {} : { splits: () => [-reach, 0, reach] }) };
   return [x, y];
 }
 
@@ -106,7 +115,40 @@ function decimalsFor(marks) {
   return [0, 1, 2].find((digits) => isWhole(step * 10 ** digits)) ?? 3;
 }
 
-const scale = (reach) => [-1.08 * (reach || 1), 1.08 * (reach || 1)];
+const symmetric = (reach) => [-1.08 * (reach || 1), 1.08 * (reach || 1)];
+
+/** What is drawn in the middle of a scale of that height, or of its own. */
+function around({ table, span }) {
+  const [low, high] = extentOf(table);
+  const half = 0.54 * (span ?? high - low) || 1;
+  const middle = 0.5 * (low + high);
+  return [middle - half, middle + half];
+}
+
+/** Hatch what lies beyond the measured range: there the table is continued, not measured. */
+function hatchUnmeasured(chart, { measured, positionKind }) {
+  if (!measured) return;
+  const { ctx, bbox: { left, top, width, height } } = chart;
+  const [from, to] = measured.map((v) => chart.valToPos(shown(v, positionKind), "x", true));
+  ctx.save();
+  ctx.strokeStyle = colour("line-strong");
+  ctx.lineWidth = devicePixelRatio;
+  for (const [begin, end] of [[left, from], [to, left + width]]) {
+    if (end - begin < 1) continue;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(begin, top, end - begin, height);
+    ctx.clip();
+    ctx.beginPath();
+    for (let x = begin - height; x < end; x += 7 * devicePixelRatio) {
+      ctx.moveTo(x, top + height);
+      ctx.lineTo(x + height, top);
+    }
+    ctx.stroke();
+    ctx.restore();
+  }
+  ctx.restore();
+}
 
 function drawZero(chart) {
   const y = Math.round(chart.valToPos(0, "y", true)) + 0.5;
@@ -127,5 +169,6 @@ function reading(index, { table, data }) {
   const position = `${table.axis} ${number(data.x[index], decimalsOf(table.positionKind))} `
     + unitOf(table.positionKind);
   return `${position}: ${number(data.value[index], digits)} ± `
-    + `${number(data.expanded[index], digits)} ${unitOf(table.kind)}`;
+    + `${number(data.expanded[index], digits)} ${unitOf(table.kind)}`
+    + (table.extrapolated[index] ? ` ${t("result.not_measured")}` : "");
 }

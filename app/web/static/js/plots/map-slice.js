@@ -33,8 +33,8 @@ function draw(element, { map, scale, factor, plane, level }) {
   const frame = fit(map.travel[a], map.travel[b], width, height);
   const points = map.points.filter(({ index }) => index[across] === level);
   element.replaceChildren(s("svg", { class: "slice", width, height, viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" },
-    hatch(), outside(map, a, b, frame), border(frame), ticks(map, a, b, frame),
-    points.map((point) => mark(point, a, b, frame, scale, factor, map.hasDirection))));
+    hatch(), outside(map, a, b, frame), border(frame),
+    points.map((point) => mark(point, a, b, frame, scale, factor, map.hasDirection)), ticks(map, a, b, frame)));
 }
 
 /** Where mm lie: one scale for both directions, in the middle of the room. */

@@ -117,7 +117,7 @@ function liveChart({ symbol, name, kind, known: isKnown }) {
         symbol, name, k: COVERAGE, u: quantity(largest, kind),
         least: figure(Math.min(...table.values), kind), most: quantity(Math.max(...table.values), kind) }));
       if (chart) chart.update(table, reach);
-      else chart = drawErrors(plot, table, { reach, sparse: true });
+      else chart = drawErrors(plot, table, { reach });
     },
     close() {
       chart?.close();

@@ -7,6 +7,7 @@ import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
 import { drawVolume } from "../plots/map-volume.js";
 import { hasWebGL, VIEWS } from "../plots/scene.js";
+import { prefer, preference } from "../preferences.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { mapTable } from "./map-table.js";
@@ -14,7 +15,7 @@ import { mapTable } from "./map-table.js";
 const LINEAR = ["X", "Y", "Z"];
 const VOLUME = "volume";
 const [FACTOR_STEPS, DECADE] = [60, 15]; // of the slider
-const LONGEST = 0.2; // of the travel's diagonal, the largest arrow at first
+const LONGEST = 0.12; // of the travel's diagonal, the largest arrow at first
 
 /** A map of the service for drawing; `result` says which range was measured.
  *
@@ -42,7 +43,7 @@ const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
 /** The card; `addFiles(made)` offers what files leave, `close` ends it. */
 export function mapCard(job, result) {
   const space = hasWebGL();
-  const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, scale: null };
+  const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, first: null, scale: null };
   const maps = new Map();
   const parts = build(space);
   let volume = null;
@@ -57,6 +58,10 @@ export function mapCard(job, result) {
     });
   if (!space) mark(views.querySelector(`[data-value=${VOLUME}]`), "disabled", "");
   parts.tools.append(states, views);
+  parts.scales.append(choose(t("result.scale"), [["common", t("map.scale_common")], ["own", t("map.scale_own")]], preference("scale"), (value) => {
+    prefer("scale", value);
+    if (shown.map) rescale();
+  }));
   parts.factor.addEventListener("input", () => {
     shown.factor = factorAt(Number(parts.factor.value));
     draw();
@@ -85,9 +90,16 @@ export function mapCard(job, result) {
     }
     if (shown.state !== state || closed) return;
     shown.map = maps.get(state);
-    // One scale for all states: what compensation takes away is to be seen.
-    shown.scale ??= lengthScale(shown.map.points.map((p) => p.length_um));
+    shown.first ??= shown.map;
     shown.factor ??= firstFactor(shown.map);
+    rescale();
+  }
+
+  /** One scale for all states shows what compensation takes away; one of its own, what is left. */
+  function rescale() {
+    const { map, first } = shown;
+    const { points } = preference("scale") === "common" ? first : map;
+    shown.scale = lengthScale(points.map((p) => p.length_um));
     draw(true);
   }
 
@@ -186,15 +198,16 @@ function build(space) {
   const [volume, slice] = ["volume", "slice"].map(picture);
   const tools = h("div", { class: "map-tools" });
   const cameras = h("div", { class: "map-cameras" });
-  const key = h("div", { class: "map-key" });
+  const key = h("div");
+  const scales = h("div", { class: "map-scales" });
   const note = h("p", { class: "quiet" });
   const missing = h("p", { class: "quiet", hidden: space }, t("map.no_webgl"));
   const numbers = h("div", { class: "map-numbers" });
   const frame = h("div", { class: "map-frame" }, volume, slice, cameras);
   const element = h("section", { class: "card map-card", "data-card": "map", "aria-label": t("map.title") },
     h("div", { class: "card-head" }, h("h2", {}, t("map.title"))), tools, frame,
-    h("div", { class: "map-under" }, key, factorField, levelField), missing, note, numbers);
-  return { element, picture: frame, volume, slice, tools, cameras, key, note, missing, numbers, factor, factorRead, factorField,
+    h("div", { class: "map-under" }, h("div", {}, key, scales), factorField, levelField), missing, note, numbers);
+  return { element, picture: frame, volume, slice, tools, cameras, key, scales, note, missing, numbers, factor, factorRead, factorField,
     level, levelRead, levelField };
 }
 

@@ -2,7 +2,7 @@
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
 import { card, earlyEndNotice, head, kindOf, linkButton, segments, tile } from "../parts.js";
-import { COVERAGE, drawErrors, reachOf } from "../plots/error-chart.js";
+import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
@@ -119,8 +119,9 @@ function drawTables(body, result) {
   const groups = tablesByAxis(result);
   const charts = [];
   const grid = h("div");
-  const directed = groups.some((group) => group.tables.some((table) => table.halves));
-  body.append(...[toolbar(() => fill(), directed), grid, squareness(result), gradeCard(result.grade),
+  const any = (has) => groups.some((group) => group.tables.some(has));
+  const shows = { directed: any((table) => table.halves), continued: any((table) => table.extrapolated.some(Boolean)) };
+  body.append(...[toolbar(() => fill(), shows), grid, squareness(result), gradeCard(result.grade),
     unseen(result)].filter(Boolean));
   fill();
   return charts;
@@ -128,7 +129,7 @@ function drawTables(body, result) {
   function fill() {
     for (const chart of charts.splice(0)) chart.close();
     grid.replaceChildren();
-    const common = preference("scale") === "common" ? reaches(groups) : null;
+    const common = preference("scale") === "common" ? spans(groups) : null;
     for (const group of groups) {
       const plots = h("div", { class: "charts" });
       grid.append(h("div", { class: "axis-head" }, h("h3", {}, t("result.axis", { axis: group.axis }))), plots);
@@ -141,15 +142,14 @@ function drawTables(body, result) {
   }
 }
 
-/** The largest reach of all tables of a kind: one scale makes them comparable. */
-function reaches(groups) {
+/** The largest span of all tables of a kind: one scale makes them comparable. */
+function spans(groups) {
   const all = groups.flatMap((group) => group.tables).filter((table) => table.known);
-  const largest = (kind) =>
-    Math.max(0, ...all.filter((table) => table.kind === kind).map(reachOf));
+  const largest = (kind) => Math.max(0, ...all.filter((table) => table.kind === kind).map(extentOf).map(([low, high]) => high - low));
   return { error: largest("error"), angle: largest("angle") };
 }
 
-function toolbar(redraw, directed) {
+function toolbar(redraw, { directed, continued }) {
   const scale = segments(t("result.scale"),
     [["common", t("result.scale_common")], ["own", t("result.scale_own")]], preference("scale"),
     (value) => {
@@ -159,7 +159,8 @@ function toolbar(redraw, directed) {
   const legend = h("ul", { class: "key" }, h("li", {}, h("i"), t("result.value")),
     h("li", { class: "is-band" }, h("i"), t("result.band", { k: COVERAGE })),
     directed && [h("li", { class: "is-up" }, h("i"), t("result.up")),
-      h("li", { class: "is-down" }, h("i"), t("result.down"))]);
+      h("li", { class: "is-down" }, h("i"), t("result.down"))],
+    continued && h("li", { class: "is-hatched" }, h("i"), t("result.continued")));
   return h("div", { class: "result-bar" }, h("h2", {}, t("result.tables")), legend, scale);
 }
 
@@ -178,9 +179,9 @@ function chartCard(table) {
   const plot = h("div", { class: "chart-plot", role: "img", "aria-label": largest(table) });
   const element = h("article", { class: "chart", "data-symbol": table.symbol },
     h("header", {}, title, open), plot, read);
-  return [element, (reach) => {
+  return [element, (span) => {
     write(read, largest(table));
-    return drawErrors(plot, table, { reach, read: (text) => write(read, text || largest(table)) });
+    return drawErrors(plot, table, { span, read: (text) => write(read, text || largest(table)) });
   }];
 }
 

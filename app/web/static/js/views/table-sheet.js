@@ -25,7 +25,7 @@ function values(table) {
   const digits = decimalsOf(table.kind);
   const unit = unitOf(table.kind);
   const rows = x.map((position, i) => h("tr", {},
-    h("td", { class: "right" }, number(position, decimalsOf(table.positionKind))),
+    h("td", { class: "right" }, number(position, decimalsOf(table.positionKind)), table.extrapolated[i] && "*"),
     h("td", { class: "right" }, number(value[i], digits)),
     h("td", { class: "right" }, `± ${number(expanded[i], digits)}`),
     [up, down].filter(Boolean).map((way) => h("td", { class: "right" }, number(way[i], digits)))));
@@ -34,5 +34,6 @@ function values(table) {
     h("thead", {}, h("tr", {}, title(`${table.axis} (${unitOf(table.positionKind)})`),
       title(t("result.value_in", { unit })), title(t("result.u_in", { unit, k: COVERAGE })),
       up && [title(t("result.up_in", { unit })), title(t("result.down_in", { unit }))])),
-    h("tbody", {}, rows)));
+    h("tbody", {}, rows),
+    table.extrapolated.some(Boolean) && h("caption", {}, t("result.extrapolated"))));
 }
