@@ -10,8 +10,10 @@ from pydantic import BaseModel, Field
 
 from truepath.app.api.models.base import PREFIX, Mm, Problem
 from truepath.app.api.models.plan import (
+    CurvePoint,
     PlanCheck,
     PlanCheckOut,
+    PlanCurve,
     PlanLinks,
     PlanOut,
     PlanRequest,
@@ -150,6 +152,26 @@ def create_plan(
 def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
     """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
     return _describe(_require_plan_job(plan_id, service), response, service)
+
+
+@router.get("/{plan_id}/curve", responses=declare_problems(404))
+def get_plan_curve(plan_id: str, service: ServiceDep) -> PlanCurve:
+    """Return uncertainty against time along a plan, its grade and what is known least.
+
+    Any beginning of the plan can be driven alone: its rows are the first ones.
+    """
+    job = _require_plan_job(plan_id, service)
+    plan = service.store.read_plan(job.id)
+    document = plan["document"] if plan else None
+    if document is None:
+        raise NotFound(f"plan {plan_id} ({job.state}) has no curve")
+    return PlanCurve(
+        plan_id=job.id,
+        points=[CurvePoint(**point) for point in document["curve"]],
+        tracker_mm=document["tracker"]["position_mm"],
+        tracker_is_assumed=document["tracker"]["assumed"],
+        unobservable=document["unobservable"],
+    )
 
 
 @router.get(

@@ -79,6 +79,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /plans:validate": _VIEWER,
     "GET /plans/{plan_id}": _VIEWER,
     "GET /plans/{plan_id}/nc-program": _VIEWER,
+    "GET /plans/{plan_id}/curve": _VIEWER,
     "GET /runs": _VIEWER,
     "POST /runs": _OPERATOR,
     "GET /runs/{run_id}": _VIEWER,

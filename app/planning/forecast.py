@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
+from truepath.app.alignment.observations import Observations
 from truepath.app.estimation.design_matrix import linearise
 from truepath.app.estimation.information import compute_posterior
 from truepath.app.estimation.known_effects import KnownEffects
@@ -42,6 +43,7 @@ from truepath.app.kinematics.volumetric_map import (
 from truepath.app.motion.configurations import Commanded
 from truepath.app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
+_NAMED = 3  # of the weakest error motions
 _CURVE = 24  # places along the plan at which the uncertainty is stated
 # Of the tracker, before enough lines locate it: a millimetre, a milliradian.
 _POSE = {"mm": 1.0, "rad": 1e-3}
@@ -89,6 +91,20 @@ class Assumptions:
         return prior
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What is left once a row of the plan is reached.
+
+    sigma_mm : volumetric, as of the whole plan
+    weakest_mm : what of it the error motions known least put at the tool, by name, the
+        weakest first
+    """
+
+    row: int
+    sigma_mm: float
+    weakest_mm: Mapping[str, float]
+
+
 @dataclass(frozen=True)
 class Forecast:
     """The uncertainty after a plan, and on the way.
@@ -97,7 +113,7 @@ class Forecast:
     known : effects in the model, as an earlier measurement has left them
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
         of the volumetric error vector, its rigid motion left out
-    row, sigma_mm : (k,) the same once the plan's row is reached, in its order
+    curve : the same once rows of the plan are reached, in its order
     unobservable : what the plan cannot show, in words
     stations : what is measured from each place of the tracker
     """
@@ -106,8 +122,7 @@ class Forecast:
     known: KnownEffects
     covariance: Float64[np.ndarray, "p p"]
     volumetric_sigma_mm: float
-    row: tuple[int, ...]
-    sigma_mm: tuple[float, ...]
+    curve: tuple[Step, ...]
     unobservable: tuple[str, ...]
     stations: tuple[RunInput, ...]
 
@@ -159,11 +174,30 @@ def forecast(
     prior = assumed.make_prior(model)
     if earlier:
         prior += combine_runs(collect_information(earlier, model)).matrix
+    covariance, curve = _trace_curve(cells, noise, model, prior)
+    shapes = build_shape_model(machine, offset_mm)
+    observed = assess_observability(shapes, stations)
+    return Forecast(
+        model,
+        known,
+        covariance,
+        curve[-1].sigma_mm,
+        curve,
+        observed.unobservable,
+        stations,
+    )
+
+
+def _trace_curve(
+    cells: Observations,
+    noise: NoiseModel,
+    model: MachineModel,
+    prior: Float64[np.ndarray, "p p"],
+) -> tuple[Float64[np.ndarray, "p p"], tuple[Step, ...]]:
+    """Return the covariance after all cells, and what is left on the way."""
     gram = compute_volumetric_gram(model)
-    about = linearise(cells, model, cells.pose, noise)
-    sums = RecursiveEstimator.start(about)
-    rows: list[int] = []
-    sigmas: list[float] = []
+    sums = RecursiveEstimator.start(linearise(cells, model, cells.pose, noise))
+    steps, nothing = list[Step](), np.zeros(model.size)
     covariance = np.zeros((model.size, model.size))
     ends = np.flatnonzero(np.diff(cells.row, append=cells.row[-1] + 1)) + 1
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
@@ -171,20 +205,27 @@ def forecast(
         sums = sums.add(cells.select(np.arange(first, last)))
         covariance = _compute_covariance(sums, prior)
         mean_square = float(np.sum(gram * covariance))
-        rows.append(int(cells.row[last - 1]))
-        sigmas.append(max(mean_square, 0.0) ** 0.5)
-    shapes = build_shape_model(machine, offset_mm)
-    observed = assess_observability(shapes, stations)
-    return Forecast(
-        model,
-        known,
-        covariance,
-        sigmas[-1],
-        tuple(rows),
-        tuple(sigmas),
-        observed.unobservable,
-        stations,
-    )
+        weakest_mm = _find_weakest_mm(EstimatedModel(model, nothing, covariance))
+        row = int(cells.row[last - 1])
+        steps.append(Step(row, max(mean_square, 0.0) ** 0.5, weakest_mm))
+    return covariance, tuple(steps)
+
+
+def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:
+    """Return what the error motions known least put at the tool, the weakest first.
+
+    Of those that the targets show: what they cannot tell is said apart.
+    """
+    told = found.at_targets
+    gram = compute_volumetric_gram(told.model)
+    square: dict[str, float] = {}
+    for motion in told.model.error_motions:
+        if motion.name not in told.model.confounded:
+            part = told.model.slices[motion.name]
+            own = gram[part, part] * told.covariance[part, part]
+            square[motion.name] = max(float(np.sum(own)), 0.0)
+    names = sorted(square, key=lambda name: -square[name])[:_NAMED]
+    return {name: square[name] ** 0.5 for name in names}
 
 
 def _compute_covariance(

@@ -158,7 +158,7 @@ class _Criterion:
         information, prior = (m[: self.told, : self.told] for m in (information, prior))
         covariance = _compute_covariance(information, prior)
         return _Evaluation(
-            set_ups, information, covariance, sigma, _sample_sigma_mm(cells)
+            set_ups, information, covariance, sigma, sample_sigma_mm(cells)
         )
 
     def _marginalise_pose(self, cells: Observations) -> Float64[np.ndarray, "p p"]:
@@ -248,19 +248,19 @@ def _grade_stations(
     )
 
 
-def verdict(number: float) -> str:
-    """Return the word for a number."""
-    if number <= GOOD:
-        return "good"
-    return "usable" if number <= USABLE else "poor"
-
-
-def _sample_sigma_mm(cells: Sequence[Observations]) -> float:
+def sample_sigma_mm(cells: Sequence[Observations]) -> float:
     """Return the standard deviation of one sample as a vector, at usual distance."""
     distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
     tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     return float(np.sqrt(along**2 + 2.0 * across**2))
+
+
+def verdict(number: float) -> str:
+    """Return the word for a number."""
+    if number <= GOOD:
+        return "good"
+    return "usable" if number <= USABLE else "poor"
 
 
 def _coarser(

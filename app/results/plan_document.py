@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from truepath.app.files.machine_file import machine_to_json
-from truepath.app.files.units import scale_of
+from truepath.app.files.units import UM_PER_MM, scale_of
 from truepath.app.files.verdict import Verdict, verdict_json
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from truepath.app.planning.grade import sample_sigma_mm, verdict
 from truepath.app.planning.plan import Plan
 from truepath.app.results.station_json import stations_json
 from truepath.app.results.updated_effects import (
@@ -58,19 +59,28 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "target": None
         if target_um is None
         else {**_state_both(target_um), "reached": planned.reached},
-        "curve": [
-            {
-                "row": first_row + row + 1,
-                "time_s": round(begin_s + float(plan.time_s[row]), 3),
-                **_state_both(1e3 * sigma),
-            }
-            for first_row, begin_s, plan in _in_turn(planned)
-            for row, sigma in zip(
-                plan.forecast.row, plan.forecast.sigma_mm, strict=True
-            )
-        ],
+        "curve": list(_trace_curve(planned)),
         "unobservable": _list_unobservable(planned),
     }
+
+
+def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
+    """Yield what is left once rows are reached, its grade, and what is known least."""
+    for first_row, begin_s, plan in _in_turn(planned):
+        found = plan.forecast
+        sample_mm = sample_sigma_mm([run.observations for run in found.stations])
+        for step in found.curve:
+            number = step.sigma_mm / sample_mm
+            yield {
+                "row": first_row + step.row + 1,
+                "time_s": round(begin_s + float(plan.time_s[step.row]), 3),
+                **_state_both(UM_PER_MM * step.sigma_mm),
+                "grade": {"number": number, "verdict": verdict(number)},
+                "weakest": [
+                    {"error": name, "at_tool_um": UM_PER_MM * at_tool_mm}
+                    for name, at_tool_mm in step.weakest_mm.items()
+                ],
+            }
 
 
 def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:

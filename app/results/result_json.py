@@ -115,9 +115,7 @@ def _residuals_json(
     return {
         "rms_um": UM_PER_MM * rms_mm,
         "noise_floor_um": UM_PER_MM * floor_mm,
-        "by_direction_um": dict(
-            zip(_BEAM_FRAME, beam.tolist(), strict=True)
-        ),
+        "by_direction_um": dict(zip(_BEAM_FRAME, beam.tolist(), strict=True)),
         "by_line": by_line,
     }
 

@@ -70,6 +70,28 @@ def test_a_plan_says_what_it_will_leave_unknown(plan, client):
     assert (job["kind"], job["state"], job["result"]) == ("plan", "succeeded", None)
 
 
+def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
+    found = client.get(plan["links"]["curve"]).json()
+    points, document = found["points"], plan["document"]
+    assert [p["row"] for p in points] == sorted({p["row"] for p in points})
+    assert points[-1]["row"] == document["rows"]
+    assert points[-1]["time_s"] == pytest.approx(document["duration_s"])
+    numbers = [p["grade"]["number"] for p in points]
+    assert numbers == sorted(numbers, reverse=True)
+    # From geometry alone and in few shapes it is about the same.
+    assert numbers[-1] == pytest.approx(document["grade"]["number"], rel=0.5)
+    assert points[0]["grade"]["verdict"] == "poor"
+    for point in points:
+        at_tool = [weak["at_tool_um"] for weak in point["weakest"]]
+        assert at_tool == sorted(at_tool, reverse=True)
+        assert len(at_tool) == 3
+    assert found["tracker_mm"] == document["tracker"]["position_mm"]
+
+
+def test_a_job_that_is_no_plan_has_no_curve(client, ready, is_problem):
+    is_problem(client.get(f"/api/v1/plans/{ready['id']}/curve"), 404, "not-found")
+
+
 def test_more_time_is_foretold_to_tell_more(planned):
     short, long = planned(SHORT), planned({**SHORT, "minutes": 1.5})
     told = [

@@ -14,6 +14,7 @@ from scripted_data import (
     TRACKER,
     TRACKER_NOISE,
     compensation,
+    plan_curve,
     volumetric_map,
 )
 from scripted_service import ScriptedService
@@ -137,6 +138,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     async def create_plan(request: Request) -> Any:
         service.requests.append(("POST", "/plans", await request.json()))
         return service.planned | {"state": "queued"}
+
+    @app.get(f"{API}/plans/{{plan_id}}/curve")
+    def curve(plan_id: str) -> Any:
+        return plan_curve()
 
     @app.get(f"{API}/plans/{{plan_id}}")
     def planned(plan_id: str) -> Any:

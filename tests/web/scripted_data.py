@@ -160,6 +160,33 @@ def planned_path(lines: int = 22) -> dict[str, Any]:
     }
 
 
+def plan_curve(rows: int = 23) -> dict[str, Any]:
+    """Return uncertainty against time along `planned_path`, five seconds a row."""
+    points = []
+    for row in range(3, rows + 1, 4):
+        sigma = 4.0 * (row / 3) ** -1.0
+        points.append(
+            {
+                "row": row,
+                "time_s": 5.0 * row,
+                "volumetric_uncertainty_um": sigma,
+                "expanded_volumetric_uncertainty_um": 2 * sigma,
+                "grade": {"number": sigma / 8.0, "verdict": "usable"},
+                "weakest": [{"error": "ECX" if row < 15 else "EXX", "at_tool_um": 0.5}],
+            }
+        )
+    points[-1]["grade"]["verdict"] = "good"
+    return {
+        "plan_id": "plan-1",
+        "points": points,
+        "tracker_mm": [1200.0, 300.0, -80.0],
+        "tracker_is_assumed": True,
+        "unobservable": [
+            "ECZ (roll of Z) cannot be told; a second target separates it"
+        ],
+    }
+
+
 def result() -> dict[str, Any]:
     """Return smooth error tables with uncertainties that open towards the ends."""
     rng = np.random.default_rng(11)

@@ -219,6 +219,46 @@ class PlanCheckOut(BaseModel):
     duration_s: float = Field(description="From the first row on, dwells included.")
 
 
+class GradeAt(BaseModel):
+    """The expected uncertainty of the map over the scatter of one sample."""
+
+    number: float = Field(examples=[0.24])
+    verdict: str = Field(examples=["good"], description="good, usable or poor")
+
+
+class WeakAt(BaseModel):
+    """An error motion that is known least."""
+
+    error: str = Field(examples=["ECX"])
+    at_tool_um: float = Field(description="Standard uncertainty it puts at the tool.")
+
+
+class CurvePoint(BaseModel):
+    """What is left once the plan has been driven to a row."""
+
+    row: int = Field(examples=[19], description="Rows driven.")
+    time_s: float = Field(examples=[43.2], description="Dwells and moves included.")
+    volumetric_uncertainty_um: float = Field(description="k = 1.")
+    expanded_volumetric_uncertainty_um: float = Field(description="k = 2.")
+    grade: GradeAt | None = Field(None, description="Null in plans of older versions.")
+    weakest: list[WeakAt] = Field([], description="The weakest first.")
+
+
+class PlanCurve(BaseModel):
+    """Uncertainty against time: how far any beginning of a plan comes.
+
+    A plan that is made for a shorter time leaves about as much, or less.
+    """
+
+    plan_id: str = Field(examples=[JOB_ID])
+    points: list[CurvePoint]
+    tracker_mm: list[float] = Field(
+        description="Where the tracker stands, in the frame that it stands on."
+    )
+    tracker_is_assumed: bool
+    unobservable: list[str] = Field(description="What the plan cannot tell, in words.")
+
+
 class PlanLinks(Links):
     """Where else to look."""
 
@@ -226,6 +266,7 @@ class PlanLinks(Links):
     job: Annotated[str, "/jobs/{id}"]
     events: Annotated[str, "/jobs/{id}/events"]
     nc_program: Annotated[str, "/plans/{id}/nc-program"]
+    curve: Annotated[str, "/plans/{id}/curve"]
 
 
 class PlanResource(BaseModel):

@@ -147,7 +147,7 @@ export function createActions(store, go) {
     const tell = (planned) => store.set({ planned });
     tell(null);
     const job = await during("prepare", async () =>
-      api.createJob(request ? { ...order, plan_id: await planId(request, tell) } : order));
+      api.createJob(request ? { ...order, plan_id: (await makePlan(request, tell)).id } : order));
     if (!job) return;
     hear(job);
     follow(job);
@@ -161,6 +161,16 @@ export function createActions(store, go) {
       await loadSystem();
     }),
     prepare: begin,
+    /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
+    async foresee(request, tell) {
+      try {
+        const plan = await makePlan(request, tell);
+        return { ...plan, curve: await api.planCurve(plan.id) };
+      } catch (error) {
+        refuse(error);
+        return null;
+      }
+    },
     arm: () => verb("arm", api.arm),
     pause: () => verb("pause", api.pause),
     /** Go on; `then` says what to do first about what was noticed. */
@@ -188,8 +198,8 @@ export function createActions(store, go) {
   };
 }
 
-/** Have a plan made; tells how far it is, answers its id once it is there. */
-async function planId(request, tell) {
+/** Have a plan made; tells how far it is, answers it once it is there. */
+async function makePlan(request, tell) {
   let plan = await api.createPlan(request);
   while (!hasEnded(plan)) {
     await new Promise((resolve) => setTimeout(resolve, PLAN_LOOK_MS));
@@ -197,7 +207,7 @@ async function planId(request, tell) {
     tell(plan.progress);
   }
   if (plan.state !== "succeeded") throw new api.Problem(422, plan.error ?? {});
-  return plan.id;
+  return plan;
 }
 
 const byCreation = (a, b) => (a.created < b.created ? 1 : -1);

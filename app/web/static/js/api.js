@@ -86,6 +86,8 @@ export const createJob = (order) => call("POST", "/jobs", { json: order, key: ne
 /** Ask for a plan; follow it with `planned`. */
 export const createPlan = (request) => call("POST", "/plans", { json: request, key: newKey() });
 export const planned = (id) => call("GET", `/plans/${id}`);
+/** Uncertainty against time along a plan. */
+export const planCurve = (id) => call("GET", `/plans/${id}/curve`);
 export const plan = async (id) => withStations(await call("GET", `/jobs/${id}/plan`));
 /** The rows of each of several stations as a plan of its own. */
 const withStations = (whole) => (whole.stations

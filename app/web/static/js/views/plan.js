@@ -5,6 +5,7 @@ import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { curveCard } from "./curve-card.js";
 import { numberField, within } from "./number-field.js";
 import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
 
@@ -13,14 +14,19 @@ const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5,
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
 const choices = {
   kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
-  minutes: null, on_notice: "note",
+  by: "time", minutes: null, reach_um: null, on_notice: "note",
 };
 
+const isAdaptive = () => choices.kind === "measure-adaptive";
+
+/** Whether the plan is for an uncertainty instead of a time. */
+const isForTarget = () => choices.by === "target" && choices.reach_um !== null && !isAdaptive() && stationCount() === 1;
+
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
-const streams = () => choices.kind === "measure-otf";
+const streams = () => choices.kind !== "measure-standstill";
 
 /** Several stations are measured to their end. */
-const mayEndEarly = () => stationCount() === 1;
+const mayEndEarly = () => isAdaptive() || stationCount() === 1;
 
 /** Button that leads on. */
 export function lead({ machine, busy, planned, job }, { actions, go }) {
@@ -41,8 +47,8 @@ function refusal(machine, busy, planned) {
   if (!isConnected(machine)) return t("plan.not_connected");
   if (streams() && !within(most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most)) return t("plan.feed_refused");
   if (!within(minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
-  if (choosesPlace() && minutes === null) return t("place.minutes_missing");
-  if (refusePlace()) return refusePlace();
+  if (choosesPlace() && minutes === null && !isAdaptive() && !isForTarget()) return t("place.minutes_missing");
+  if (!isAdaptive() && refusePlace()) return refusePlace();
   return !mayEndEarly() || within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
 }
 
@@ -53,18 +59,26 @@ function refusal(machine, busy, planned) {
 function orders(machine) {
   const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes, on_notice } = choices;
   const job = { kind, perpendicular_only,
-    ...(on_notice === "note" || !mayEndEarly() ? {} : { on_notice }),
+    ...(on_notice === "note" || !mayEndEarly() || (isAdaptive() && on_notice !== "pause") ? {} : { on_notice }),
     ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
   const limited = streams() && most !== null;
+  if (isAdaptive()) return [{ ...job, planning: { ...planOrder(machine), ...(minutes === null ? {} : { minutes }) } }, null];
+  if (isForTarget()) return [job, { ...planOrder(machine), target_um: choices.reach_um / COVERAGE }];
   if (minutes === null) {
     return [limited ? { ...job, feed_mm_min: Math.min(most, FEED_MM_MIN.usual) } : job, null];
   }
-  return [job, { mode: streams() ? "otf" : "standstill", minutes, perpendicular_only,
-    ...(limited ? { max_feed_mm_min: most } : {}), ...placeOrder(machine) }];
+  return [job, { ...planOrder(machine), minutes }];
+}
+
+/** What is asked of a plan whatever its length. */
+function planOrder(machine) {
+  const { most_feed_mm_min: most, perpendicular_only } = choices;
+  return { mode: streams() ? "otf" : "standstill", perpendicular_only,
+    ...(streams() && most !== null ? { max_feed_mm_min: most } : {}), ...(isAdaptive() ? {} : placeOrder(machine)) };
 }
 
 /** Show the choices. */
-export function mount(root, { store }) {
+export function mount(root, { store, actions }) {
   const changed = () => store.set({});
   const feed = feedField(changed);
   const minutes = minutesField(changed);
@@ -74,8 +88,18 @@ export function mount(root, { store }) {
     if (choosesPlace() && choices.minutes === null) minutes.write(MINUTES.usual);
     changed();
   });
+  const curve = curveCard({
+    request: (most) => ({ ...planOrder(store.get().machine), minutes: most }),
+    foresee: actions.foresee,
+    choice: () => choices,
+    pick(picked) {
+      Object.assign(choices, picked);
+      if (picked.minutes !== undefined) minutes.write(picked.minutes);
+      changed();
+    },
+  });
   root.append(
-    head(t("plan.title"), t("plan.text")),
+    head(t("plan.title"), t("plan.text")), curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
@@ -83,12 +107,16 @@ export function mount(root, { store }) {
         target.element, policy)),
   );
   return {
-    update() {
+    update(state) {
+      curve.update(state);
+      curve.element.hidden = isAdaptive();
+      minutes.element.hidden = isForTarget();
       feed.element.hidden = !streams();
       target.element.hidden = !mayEndEarly();
       policy.hidden = !mayEndEarly();
+      place.hidden = isAdaptive();
     },
-    close() {},
+    close: curve.close,
   };
 }
 
@@ -97,7 +125,7 @@ function kinds(changed) {
     "aria-checked": String(choices.kind === kind), "data-kind": kind,
     onclick: () => choose(kind) },
   h("strong", {}, t(`kind.${kind}`)), h("span", {}, t(`plan.${kind}`)));
-  const options = ["measure-otf", "measure-standstill"].map(option);
+  const options = ["measure-otf", "measure-standstill", "measure-adaptive"].map(option);
   function choose(kind) {
     choices.kind = kind;
     for (const o of options) mark(o, "aria-checked", String(o.dataset.kind === kind));

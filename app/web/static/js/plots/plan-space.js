@@ -1,0 +1,43 @@
+/* A planned path in space with the tracker that looks at it: how much of it is chosen. */
+import { colour } from "./colours.js";
+import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
+
+const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
+
+/** Draw a plan; answers {choose(rows), view, close}.
+ *
+ * rows_mm: X, Y and Z of each row; travel: of X, Y and Z; tracker_mm: its place; offset_mm: of the reflector on the tool
+ */
+export async function drawPlanSpace(element, { rows_mm, travel, tracker_mm, offset_mm }, chosen) {
+  const Plotly = await plotly();
+  const around = travel.map(([low, high], i) => [Math.min(low, tracker_mm[i], low + offset_mm[i]), Math.max(high, tracker_mm[i], high + offset_mm[i])]);
+  const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
+  const line = (name, width, dash) => ({ color: colour(name), width, dash });
+  const parts = cut(chosen);
+  await Plotly.newPlot(element, [
+    { ...base, mode: "lines", line: line("line-strong", 1.5), ...edges(travel) },
+    { ...base, mode: "lines", line: line("plan", 1.5), ...parts[0] },
+    { ...base, mode: "lines", line: line("accent", 4), ...parts[1] },
+    { ...base, mode: "lines", opacity: 0.55, line: line("trace-y", 1), ...parts[2] },
+    { ...base, mode: "lines+markers", line: line("text", 6), marker: { size: [1, 5], color: colour("text") }, ...parts[3] },
+    { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates([tracker_mm]) },
+  ], layout(around, element), OPTIONS);
+
+  /** What is left out, what is driven, the beams to its stops, the tool at its end. */
+  function cut(count) {
+    const reflector = (row) => row.map((v, i) => v + offset_mm[i]);
+    const driven = rows_mm.slice(0, count);
+    const end = driven.at(-1);
+    return [rows_mm.slice(count - 1), driven, driven.flatMap((row) => [tracker_mm, reflector(row), null]), [end, reflector(end)]].map(coordinates);
+  }
+
+  return {
+    choose(count) {
+      const next = cut(count);
+      const along = (name) => next.map((part) => part[name]);
+      Plotly.restyle(element, { x: along("x"), y: along("y"), z: along("z") }, Object.values(TRACE));
+    },
+    view: (name) => Plotly.relayout(element, { "scene.camera": camera(name) }),
+    close: () => Plotly.purge(element),
+  };
+}

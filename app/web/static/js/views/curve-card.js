@@ -1,0 +1,178 @@
+/* What time buys: the curve of a long plan, and the part of it that the handle chooses. */
+import { h, icon, mark, write } from "../dom.js";
+import { notice, segments, tile } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { drawPlanCurve } from "../plots/plan-curve.js";
+import { drawPlanSpace } from "../plots/plan-space.js";
+import { hasWebGL } from "../plots/scene.js";
+import { nameOf } from "../tables.js";
+import { duration, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+import { adviceCard } from "./advice-card.js";
+
+const LONGEST_MIN = ["3", "6", "12"];
+const NO_OFFSET = [0, 0, 0];
+
+/** What has been computed, kept while the operator looks elsewhere. */
+const ahead = { longest: "6", key: "", plan: null, at: 0 };
+
+/** The card; `update(state)` hears of the machine, `close` ends it.
+ *
+ * request(minutes): the plan to ask for; foresee(request, tell): has it made
+ * choice: {by, reach_um}, of what is chosen; pick({by, minutes, reach_um}): tells what was chosen
+ */
+export function curveCard({ request, foresee, choice, pick }) {
+  let drawn = null;
+  let machine = null;
+  let isBusy = false;
+  let closed = false;
+  const waiting = h("p", { class: "quiet", role: "status" });
+  const compute = h("button", { class: "button", type: "button", "data-needs": "operator", onclick: ask },
+    icon("play"), h("span", {}, t("curve.compute")));
+  const byPlace = h("div", { class: "curve-by" });
+  const head = h("div", { class: "curve-ask" }, h("span", { class: "label" }, t("curve.longest")),
+    segments(t("curve.longest"), LONGEST_MIN.map((m) => [m, `${number(m)} min`]), ahead.longest, (value) => {
+      ahead.longest = value;
+      show();
+    }, true), compute, waiting, byPlace);
+  const body = h("div", { class: "stack" });
+  const element = h("section", { class: "card stack", "data-card": "curve", "aria-label": t("curve.title") },
+    h("div", {}, h("h2", {}, t("curve.title")), h("p", { class: "quiet" }, t("curve.text"))), head, body);
+
+  async function ask() {
+    const [order, key] = [request(Number(ahead.longest)), keyOf()];
+    isBusy = true;
+    show();
+    const plan = await foresee(order, (share) => write(waiting, t("plan.planning", { percent: number(100 * (share ?? 0)) })));
+    isBusy = false;
+    write(waiting, "");
+    if (plan) Object.assign(ahead, { key, plan, at: firstAt(plan.curve.points, choice()) });
+    if (closed) return;
+    drawn?.close();
+    drawn = null;
+    show();
+  }
+
+  /** By which choices a curve counts: all but the time. */
+  const keyOf = () => JSON.stringify([request(Number(ahead.longest))]);
+
+  function show() {
+    mark(compute, "disabled", isBusy || !machine);
+    if (!ahead.plan || !machine) return;
+    drawn ??= drawAhead(body, byPlace, machine, choice, pick);
+    drawn.age(ahead.key !== keyOf());
+  }
+
+  return {
+    element,
+    update(state) {
+      machine = state.machine;
+      show();
+    },
+    close() {
+      closed = true;
+      drawn?.close();
+    },
+  };
+}
+
+/** The place on the curve that is chosen already; its end where nothing is. */
+function firstAt(points, { by, minutes, reach_um }) {
+  const last = points.length - 1;
+  if (by === "target" && reach_um !== null) return reaching(points, reach_um);
+  if (minutes === null) return last;
+  const until = points.findLastIndex((p) => p.time_s <= 60 * minutes + 0.5);
+  return until < 0 ? 0 : until;
+}
+
+/** The first place at which an expanded uncertainty is reached; the last where none is. */
+function reaching(points, reach_um) {
+  const first = points.findIndex((p) => p.expanded_volumetric_uncertainty_um <= reach_um);
+  return first < 0 ? points.length - 1 : first;
+}
+
+function drawAhead(body, byPlace, machine, choice, pick) {
+  const { plan } = ahead;
+  const { points, unobservable } = plan.curve;
+  const names = { minutes: t("curve.minutes"), lines: t("curve.lines"), uncertainty: t("result.u", { k: COVERAGE }), grade: t("curve.grade") };
+  const tiles = Object.fromEntries(Object.entries(names).map(([name, text]) => [name, tile(text)]));
+  const weak = h("p", { class: "curve-weak", role: "status" });
+  const stale = h("div", { hidden: true }, notice("held", t("curve.stale"), t("curve.stale_text")));
+  const chart = h("div", { class: "curve-chart" });
+  const space = h("div", { class: "curve-space", role: "img", "aria-label": t("curve.space") });
+  const key = h("ul", { class: "key curve-key" }, [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")]]
+    .map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text)));
+  const by = segments(t("curve.by"), [["time", t("curve.by_time")], ["target", t("curve.by_target")]], choice().by, (value) => {
+    pick({ by: value });
+    put(ahead.at);
+  }, true);
+  byPlace.replaceChildren(h("span", { class: "label" }, t("curve.by")), by);
+  body.replaceChildren(...[stale,
+    h("div", { class: "curve-pictures" }, chart, h("div", {}, space, key)),
+    h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)), weak, more(plan, unobservable)].filter(Boolean));
+  const curve = drawPlanCurve(chart, points, put);
+  let path = null;
+  let closed = false;
+  if (hasWebGL()) path = begin().catch(without);
+  else without();
+  put(ahead.at, false);
+
+  async function begin() {
+    const found = await drawPlanSpace(space, place(plan, machine), points[ahead.at].row);
+    if (closed) found.close();
+    space.dataset.drawn = "";
+    found.choose(points[ahead.at].row);
+    return found;
+  }
+
+  function without() {
+    space.replaceChildren(h("p", { class: "quiet path-missing" }, t("curve.no_space")));
+    return null;
+  }
+
+  /** Let everything follow the handle. */
+  function put(at, isChosen = true) {
+    ahead.at = at;
+    const point = points[at];
+    const u = quantity(point.expanded_volumetric_uncertainty_um, "gap");
+    const minutes = `${duration(point.time_s)} min`;
+    write(tiles.minutes.number, minutes);
+    write(tiles.lines.number, number(point.row - (plan.commanded.kind === "path" ? 1 : 0)));
+    write(tiles.uncertainty.number, u);
+    write(tiles.grade.number, point.grade ? `${number(point.grade.number, 2)}: ${t(`grade.${point.grade.verdict}`)}` : "–");
+    write(weak, point.weakest.length ? t("curve.weak", { errors: point.weakest.map(named).join("; ") }) : "");
+    const { by: kind } = choice();
+    curve.update(at, kind === "target" ? point.expanded_volumetric_uncertainty_um : null, t("curve.spoken", { minutes, u }));
+    path?.then?.((found) => found?.choose(point.row));
+    if (isChosen) pick({ minutes: Math.max(0.5, Math.ceil(point.time_s / 6) / 10), reach_um: point.expanded_volumetric_uncertainty_um });
+  }
+
+  return {
+    age: (isStale) => mark(stale, "hidden", !isStale),
+    close() {
+      closed = true;
+      curve.close();
+      path?.then?.((found) => found?.close());
+    },
+  };
+}
+
+const named = ({ error, at_tool_um }) => t("curve.weak_one", { error, name: nameOf(error), u: quantity(COVERAGE * at_tool_um, "gap") });
+
+/** Stations and tools in words, where the plan has something to say of them. */
+function more(plan, unobservable) {
+  const { tracker, stations, at_stations } = plan.document ?? {};
+  const advice = stations ? adviceCard({ place: { tracker, stations, at_stations } }) : null;
+  const blind = unobservable.length
+    ? h("details", { class: "curve-blind" }, h("summary", {}, t("curve.blind", { count: number(unobservable.length) })),
+      h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, text)))) : null;
+  return h("div", { class: "stack" }, advice, blind);
+}
+
+function place(plan, machine) {
+  const { axes, position } = plan.commanded;
+  const columns = ["X", "Y", "Z"].map((name) => axes.indexOf(name));
+  const first = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
+  return { rows_mm: position.map((row) => columns.map((c) => row[c])), tracker_mm: plan.curve.tracker_mm, offset_mm: first,
+    travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
+}
