@@ -40,9 +40,21 @@ def test_with_prior_and_noise_known_it_agrees_on_every_machine(outcomes):
 
 def test_uncertainty_shrinks_from_row_to_row(outcomes):
     _, foretold, _ = outcomes[0]
-    assert (np.diff(foretold.sigma_mm) <= 0.0).all()
-    assert list(foretold.row) == sorted(set(foretold.row))
-    assert foretold.sigma_mm[-1] == foretold.volumetric_sigma_mm
+    sigma_mm = [step.sigma_mm for step in foretold.curve]
+    rows = [step.row for step in foretold.curve]
+    assert (np.diff(sigma_mm) <= 0.0).all()
+    assert rows == sorted(set(rows))
+    assert sigma_mm[-1] == foretold.volumetric_sigma_mm
+
+
+def test_what_is_known_least_is_one_of_what_the_target_shows(outcomes):
+    _, foretold, _ = outcomes[0]
+    for step in foretold.curve:
+        shares = list(step.weakest_mm.values())
+        assert shares == sorted(shares, reverse=True)
+        assert set(step.weakest_mm) < set(foretold.motion_sigmas())
+    first, last = (foretold.curve[i].weakest_mm for i in (0, -1))
+    assert max(last.values()) < max(first.values())
 
 
 def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
