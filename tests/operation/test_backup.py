@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 import zipfile
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,9 @@ from truepath.app.api.application import create_application
 from truepath.app.cli.command import run
 from truepath.app.errors import BadInput
 from truepath.app.files.bundle import zip_bundle
+from truepath.app.jobs.catalogue_rebuild import check_against_disk
 from truepath.app.jobs.data_folder import hold_folder
+from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import InUse
 from truepath.app.main import open_service
 from truepath.app.operation.archive import check_name
@@ -126,6 +129,24 @@ def test_what_was_kept_under_a_running_measurement_comes_back_whole(
         answer = client.get(f"/api/v1/jobs/{analysed}/result")
         assert answer.content == (result / "result.json").read_bytes()
         assert [user.name for user in service.access.accounts.list_all()] == ["ada"]
+
+
+def test_a_backup_is_restored_to_an_empty_database_of_postgresql(
+    backups, postgres_server, tmp_path
+):
+    name = postgres_server.make_database()
+    url = postgres_server.url(name)
+    target = tmp_path / "elsewhere"
+    settings = load_settings(data_dir=target, database_url=url)
+    kept = restore_backup(settings, backups.folder / "folder")
+    with closing(Database(url)) as database:
+        found = check_against_disk(database, target / "runs")
+        assert (found["jobs"], found["rows_without_file"]) == (kept.rows["jobs"], [])
+    other = load_settings(data_dir=tmp_path / "third", database_url=url)
+    with pytest.raises(BadInput, match="not empty"):
+        restore_backup(other, backups.folder / "folder")
+    assert [one.name for one in (tmp_path / "third").iterdir()] == [".lock"]
+    postgres_server.drop_database(name)
 
 
 def flip(file, place=0.5):
