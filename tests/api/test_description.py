@@ -90,7 +90,7 @@ def test_the_examples_of_a_job_are_taken(document):
 
 def test_all_paths_but_probes_are_versioned(operations):
     probes = {path for path, _, _ in operations if not path.startswith("/api/v1/")}
-    assert probes == {"/healthz", "/readyz"}
+    assert probes == {"/healthz", "/metrics", "/readyz"}
 
 
 def test_writing_the_file_writes_the_description(tmp_path):
