@@ -34,8 +34,8 @@ from truepath.app.api import (
     users,
 )
 from truepath.app.api.access_control import AccessControl
+from truepath.app.api.document import complete_document
 from truepath.app.api.models.base import PREFIX
-from truepath.app.api.route_roles import describe_roles
 from truepath.app.api.security import Guard
 from truepath.app.api.service import Service
 
@@ -76,9 +76,7 @@ _TAGS = [
 class _Application(FastAPI):
     def openapi(self) -> dict[str, Any]:
         if self.openapi_schema is None:
-            self.openapi_schema = describe_roles(
-                problems.add_problems(super().openapi())
-            )
+            self.openapi_schema = complete_document(super().openapi())
         return self.openapi_schema
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from pathlib import Path as FilePath
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Path, Response
 from fastapi.responses import FileResponse
 
+from truepath.app.api.models.base import CompensationId, JobId
 from truepath.app.api.models.compensation import (
     CompensationLinks,
     CompensationList,
@@ -24,6 +25,9 @@ from truepath.app.results.model_history import find_model_file
 
 router = APIRouter(tags=["compensation"])
 
+FileName = Annotated[
+    str, Path(description="One of `files`.", examples=["compensation-X.tbl"])
+]
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _FILE: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/octet-stream": _BINARY}}
@@ -46,7 +50,7 @@ def list_compensation_formats() -> FormatList:
     responses=declare_problems(404, 422),
 )
 def create_compensation(
-    job_id: str, request: CompensationRequest, response: Response, service: ServiceDep
+    job_id: JobId, request: CompensationRequest, response: Response, service: ServiceDep
 ) -> CompensationOut:
     """Make the files of a format, and say what they leave before anybody loads them.
 
@@ -67,7 +71,7 @@ def create_compensation(
 
 
 @router.get("/jobs/{job_id}/compensations", responses=declare_problems(404))
-def list_compensations(job_id: str, service: ServiceDep) -> CompensationList:
+def list_compensations(job_id: JobId, service: ServiceDep) -> CompensationList:
     """List the files that were made of a result."""
     from truepath.app.compensation.kept_files import list_accounts
 
@@ -79,7 +83,7 @@ def list_compensations(job_id: str, service: ServiceDep) -> CompensationList:
     "/jobs/{job_id}/compensations/{compensation_id}", responses=declare_problems(404)
 )
 def get_compensation(
-    job_id: str, compensation_id: str, service: ServiceDep
+    job_id: JobId, compensation_id: CompensationId, service: ServiceDep
 ) -> CompensationOut:
     """Return what files leave, and their names."""
     from truepath.app.compensation.kept_files import read_account
@@ -94,7 +98,7 @@ def get_compensation(
     responses={**declare_problems(404), **_FILE},
 )
 def download_compensation_file(
-    job_id: str, compensation_id: str, name: str, service: ServiceDep
+    job_id: JobId, compensation_id: CompensationId, name: FileName, service: ServiceDep
 ) -> FileResponse:
     """Return one file as the control loads it, or `compensation.json`."""
     from truepath.app.compensation.kept_files import find_file
@@ -109,7 +113,7 @@ def download_compensation_file(
     responses={**declare_problems(404), **_ZIP},
 )
 def download_compensation(
-    job_id: str, compensation_id: str, service: ServiceDep
+    job_id: JobId, compensation_id: CompensationId, service: ServiceDep
 ) -> Response:
     """Return all files and their account, zipped."""
     from truepath.app.compensation.kept_files import pack_files
@@ -121,7 +125,7 @@ def download_compensation(
     )
 
 
-def _find_folder(service: Service, job_id: str) -> Path:
+def _find_folder(service: Service, job_id: str) -> FilePath:
     """Return where files of a job are kept; there may be none yet."""
     return service.results / service.store.get(job_id).id / "compensations"
 

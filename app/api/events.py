@@ -23,6 +23,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
 from truepath.app.api.jobs import describe_job
+from truepath.app.api.models.base import JobId
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.jobs.job import Job, JobEvent, decode_job, format_utc_now
@@ -168,7 +169,7 @@ async def stream_events(
     "/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_STREAM
 )
 async def stream_job_events(
-    job_id: str, subscription: SubscriptionDep, last_event_id: LastEventId = ""
+    job_id: JobId, subscription: SubscriptionDep, last_event_id: LastEventId = ""
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow one job."""
     async for event in subscription.events(last_event_id):

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.models.base import PREFIX, MachineId, Problem
+from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
 from truepath.app.api.models.job import (
     DiscoveryLinks,
     JobLinks,
@@ -33,12 +33,13 @@ from truepath.app.api.request_headers import (
     format_etag,
     make_key,
 )
+from truepath.app.api.route_roles import LEAST_ROLES
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.transitions import State
+from truepath.app.jobs.transitions import State, Verb
 
 _WHEN = ["2026-01-31T08:00:00Z"]
 Since = Annotated[
@@ -52,6 +53,10 @@ Until = Annotated[
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 stop = APIRouter(tags=["jobs"])
+
+_ROUTED = frozenset(
+    verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
+)
 
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
@@ -101,7 +106,7 @@ def list_jobs(
 
 
 @router.get("/{job_id}", responses=declare_problems(404))
-def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+def get_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
     job = service.dispatcher.show(service.store.get(job_id))
     return _describe(job, response)
@@ -111,14 +116,14 @@ def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/arm", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def arm_job(
-    job_id: str, version: Version, response: Response, service: ServiceDep
+    job_id: JobId, version: Version, response: Response, service: ServiceDep
 ) -> JobOut:
     """Let a job move the machine that is ready, or has had its tracker moved."""
     return _describe(service.dispatcher.arm(job_id, version), response)
 
 
 @router.post("/{job_id}/pause", status_code=202, responses=declare_problems(404, 409))
-def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+def pause_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """Hold the feed; `paused` once the machine has confirmed. Twice is once."""
     return _describe(service.dispatcher.pause(job_id), response)
 
@@ -127,7 +132,7 @@ def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/resume", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def resume_job(
-    job_id: str,
+    job_id: JobId,
     version: Version,
     response: Response,
     service: ServiceDep,
@@ -142,7 +147,7 @@ def resume_job(
 
 
 @router.post("/{job_id}/cancel", status_code=202, responses=declare_problems(404, 409))
-def cancel_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+def cancel_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """End a job in order: the line or point under way is finished, its Run is kept.
 
     One that is held ends where it stands; one that computes ends at once.
@@ -151,7 +156,7 @@ def cancel_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))
-async def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+async def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
     job = await run_sync(service.dispatcher.abort, job_id, limiter=_STOPPING)
     return _describe(job, response)
@@ -167,14 +172,14 @@ async def stop_motion(service: ServiceDep) -> Stopped:
 @stop.post(
     "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
 )
-async def stop_machine(machine_id: str, service: ServiceDep) -> Stopped:
+async def stop_machine(machine_id: MachinePath, service: ServiceDep) -> Stopped:
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=_STOPPING)
     return Stopped(jobs=[describe_job(job) for job in jobs])
 
 
 @router.get("/{job_id}/plan", responses=declare_problems(404))
-def get_job_plan(job_id: str, service: ServiceDep) -> PlanOut:
+def get_job_plan(job_id: JobId, service: ServiceDep) -> PlanOut:
     """Return what the job commands, or what the Run it analyses was commanded."""
     job = service.store.get(job_id)
     plan = service.store.read_plan(job_id)
@@ -188,6 +193,9 @@ def get_job_plan(job_id: str, service: ServiceDep) -> PlanOut:
 def describe_job(job: Job) -> JobOut:
     """Return a job as clients see it."""
     content, failure = asdict(job), job.failure
+    at = f"{PREFIX}/jobs/{job.id}"
+    links = JobLinks.of(id=job.id, run_id=job.run_id)
+    links.verbs = {v: f"{at}/{v}" for v in job.allowed_verbs if v in _ROUTED}
     content["progress"]["stage"] = job.stage
     if job.early_end:
         content["early_end"]["reason"] = "target-reached"
@@ -199,7 +207,7 @@ def describe_job(job: Job) -> JobOut:
         trend=TrendLinks.of(id=job.id) if job.has_trend else None,
         reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
         error=Problem(**describe_failure(failure)) if failure else None,
-        links=JobLinks.of(id=job.id, run_id=job.run_id),
+        links=links,
     )
 
 

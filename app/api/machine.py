@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
+from truepath.app.api.models.machine_file import (
+    MachineCoreOut,
+    MotionLimitsOut,
+    TrackerNoiseOut,
+)
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.errors import NotFound
@@ -48,17 +53,14 @@ class Connection(BaseModel):
     thermometers: DeviceIdentity | None = None
 
 
-class MachineOut(Connection):
+class MachineOut(MachineCoreOut, Connection):
     """The machine file, and whether its devices have answered."""
 
-    model_config = ConfigDict(extra="allow")
-
-    name: str = Field(examples=["mill-3"])
-    kinematic_chain: str = Field(examples=["w-X-b-Y-Z-t"])
-    axes: dict[str, Any]
-    tracker_noise: dict[str, Any] = Field(
-        description="What the machine file says of the tracker."
+    schema_: Literal["machine/1"] = Field(alias="schema")
+    motion_limits: MotionLimitsOut | None = Field(
+        None, description="`motion` of the machine file: what the machine can."
     )
+    tracker_noise: TrackerNoiseOut = Field(description="`tracker` of the machine file.")
 
 
 class ConditionOut(BaseModel):
@@ -131,8 +133,9 @@ def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
     one = _require_first(service)
     content = machine_to_json(one.machine)
-    # `tracker` of the machine file is its noise; here the name is for who answers.
-    content["tracker_noise"] = content.pop("tracker", None)
+    # Here `tracker` and `motion` are who answers.
+    content["tracker_noise"] = content.pop("tracker")
+    content["motion_limits"] = content.pop("motion", None)
     connection = _describe_connection(one.cell.status.devices)
     return MachineOut(**content, **connection.model_dump())
 

@@ -11,7 +11,9 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.models.base import JOB_ID, Identifier, Links
+from truepath.app.api.models.base import JOB_ID, AsKept, Identifier, Links, ModelId
+from truepath.app.api.models.effects import EffectOut
+from truepath.app.api.models.model_file import ChangeOut, ModelFileOut, ParentOut
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
@@ -27,24 +29,6 @@ from truepath.app.results.model_history import (
 )
 
 router = APIRouter(prefix="/models", tags=["models"])
-
-_OBJECT = {"application/json": {"schema": {"type": "object"}}}
-
-
-class ParentOut(BaseModel):
-    """What a model came from."""
-
-    version: int
-    source: str = Field(description="Identifier of a model or job here, or in words.")
-    sha256: str | None = Field(description="Of its file; null where it had none.")
-
-
-class ChangeOut(BaseModel):
-    """One difference of two models."""
-
-    kind: str = Field(description="added, removed or changed")
-    what: str = Field(examples=["backlash Y"])
-    text: str = Field(examples=["backlash Y: width 6.39 ± 0.15 µm"])
 
 
 class ModelLinks(Links):
@@ -68,7 +52,7 @@ class ModelOut(BaseModel):
         description="What it says of itself; null where it says nothing."
     )
     run_id: str | None
-    effects: list[dict[str, Any]] = Field(
+    effects: Annotated[list[dict[str, Any]], AsKept(EffectOut, many=True)] = Field(
         description="What was found, as in discovery.json."
     )
     difference: list[ChangeOut] = Field(description="To its parent.")
@@ -100,12 +84,8 @@ def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     return ModelPage(items=items, next=after)
 
 
-@router.get(
-    "/{model_id}",
-    response_class=FileResponse,
-    responses={**declare_problems(404), 200: {"content": _OBJECT}},
-)
-def get_model(model_id: str, service: ServiceDep) -> FileResponse:
+@router.get("/{model_id}", response_model=ModelFileOut, responses=declare_problems(404))
+def get_model(model_id: ModelId, service: ServiceDep) -> FileResponse:
     """Return `model.json`; `truepath predict`, `export` and `discover` take it."""
     job = _require_discovery(service, model_id)
     return FileResponse(
@@ -116,7 +96,7 @@ def get_model(model_id: str, service: ServiceDep) -> FileResponse:
 
 
 @router.get("/{model_id}/versions", responses=declare_problems(404))
-def list_model_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
+def list_model_versions(model_id: ModelId, service: ServiceDep) -> list[ModelOut]:
     """Return a model and those it came from, the newest first."""
     job = _require_discovery(service, model_id)
     return [
@@ -127,7 +107,7 @@ def list_model_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
 
 @router.get("/{model_id}/difference", responses=declare_problems(404, 422))
 def get_model_difference(
-    model_id: str,
+    model_id: ModelId,
     service: ServiceDep,
     against: Annotated[
         Identifier | SkipJsonSchema[None],

@@ -8,7 +8,8 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
-from truepath.app.api.models.base import PREFIX, Mm, Problem
+from truepath.app.api.models.base import PREFIX, JobId, Mm, PlanId, Problem
+from truepath.app.api.models.grade import GradeOut
 from truepath.app.api.models.plan import (
     CurvePoint,
     PlanCheck,
@@ -64,51 +65,6 @@ _Place = Annotated[
 ]
 
 
-class Thresholds(BaseModel):
-    """Numbers up to which a set-up is good, and usable."""
-
-    good: float = Field(examples=[0.25])
-    usable: float = Field(examples=[1.0])
-
-
-class TrackerPlace(BaseModel):
-    """Where the tracker stands for this grade."""
-
-    position_mm: list[float]
-    assumed: bool = Field(description="Nobody has said so: the worst of usual places.")
-    best_number: float = Field(description="At the best of the places.")
-
-
-class WeakMotionOut(BaseModel):
-    """One of the weakest error motions."""
-
-    error: str = Field(examples=["EBZ"])
-    meaning: str = Field(examples=["turn of Z about Y"])
-    at_tool_um: float = Field(description="Standard uncertainty it puts at the tool.")
-    remedy: str | None
-
-
-class GradeOut(BaseModel):
-    """The grade of a set-up from geometry alone; uncertainties are standard ones."""
-
-    number: float = Field(
-        examples=[0.11],
-        description="Expected uncertainty of the map over the scatter of one sample.",
-    )
-    verdict: str = Field(examples=["good"], description="good, usable or poor")
-    thresholds: Thresholds
-    text: str
-    expected_uncertainty_um: float
-    sample_sigma_um: float
-    tracker: TrackerPlace
-    improved_number: float | None = Field(
-        description="With the line that the weakest motion asks for."
-    )
-    weakest: list[WeakMotionOut]
-    weak_shapes: list[str]
-    unobservable: list[str]
-
-
 class DialectOut(BaseModel):
     """A control that programs can be written for."""
 
@@ -149,7 +105,7 @@ def create_plan(
 
 
 @router.get("/{plan_id}", responses=declare_problems(404))
-def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
+def get_plan(plan_id: PlanId, response: Response, service: ServiceDep) -> PlanResource:
     """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
     return _describe(_require_plan_job(plan_id, service), response, service)
 
@@ -178,7 +134,7 @@ def get_plan_curve(plan_id: str, service: ServiceDep) -> PlanCurve:
     "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
 )
 def download_plan_nc_program(
-    plan_id: str, dialect: Dialect, service: ServiceDep
+    plan_id: PlanId, dialect: Dialect, service: ServiceDep
 ) -> PlainTextResponse:
     """Return a plan as a program of a control, read back before it is given out."""
     job = _require_plan_job(plan_id, service)
@@ -202,7 +158,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
 
 @of_jobs.get("/jobs/{job_id}/plan/grade", responses=declare_problems(404, 422))
 def get_plan_grade(
-    job_id: str, service: ServiceDep, tracker_mm: _Place = None
+    job_id: JobId, service: ServiceDep, tracker_mm: _Place = None
 ) -> GradeOut:
     """Grade what a measuring job commands, from geometry alone, before it is armed."""
     job = service.store.get(job_id)
@@ -226,7 +182,7 @@ def list_nc_dialects() -> DialectList:
     "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
 )
 def download_nc_program(
-    job_id: str, dialect: Dialect, service: ServiceDep
+    job_id: JobId, dialect: Dialect, service: ServiceDep
 ) -> PlainTextResponse:
     """Return what a measuring job commands as a program of a control.
 
@@ -271,7 +227,7 @@ def _describe(job: Job, response: Response, service: Service) -> PlanResource:
     plan, failure = service.store.read_plan(job.id), job.failure
     return PlanResource(
         id=job.id,
-        state=str(job.state),
+        state=job.state,
         created=job.created,
         progress=job.progress.done if plan is None else 1.0,
         request=dict(service.store.read_plan_request(job.id)),

@@ -30,6 +30,8 @@ from truepath.app.users import errors as user_errors
 
 MAX_ERRORS = 20
 MEDIA_TYPE = "application/problem+json"
+RETRY_AFTER_S = 5
+_PASSING = frozenset({429, 503})
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,26 +121,8 @@ def problem(
 
 
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Name the refusals of a route for its documentation; see `add_problems`."""
+    """Name the refusals of a route for its documentation; see `document_refusals`."""
     return {status: {"model": Problem} for status in statuses}
-
-
-def add_problems(document: dict[str, Any]) -> dict[str, Any]:
-    """Return an OpenAPI document in which every refusal is a problem with an example.
-
-    The framework knows neither the media type nor that its own 422 is replaced.
-    """
-    for path, operations in document["paths"].items():
-        for operation in operations.values():
-            responses = operation["responses"]
-            for status in [s for s in responses if s >= "400"]:
-                responses[status] = _describe_refusal(
-                    _find_example_kind(int(status)), path
-                )
-            responses["default"] = _describe_refusal(INTERNAL, path)
-    for name in ("HTTPValidationError", "ValidationError"):
-        document["components"]["schemas"].pop(name, None)
-    return document
 
 
 def install_handlers(app: FastAPI) -> None:
@@ -152,11 +136,16 @@ def install_handlers(app: FastAPI) -> None:
 def make_problem_response(
     content: Mapping[str, Any], scope: Scope, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return a problem as the answer to the request of a scope."""
+    """Return a problem as the answer to the request of a scope.
+
+    What passes by itself says when to try again.
+    """
+    status = content["status"]
+    waiting = {"Retry-After": str(RETRY_AFTER_S)} if status in _PASSING else {}
     request_id = scope.get("state", {}).get("request_id", "")
     body = {**content, "instance": scope["path"], "request_id": request_id}
     text = json.dumps(body, ensure_ascii=False, allow_nan=False)
-    return Response(text, content["status"], headers, MEDIA_TYPE)
+    return Response(text, status, {**waiting, **(headers or {})}, MEDIA_TYPE)
 
 
 def find_kind_of_status(status: int) -> ProblemKind:
@@ -206,17 +195,3 @@ def _handle_http(request: Request, error: Exception) -> Response:
     is_default = error.detail == HTTPException(error.status_code).detail
     detail = "" if is_default else str(error.detail)
     return make_problem_response(problem(kind, detail), request.scope, error.headers)
-
-
-def _describe_refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
-    example = {**problem(kind), "instance": path, "request_id": "6f0e4c1b9a7d4e52"}
-    schema = {"$ref": "#/components/schemas/Problem"}
-    content = {MEDIA_TYPE: {"schema": schema, "example": example}}
-    return {"description": kind.title, "content": content}
-
-
-def _find_example_kind(status: int) -> ProblemKind:
-    """Return a kind of problem with that status, as an example."""
-    by_family = (kind for kind in PROBLEM_KINDS.values() if kind.status == status)
-    plain = BY_STATUS.get(status, INTERNAL)
-    return plain if status in (422, 429) else next(by_family, plain)

@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, JSONResponse
 
-from truepath.app.api.models.base import Identifier, TargetUm
+from truepath.app.api.models.base import Identifier, JobId, TargetUm
+from truepath.app.api.models.discovery import DiscoveryOut
+from truepath.app.api.models.estimate import EstimateOut
 from truepath.app.api.models.reanalysis import ReanalysisOut
+from truepath.app.api.models.result import ErrorTablesOut, ResultOut
+from truepath.app.api.models.tables import TablesOut
 from truepath.app.api.models.trend import TrendOut
 from truepath.app.api.models.volumetric_error import (
     SpreadOut,
@@ -48,9 +52,9 @@ def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
         204: {"description": "A measurement that has no estimate yet."},
         **declare_problems(404),
     },
-    response_model=dict[str, Any],
+    response_model=EstimateOut,
 )
-def get_estimate(job_id: str, service: ServiceDep) -> Response | dict[str, Any]:
+def get_estimate(job_id: JobId, service: ServiceDep) -> Response | EstimateOut:
     """Return the latest estimate of a measurement under way, or of one just ended.
 
     Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
@@ -65,31 +69,35 @@ def get_estimate(job_id: str, service: ServiceDep) -> Response | dict[str, Any]:
         return Response(status_code=204)
     if newest is None:
         raise NotFound(f"job {job_id} ({job.kind}) measures nothing: no live estimate")
-    return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
+    course = estimates.course(job.id)
+    return EstimateOut.model_validate({"job_id": job.id, **newest, "course": course})
 
 
-@_serve_file("/{job_id}/result", "application/json", "object")
-def get_result(job_id: str, service: ServiceDep) -> FileResponse:
+@router.get(
+    "/{job_id}/result", response_model=ResultOut, responses=declare_problems(404)
+)
+def get_result(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return `result.json`: error tables, squareness, uncertainty, observability."""
     return FileResponse(_find_file(service, job_id, "result.json"))
 
 
-@router.get("/{job_id}/result/error-tables.json", responses=declare_problems(404))
-def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
+@router.get(
+    "/{job_id}/result/error-tables.json",
+    response_model=ErrorTablesOut,
+    responses=declare_problems(404),
+)
+def get_error_tables(job_id: JobId, service: ServiceDep) -> JSONResponse:
     """Return the error tables and squarenesses alone, with the verdict on them."""
     result = _read_result(service, job_id)
-    return {
-        "schema": "error-tables/1",
-        "machine": result["machine"],
-        "verdict": result.get("verdict", verdict_json(Verdict())),
-        "error_tables": result["error_tables"],
-        "squareness_urad": result["squareness_urad"],
-    }
+    tables = {key: result[key] for key in TablesOut.model_fields if key in result}
+    verdict = result.get("verdict", verdict_json(Verdict()))
+    head = {"schema": "error-tables/1", "machine": result["machine"]}
+    return JSONResponse({**head, "verdict": verdict, **tables})
 
 
 @_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string", 422)
 def download_error_tables(
-    job_id: str,
+    job_id: JobId,
     service: ServiceDep,
     accept_verdict: Annotated[
         bool, Query(description="Have the tables of a result that is not to be used.")
@@ -107,14 +115,14 @@ def download_error_tables(
 
 
 @_serve_file("/{job_id}/result/report.html", "text/html", "string")
-def get_report(job_id: str, service: ServiceDep) -> FileResponse:
+def get_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html"))
 
 
 @router.get("/{job_id}/result/volumetric-error", responses=declare_problems(404, 422))
 def get_volumetric_error(
-    job_id: str,
+    job_id: JobId,
     service: ServiceDep,
     tolerance_um: Annotated[
         TargetUm | None, Query(description="Of the mean length over the travel.")
@@ -144,7 +152,7 @@ def get_volumetric_error(
 
 @router.get("/{job_id}/result/volumetric-map", responses=declare_problems(404, 422))
 def get_volumetric_map(
-    job_id: str,
+    job_id: JobId,
     service: ServiceDep,
     grid: Annotated[int, Query(ge=2, le=11, description="Points an axis.")] = 9,
     state: Annotated[
@@ -171,26 +179,28 @@ def get_volumetric_map(
     return VolumetricMapOut(**{**found, "verdict": verdict}, job_id=job_id)
 
 
-@_serve_file("/{job_id}/discovery", "application/json", "object")
-def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
+@router.get(
+    "/{job_id}/discovery", response_model=DiscoveryOut, responses=declare_problems(404)
+)
+def get_discovery(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return `discovery.json`: the missing effects, the gap, where they disagree."""
     return FileResponse(_find_file(service, job_id, "discovery.json", of="discovery"))
 
 
 @_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
-def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
+def get_discovery_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html", of="discovery"))
 
 
 @router.get("/{job_id}/trend", response_model=TrendOut, responses=declare_problems(404))
-def get_trend(job_id: str, service: ServiceDep) -> FileResponse:
+def get_trend(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return `trend.json`: tables at each Run and later, when to calibrate again."""
     return FileResponse(_find_file(service, job_id, "trend.json", of="trend"))
 
 
 @_serve_file("/{job_id}/trend/report.html", "text/html", "string")
-def get_trend_report(job_id: str, service: ServiceDep) -> FileResponse:
+def get_trend_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a machine over time, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html", of="trend"))
 

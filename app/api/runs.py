@@ -14,7 +14,7 @@ from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from truepath.app.api.models.base import PREFIX, Links
+from truepath.app.api.models.base import PREFIX, Links, RunId
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
@@ -69,7 +69,7 @@ def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
 
 
 @router.get("/{run_id}", responses=declare_problems(404))
-def get_run(run_id: str, service: ServiceDep) -> RunOut:
+def get_run(run_id: RunId, service: ServiceDep) -> RunOut:
     """Return a Run."""
     return _describe(service.runs.get(run_id))
 
@@ -79,7 +79,7 @@ def get_run(run_id: str, service: ServiceDep) -> RunOut:
     response_class=FileResponse,
     responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
 )
-def download_bundle(run_id: str, service: ServiceDep) -> FileResponse:
+def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
     """Return the Run as a zipped measurement bundle."""
     record = service.runs.get(run_id)
     _require_space(service, record.bytes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.access_control import (
     COOKIE,
@@ -24,6 +24,13 @@ router = APIRouter(prefix="/session", tags=["users"])
 
 class LogIn(RequestBody):
     """Who logs in. A browser asks for a cookie, which scripts cannot read."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [{"name": "anna", "password": "a long sentence is easy"}]
+        },
+    )
 
     name: str = Field(max_length=64, examples=["anna"])
     password: str = Field(max_length=200, examples=["a long sentence is easy"])

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.access_control import note_change
 from truepath.app.api.models.base import RequestBody
@@ -18,12 +18,27 @@ from truepath.app.users.roles import Role
 
 router = APIRouter(tags=["users"])
 
-Name = Annotated[str, Path(max_length=64, examples=["anna"])]
+Name = Annotated[
+    str, Path(max_length=64, description="Of the user or key.", examples=["anna"])
+]
 Password = Annotated[str, Field(max_length=LONGEST)]
 
 
 class NewUser(RequestBody):
     """A user to add."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "name": "anna",
+                    "role": "operator",
+                    "password": "a long sentence is easy",
+                }
+            ]
+        },
+    )
 
     name: str = Field(max_length=64, examples=["anna"])
     role: Role = Field(examples=["operator"])
@@ -32,6 +47,11 @@ class NewUser(RequestBody):
 
 class UserChange(RequestBody):
     """What to change of a user; what is left out stays."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"role": "metrologist"}]},
+    )
 
     role: Role | None = None
     password: Password | None = None
@@ -53,6 +73,11 @@ class UserList(BaseModel):
 
 class NewKey(RequestBody):
     """An API key to make."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"name": "plant-computer", "days": 90}]},
+    )
 
     name: str = Field(max_length=64, examples=["plant-computer"])
     role: Role = Field(Role.SERVICE, examples=["service"])
@@ -83,6 +108,9 @@ class KeyMade(BaseModel):
     token: str = Field(description="For `Authorization: Bearer`.")
 
 
+Change = dict[str, str | float | bool | list[str] | None] | None
+
+
 class AuditEntry(BaseModel):
     """One row of the audit log."""
 
@@ -94,8 +122,8 @@ class AuditEntry(BaseModel):
     request_id: str
     what: str = Field(examples=["POST /api/v1/jobs"])
     outcome: str = Field(examples=["202"], description="Status of the answer.")
-    old: dict[str, Any] | None
-    new: dict[str, Any] | None
+    old: Change = Field(description="What was; a password or token never.")
+    new: Change = Field(description="What is.")
     hash: str = Field(description="SHA-256 over this row and the hash of the last.")
 
 
@@ -170,8 +198,13 @@ def revoke_key(name: Name, access: AccessDep) -> None:
 @router.get("/audit", responses=declare_problems(422))
 def read_audit(
     access: AccessDep,
-    limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+    limit: Annotated[int, Query(ge=1, le=200, description="Rows on a page.")] = 50,
+    before: Annotated[
+        int | None,
+        Query(
+            ge=1, le=2**62, description="`next` of the page before: only older rows."
+        ),
+    ] = None,
 ) -> AuditPage:
     """Read the audit log, the newest rows first."""
     rows = access.audit_log.read_newest(before=before, limit=limit)

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from truepath.app.files.verdict import State as VerdictState
 from truepath.app.jobs.live_notice import LiveNotice, OnNotice
-from truepath.app.jobs.transitions import FINAL, State
+from truepath.app.jobs.transitions import FINAL, VERB_TRANSITIONS, State, Verb
 from truepath.app.numerics.adaptive_trials import TrialPlan
 
 Json = Mapping[str, Any]
@@ -217,6 +217,16 @@ class Job:
     def is_final(self) -> bool:
         """Whether the job has ended."""
         return self.state in FINAL
+
+    @property
+    def allowed_verbs(self) -> tuple[Verb, ...]:
+        """What may be asked of it as it is; what it obeys already is not among it."""
+        verbs = {v for v, states in VERB_TRANSITIONS.items() if self.state in states}
+        if not self.kind.measures:  # nothing to hold, or to let move
+            verbs &= {Verb.CANCEL, Verb.ABORT}
+        if self.state is State.RUNNING and self.stage is not Stage.MEASURING:
+            verbs.discard(Verb.PAUSE)  # nothing moves any more
+        return tuple(verb for verb in Verb if verb in verbs)
 
     @property
     def has_result(self) -> bool:

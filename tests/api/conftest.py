@@ -33,7 +33,7 @@ from truepath.app.results.analysis import analyse
 from truepath.app.users.access import Access, AccessRules
 from truepath.simulators.scenario import load_machine
 
-sys.path.append(str(Path(__file__).parents[1] / "jobs"))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "jobs")]
 from scripted_cell import (
     CellMaker,
     Explorer,

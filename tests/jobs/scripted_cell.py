@@ -266,6 +266,13 @@ class ScriptedLive:
             "done": done,
             "total": total,
             "elapsed_s": 5.0 * done,
+            "device_time_s": 100.0 + 5.0 * done,
+            "cells": 30 * done,
+            "is_last": False,
+            "age_s": 0.0,
+            "dropped_blocks": 0,
+            "error_tables": {},
+            "squareness_urad": {},
         }
         self.show(self.newest)
 

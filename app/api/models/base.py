@@ -5,7 +5,18 @@ from __future__ import annotations
 import re
 from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from fastapi import Path
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    StringConstraints,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+from pydantic_core.core_schema import any_schema
 
 from truepath.app.machine_settings import MACHINE_ID
 
@@ -28,6 +39,47 @@ Identifier = Annotated[
 
 
 MachineId = Annotated[str, StringConstraints(pattern=MACHINE_ID, max_length=32)]
+MachinePath = Annotated[
+    str, Path(description="`id` of the machine.", examples=["default"])
+]
+JobId = Annotated[str, Path(description="`id` of the job.", examples=[JOB_ID])]
+PlanId = Annotated[str, Path(description="`id` of the plan.", examples=[OTHER_ID])]
+RunId = Annotated[str, Path(description="`id` of the Run.", examples=[OTHER_ID])]
+ModelId = Annotated[
+    str,
+    Path(description="`id` of the model: of the job that made it.", examples=[JOB_ID]),
+]
+CompensationId = Annotated[
+    str,
+    Path(
+        description="`id` of the files of one format.",
+        examples=["linuxcnc-10-hold"],
+    ),
+]
+
+
+class AsKept:
+    """Marks a field that is handed out as it was kept, described by a model.
+
+    What a file or the catalogue holds may be of another version of the service: it is
+    not held against the model once more.
+    """
+
+    def __init__(self, model: type[BaseModel], *, many: bool = False) -> None:
+        self._model, self._many = model, many
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Accept the value as it is."""
+        return any_schema()
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Describe it by the model."""
+        described = handler(self._model.__pydantic_core_schema__)
+        return {"type": "array", "items": described} if self._many else described
 
 
 class RequestBody(BaseModel):
@@ -45,13 +97,15 @@ class Links(BaseModel):
         addresses = {
             name: PREFIX + field.metadata[0].format(**ids)
             for name, field in cls.model_fields.items()
-            if all(ids[i] for i in re.findall(r"{(\w+)}", field.metadata[0]))
+            if field.metadata
+            and all(ids[i] for i in re.findall(r"{(\w+)}", field.metadata[0]))
         }
-        return cls.model_validate(dict.fromkeys(cls.model_fields) | addresses)
+        nowhere = {n: None for n, field in cls.model_fields.items() if field.metadata}
+        return cls.model_validate(nowhere | addresses)
 
 
 class Problem(BaseModel):
-    """What went wrong and the way out (RFC 9457)."""
+    """What went wrong and the way out (RFC 9457). Further keys belong to its code."""
 
     model_config = ConfigDict(extra="allow")
 

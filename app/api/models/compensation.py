@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.models.base import Links, RequestBody
+from truepath.app.api.models.effects import EffectKeys
+from truepath.app.api.models.tables import Vector3
 from truepath.app.files.verdict import State as VerdictState
 
 
@@ -97,6 +99,40 @@ class LeftByReason(BaseModel):
     not_known_by_the_measurement: float
 
 
+class HoldsForTargetOut(BaseModel):
+    """The target that the files hold for."""
+
+    target: str = Field(description="Its name; empty where there is one only.")
+    offset_mm: Vector3
+    confounded: list[str] = Field(description="Symbols that it cannot part.")
+
+
+class TableFactsOut(BaseModel):
+    """The table of an axis."""
+
+    points: int
+    spacing_mm: float
+    from_mm: float
+    to_mm: float
+    measured_from_mm: float
+    measured_to_mm: float
+    zero: str
+
+
+class BeforeAfterOut(BaseModel):
+    """A root mean square before, and with the files, µm."""
+
+    before: float
+    after: float
+
+
+class EffectLeftOut(EffectKeys):
+    """What remains of an effect of a model. Further keys are those of its family."""
+
+    rms_um: BeforeAfterOut
+    note: str
+
+
 class CompensationLinks(Links):
     """Where the files are."""
 
@@ -117,15 +153,13 @@ class CompensationOut(BaseModel):
     carries: str
     not_carried: str
     sign: SignOut
-    holds_for: dict[str, Any] = Field(description="Target and tool offset, mm.")
-    tables: dict[str, dict[str, Any]] = Field(
-        description="By axis: rows, spacing, travel, measured range, zero."
-    )
+    holds_for: HoldsForTargetOut
+    tables: dict[str, TableFactsOut] = Field(description="By axis.")
     unmeasured: list[str] = Field(description="Ranges without a measurement, in words.")
     unobservable: list[str] = Field(description="What the data cannot tell.")
     volumetric_error_um: VolumetricErrorOut
     left_um: LeftByReason
-    effects: list[dict[str, Any]] = Field(
+    effects: list[EffectLeftOut] = Field(
         description="What remains of each effect of a model."
     )
     note: str

@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.app.api.models.base import JOB_ID, Links, Problem
+from truepath.app.api.models.base import JOB_ID, PREFIX, Links, Problem
 from truepath.app.files.verdict import State as VerdictState
+from truepath.app.jobs.job import JobKind, Stage
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.transitions import State
+from truepath.app.jobs.transitions import State, Verb
 
 
 class JobProgress(BaseModel):
@@ -19,7 +20,7 @@ class JobProgress(BaseModel):
     total: float
     unit: str = Field(examples=["lines"])
     eta_s: float | None
-    stage: str = Field(examples=["measuring"])
+    stage: Stage = Field(examples=["measuring"])
     elapsed_s: float
     position: list[float] = Field(description="Axis positions in mm and deg.")
 
@@ -69,6 +70,12 @@ class JobLinks(Links):
     events: Annotated[str, "/jobs/{id}/events"]
     plan: Annotated[str, "/jobs/{id}/plan"]
     run: Annotated[str | None, "/runs/{run_id}"]
+    verbs: dict[Verb, str] = Field(
+        {},
+        description="What may be asked of the job in its present state: POST to the "
+        "address. `arm` and `resume` need If-Match.",
+        examples=[{"abort": f"{PREFIX}/jobs/{JOB_ID}/abort"}],
+    )
 
 
 class EarlyEndOut(BaseModel):
@@ -86,7 +93,7 @@ class MonteCarloOut(BaseModel):
     """The trials that were asked for."""
 
     seed: int
-    interval: str = Field(examples=["symmetric"])
+    interval: Literal["symmetric", "shortest"]
 
 
 class StationCheckOut(BaseModel):
@@ -102,9 +109,8 @@ class StationCheckOut(BaseModel):
         "last station saw them."
     )
     allowed_um: float | None
-    problem: str = Field(
-        examples=["not-moved"],
-        description="not-seen, not-moved or residual; empty if the station is good.",
+    problem: Literal["", "not-seen", "not-moved", "residual"] = Field(
+        examples=["not-moved"], description="Empty if the station is good."
     )
     text: str
 
@@ -144,15 +150,18 @@ class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
     id: str = Field(examples=[JOB_ID])
-    kind: str = Field(examples=["measure-otf"])
+    kind: JobKind = Field(examples=["measure-otf"])
     machine: str | None = Field(
         examples=["default"],
         description="The machine that it drives or plans for, as GET /machines has it.",
     )
-    state: str = Field(examples=["ready"], description="One of " + ", ".join(State))
-    desired_state: str = Field(examples=["ready"])
+    state: State = Field(examples=["ready"])
+    desired_state: State = Field(
+        examples=["ready"],
+        description="What was asked; `state` is what the machine has confirmed.",
+    )
     version: int = Field(examples=[3])
-    stage: str = Field(examples=["measuring"])
+    stage: Stage = Field(examples=["measuring"])
     progress: JobProgress
     health: JobHealth
     perpendicular_only: bool

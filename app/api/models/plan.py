@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from truepath.app.api.models.base import (
     JOB_ID,
+    AsKept,
     Deg,
     Dwell,
     Feed,
@@ -19,7 +20,9 @@ from truepath.app.api.models.base import (
     RequestBody,
     TargetUm,
 )
+from truepath.app.api.models.plan_document import PlaceOut, PlanDocumentOut
 from truepath.app.api.models.workspace import WorkspaceIn
+from truepath.app.jobs.transitions import State
 from truepath.app.motion.commanded_rows import MAX_ROWS
 
 MOST_MINUTES = 60.0
@@ -70,7 +73,7 @@ class StationRows(BaseModel):
 class PlanOut(BaseModel):
     """What is or was commanded, a row of `position` for each waypoint or point."""
 
-    kind: str = Field(examples=["path"])
+    kind: Literal["path", "points"] = Field(examples=["path"])
     axes: list[str] = Field(examples=[["X", "Y", "Z"]])
     position: list[list[float]] = Field(
         examples=[[[0.0, 0.0, 0.0], [400.0, 300.0, 200.0]]],
@@ -96,7 +99,7 @@ class PlanOut(BaseModel):
         description="Of a plan of several stations: the rows from each; those above "
         "are the first's.",
     )
-    place: dict[str, Any] | None = Field(
+    place: Annotated[dict[str, Any], AsKept(PlaceOut)] | None = Field(
         None,
         description="Where the plan has chosen the tracker's place: `tracker`, "
         "`stations` and `at_stations` of its `document`.",
@@ -273,14 +276,16 @@ class PlanResource(BaseModel):
     """A plan. It is made by a job of its own identifier, of kind `plan`."""
 
     id: str = Field(examples=[JOB_ID])
-    state: str = Field(
+    state: State = Field(
         examples=["succeeded"], description="Of its job; `succeeded` once it is there."
     )
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     progress: float = Field(description="From 0 to 1.")
-    request: dict[str, Any] = Field(description="What was asked.")
+    request: Annotated[dict[str, Any], AsKept(PlanRequest)] = Field(
+        description="What was asked."
+    )
     commanded: PlanOut | None = Field(description="The rows; null until they are.")
-    document: dict[str, Any] | None = Field(
+    document: Annotated[dict[str, Any], AsKept(PlanDocumentOut)] | None = Field(
         description="The content of `plan.json`: predicted uncertainty of each error "
         "and of the volume, what stays unobservable, the curve of uncertainty against "
         "time; and the `grade` of the set-up."

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.app.files.verdict import State as VerdictState
-
-TableColumn = list[float]
+from truepath.app.api.models.machine_file import MachineFileOut
+from truepath.app.api.models.tables import TableColumn, TablesOut, VerdictOut
 
 
 class QuantilesOut(BaseModel):
@@ -19,37 +18,13 @@ class QuantilesOut(BaseModel):
     high: float
 
 
-class ErrorTableOut(BaseModel):
-    """One error motion: positions in mm or deg, values in µm or µrad."""
-
-    position_mm: TableColumn | None = None
-    position_deg: TableColumn | None = None
-    value_um: TableColumn | None = None
-    value_urad: TableColumn | None = None
-    uncertainty_um: TableColumn | None = None
-    uncertainty_urad: TableColumn | None = None
-    extrapolated: list[bool]
-
-
-class SquarenessOut(BaseModel):
-    """One squareness in µrad."""
-
-    value: float
-    uncertainty: float
-
-
-class TablesAtOut(BaseModel):
+class TablesAtOut(TablesOut):
     """The machine at one time."""
 
     time_h: float = Field(description="Since the middle of the first Run.")
     change_um: QuantilesOut = Field(
         description="How far it is off the tables of the last Run, root mean square "
         "over the travel."
-    )
-    error_tables: dict[str, ErrorTableOut]
-    squareness_urad: dict[str, SquarenessOut]
-    axis_location: dict[str, dict[str, float]] | None = Field(
-        None, description="Of machines with rotary axes."
     )
 
 
@@ -83,20 +58,12 @@ class OutlookOut(BaseModel):
     high_um: TableColumn
 
 
-class TrendVerdict(BaseModel):
-    """What the Runs say of themselves; reasons name their Run."""
-
-    state: VerdictState
-    reasons: list[str]
-    details: list[dict[str, Any]]
-
-
 class TrendOut(BaseModel):
     """Content of `trend.json`, schema `trend/1`."""
 
     schema_: Literal["trend/1"] = Field(alias="schema")
-    machine: dict[str, Any]
-    verdict: TrendVerdict
+    machine: MachineFileOut
+    verdict: VerdictOut
     runs: list[RunAtOut]
     later: list[TablesAtOut]
     states: dict[str, QuantilesOut]

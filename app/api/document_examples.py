@@ -1,0 +1,85 @@
+"""Examples in the OpenAPI document: one of every answer and of every request body.
+
+`examples.json` holds answers of the service to its simulated devices, shortened; jobs
+are made from their record, so that they follow it.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+from truepath.app.api.jobs import describe_job
+from truepath.app.api.models.base import JOB_ID, OTHER_ID
+from truepath.app.jobs.job import Job, JobKind, Progress, Stage
+from truepath.app.jobs.transitions import State
+
+_JSON = "application/json"
+_TEXTS = {
+    "download_error_tables": "error,position_mm,value,uncertainty,unit,extrapolated,"
+    "verdict\nEXX,0.0000,0.00000,0.00000,um,0,usable\n",
+    "get_report": "<!doctype html><title>Calibration</title>…",
+    "get_discovery_report": "<!doctype html><title>Discovery</title>…",
+    "get_trend_report": "<!doctype html><title>Machine over time</title>…",
+    "download_nc_program": "0 BEGIN PGM TRUEPATH MM\n…\n9 END PGM TRUEPATH MM\n",
+    "download_plan_nc_program": "0 BEGIN PGM TRUEPATH MM\n…\n9 END PGM TRUEPATH MM\n",
+    "download_compensation_file": "0.0 0.0000 0.0000\n10.0 0.0012 0.0015\n",
+    "download_bundle": "PK…",
+    "download_compensation": "PK…",
+}
+
+
+def add_examples(document: dict[str, Any]) -> None:
+    """Give every answer that succeeds, and every request body, an example."""
+    answers = _read_answers()
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            name = operation["operationId"]
+            for response in operation["responses"].values():
+                for media_type, content in response.get("content", {}).items():
+                    kept = answers if media_type == _JSON else _TEXTS
+                    if name in kept:
+                        content["example"] = kept[name]
+            body = operation.get("requestBody", {}).get("content", {})
+            if "multipart/form-data" in body:
+                body["multipart/form-data"]["example"] = {"bundle": "PK…"}
+
+
+def _read_answers() -> dict[str, Any]:
+    kept = files("truepath.app.api").joinpath("examples.json").read_text("utf-8")
+    ready, running = _make_job(State.READY), _make_job(State.RUNNING)
+    pausing, resuming = _make_job(State.PAUSING), _make_job(State.RESUMING)
+    aborting = _make_job(State.ABORTING)
+    return {
+        **json.loads(kept),
+        "create_job": _make_job(State.QUEUED),
+        "list_jobs": {"items": [ready], "next": "czoxMg=="},
+        "get_job": ready,
+        "arm_job": running,
+        "pause_job": pausing,
+        "resume_job": resuming,
+        "cancel_job": _make_job(State.CANCELLING),
+        "abort_job": aborting,
+        "stop_motion": {"jobs": [aborting]},
+        "stop_machine": {"jobs": [aborting]},
+    }
+
+
+def _make_job(state: State) -> dict[str, Any]:
+    """Return a job that measures on the fly, as clients see it."""
+    moves = state not in (State.QUEUED, State.READY)
+    job = Job(
+        JobKind.MEASURE_OTF,
+        id=JOB_ID,
+        state=state,
+        desired_state=str(State.READY),
+        version=3,
+        stage=Stage.MEASURING if moves else Stage.WAITING,
+        created="2026-05-04T09:30:00.000Z",
+        started="2026-05-04T09:31:00.000Z" if moves else None,
+        run_id=OTHER_ID if moves else None,
+        progress=Progress(4, 22, "lines", 62.5, 14.0, (100.0, 50.0, 20.0)),
+        owner="anna",
+    )
+    return describe_job(job).model_dump(mode="json", by_alias=True)

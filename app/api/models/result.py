@@ -1,0 +1,179 @@
+"""The result of a calibration, as `result.json` states it; uncertainties are k = 1."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from truepath.app.api.models.effects import UpdatedEffectOut
+from truepath.app.api.models.grade import GradeOut
+from truepath.app.api.models.machine_file import MachineFileOut
+from truepath.app.api.models.model_file import (
+    ModelNumbersOut,
+    RunDigestOut,
+    UsedModelOut,
+)
+from truepath.app.api.models.monte_carlo import TrialsOut
+from truepath.app.api.models.result_run import (
+    AlignmentOut,
+    NoiseFoundOut,
+    ResidualsOut,
+    ResultRunOut,
+)
+from truepath.app.api.models.tables import (
+    MeasuredTablesOut,
+    ObservabilityOut,
+    TablesOut,
+    Vector3,
+    VerdictOut,
+)
+
+
+class LeftOutOut(BaseModel):
+    """Samples that were not used."""
+
+    run: int = Field(description="Of the Runs given, from 0.")
+    cause: str
+    row: int | None
+    from_s: float | None
+    to_s: float | None
+    samples: int
+    distance_um: float | None
+
+
+class SetupStepOut(BaseModel):
+    """A knock: the set-up moved at one moment and was solved before and after it."""
+
+    run: int
+    row: int
+    t_s: float
+    shift_um: float
+    turn_urad: float
+
+
+class HoldingTargetOut(BaseModel):
+    """A target that was measured."""
+
+    name: str
+    on: Literal["tool", "workpiece"]
+    offset_mm: Vector3
+
+
+class HoldsForOut(BaseModel):
+    """What the tables hold for."""
+
+    any_tool: bool = Field(description="Else for these targets only.")
+    targets: list[HoldingTargetOut]
+
+
+class FigureOut(BaseModel):
+    """A number in µm with its standard uncertainty."""
+
+    value_um: float
+    uncertainty_um: float
+
+
+class VolumetricSpreadOut(BaseModel):
+    """Length of the volumetric error over a grid."""
+
+    mean: FigureOut
+    p95: FigureOut = Field(description="95 % of the points are below it.")
+    largest: FigureOut
+
+
+class VolumetricOut(BaseModel):
+    """Volumetric error before compensation, and expected after it."""
+
+    before: VolumetricSpreadOut
+    after_expected: VolumetricSpreadOut
+    on: str
+
+
+class LineOfRunOut(BaseModel):
+    """How a line or point fits."""
+
+    run: int
+    row: int
+    cells: int
+    rms_um: float
+
+
+class AllResidualsOut(ResidualsOut):
+    """Residuals of all Runs."""
+
+    by_line: list[LineOfRunOut]
+
+
+class NoiseOut(NoiseFoundOut):
+    """Noise of the first Run, and how strongly the prior counted."""
+
+    prior_strength: dict[str, float] = Field(description="By symbol.")
+
+
+class OptionsOut(BaseModel):
+    """How it was computed."""
+
+    perpendicular_only: bool
+
+
+class ProvenanceOut(BaseModel):
+    """From what, by what and when it was made."""
+
+    software: str
+    software_version: str
+    created: str
+    run: str
+    input_sha256: str
+    runs: list[RunDigestOut]
+    source: dict[str, str] = Field(description="Where it came from, and digests.")
+    options: OptionsOut
+    model: UsedModelOut | None
+    measured_s: float
+    feed_mm_min: list[float] | None
+    temperature_degC: dict[str, tuple[float, float]] = Field(  # noqa: N815
+        description="Lowest and highest, by sensor."
+    )
+
+
+class ResultOut(MeasuredTablesOut):
+    """Content of `result.json`, schema `result/1`. More keys may be there.
+
+    Values in µm and µrad with standard uncertainties (k = 1).
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: Literal["result/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    mode: Literal["otf", "standstill"]
+    verdict: VerdictOut
+    left_out: list[LeftOutOut]
+    setup_steps: list[SetupStepOut]
+    effects: list[UpdatedEffectOut]
+    monte_carlo: TrialsOut | None = Field(
+        description="The uncertainties held against trials, where that was asked."
+    )
+    holds_for: HoldsForOut
+    volumetric_error: VolumetricOut
+    volumetric_uncertainty_um: float | None = Field(
+        description="Root mean square over the travel."
+    )
+    alignment: AlignmentOut = Field(description="Of the first Run.")
+    residuals: AllResidualsOut
+    noise: NoiseOut
+    runs: list[ResultRunOut]
+    observability: ObservabilityOut
+    grade: GradeOut | None
+    provenance: ProvenanceOut
+    model: ModelNumbersOut = Field(
+        description="What prediction needs: parameters with their covariance."
+    )
+
+
+class ErrorTablesOut(TablesOut):
+    """The error tables alone, with the verdict on them; standard uncertainties."""
+
+    schema_: Literal["error-tables/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    verdict: VerdictOut
