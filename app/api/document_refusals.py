@@ -16,7 +16,12 @@ from truepath.app.api.problems import (
     ProblemKind,
     problem,
 )
-from truepath.app.api.route_roles import ANYBODY, LEAST_ROLES, NEVER_LIMITED
+from truepath.app.api.route_roles import (
+    ANYBODY,
+    LEAST_ROLES,
+    NEVER_LIMITED,
+    STOPS,
+)
 from truepath.app.users.roles import Role
 
 _READS = frozenset({"get", "head"})
