@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
 
-from truepath.app.api.models.base import Identifier, JobId, TargetUm
+from truepath.app.api.models.base import Identifier, JobId, RunId, TargetUm
 from truepath.app.api.models.discovery import DiscoveryOut
 from truepath.app.api.models.estimate import EstimateOut
 from truepath.app.api.models.reanalysis import ReanalysisOut
@@ -210,13 +210,19 @@ def get_trend_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     response_model=ReanalysisOut,
     responses=declare_problems(404),
 )
-def get_reanalysis(job_id: str, service: ServiceDep) -> FileResponse:
+def get_reanalysis(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return what has become of every Run: before, after, or why it failed."""
     return FileResponse(_find_file(service, job_id, SUMMARY, of="reanalysis"))
 
 
-@_serve_file("/{job_id}/reanalysis/runs/{run_id}", "application/json", "object")
-def get_reanalysed_run(job_id: str, run_id: str, service: ServiceDep) -> FileResponse:
+@router.get(
+    "/{job_id}/reanalysis/runs/{run_id}",
+    response_model=ResultOut,
+    responses=declare_problems(404),
+)
+def get_reanalysed_run(
+    job_id: JobId, run_id: RunId, service: ServiceDep
+) -> FileResponse:
     """Return the `result.json` of one Run of a reanalysis."""
     record = service.runs.get(run_id)
     summary = _find_file(service, job_id, SUMMARY, of="reanalysis")

@@ -137,6 +137,7 @@ NO_ANSWER = {
     "TruepathError",  # the root
     "JobError",  # likewise
     "Aborted",  # no failure
+    "Cancelled",  # likewise
     "TaskFailed",  # told by the family of what the task raised
     "InUse",  # likewise
 }
