@@ -9,8 +9,10 @@ import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { exportCard } from "./export-card.js";
 import { gradeCard } from "./grade-card.js";
+import { residualCard } from "./residual-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
+import { compareCard } from "./compare-card.js";
 import { headline } from "./headline.js";
 import { mapCard } from "./map-card.js";
 import { overTimeCard } from "./trend-form.js";
@@ -27,15 +29,17 @@ export function lead(state, { go }) {
 export function mount(root, { actions, go }) {
   let charts = [];
   let map = null;
+  let residuals = null;
   let drawn = null;
 
   function close() {
     for (const chart of charts) chart.close();
     map?.close();
+    residuals?.close();
     charts = [];
   }
 
-  function draw(job, result, runs) {
+  function draw(job, result, runs, jobs) {
     close();
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
@@ -47,15 +51,16 @@ export function mount(root, { actions, go }) {
     const stream = runs.find((run) => run.id === job.run_id) ?? job.health;
     top.append(h("div", { class: "stack" }, headline(job, result), summary(stream, result)), map.element);
     charts = drawTables(body, result);
-    body.append(...[exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    residuals = residualCard(result);
+    body.append(...[residuals?.element, compareCard(job, result, jobs), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
   return {
-    update({ job, result, runs }) {
+    update({ job, result, runs, jobs }) {
       if (!result || result === drawn) return;
       drawn = result;
-      draw(job, result, runs);
+      draw(job, result, runs, jobs);
     },
     close,
   };
