@@ -235,6 +235,28 @@ def result() -> dict[str, Any]:
     }
 
 
+def residuals(lines: int = 6, cells: int = 20) -> dict[str, Any]:
+    """Return residuals along lines of a path; the fourth row stands out."""
+    rng = np.random.default_rng(3)
+    along = []
+    for row in range(1, lines + 1):
+        parts = (3.0 if row == 4 else 1.0) * rng.standard_normal((3, cells))
+        names = ("beam_um", "azimuth_um", "elevation_um")
+        line = dict(zip(names, parts.tolist(), strict=True))
+        way = np.linspace(0.0, 400.0, cells).tolist()
+        along.append({"row": row, "along_mm": way, **line})
+    rows = [
+        {
+            "run": 0,
+            "row": line["row"],
+            "cells": cells,
+            "rms_um": 3.0 if line["row"] == 4 else 1.0,
+        }
+        for line in along
+    ]
+    return {"by_line": rows, "noise_floor_um": 1.1, "along_lines": along}
+
+
 def half_differences() -> dict[str, Any]:
     """Return what the direction of approach adds to two tables of `result`."""
     found = {}

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 from playwright.sync_api import expect
-from scripted_data import GRADE, half_differences, turntable_estimate
+from scripted_data import (
+    GRADE,
+    half_differences,
+    residuals,
+    result,
+    turntable_estimate,
+)
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
@@ -43,6 +49,69 @@ def test_the_grade_of_the_set_up_comes_with_what_would_better_it(panel, service)
     expect(card).to_contain_text("up to 0.25 good, up to 1.00 usable")
     expect(card).to_contain_text("ECX, Tilt of X about Z")
     expect(card).to_contain_text("add a line along Y at the low end of X")
+
+
+def test_what_was_not_measured_is_hatched_and_said(panel, service):
+    service.result["measured_range"] = {"X": {"from_mm": 100.0, "to_mm": 500.0}}
+    table = service.result["error_tables"]["EXX"]
+    table["extrapolated"] = [position < 100.0 for position in table["position_mm"]]
+    page = panel.open(f"#/result/{done(service)}")
+    expect(page.locator(".key .is-hatched")).to_have_text("Continued, not measured")
+    page.locator("[data-symbol=EXX]").get_by_role("button").click()
+    rows = page.locator("#detail tbody tr")
+    expect(rows.first.locator("td").first).to_have_text("0*")
+    expect(rows.last.locator("td").first).to_have_text("500")
+    expect(page.locator("#detail caption")).to_contain_text("Beyond what was measured")
+
+
+def test_residuals_are_seen_by_row_along_lines_and_as_a_distribution(panel, service):
+    found = residuals()
+    along = found.pop("along_lines")
+    service.result["residuals"] |= found
+    service.result["runs"] = [{"residuals": {"along_lines": along}}]
+    page = panel.open(f"#/result/{done(service)}")
+    card = page.locator("[data-card=residuals]")
+    expect(card.locator(".column")).to_have_count(6)
+    expect(card).to_contain_text("Largest in row 4: 3.00 µm")
+    card.get_by_role("button", name="Along a line").click()
+    expect(card.locator(".trace")).to_have_count(3)
+    slider = card.get_by_role("slider")
+    first = card.locator(".trace").first.get_attribute("d")
+    slider.press("ArrowRight")
+    expect(slider).to_have_attribute("aria-valuetext", "towards row 2 of the path")
+    expect(card.locator(".trace").first).not_to_have_attribute("d", first)
+    card.get_by_role("button", name="Distribution").click()
+    expect(card.locator(".level")).to_have_count(1)
+    expect(card.locator(".axis")).to_have_text(
+        ["Residual (µm)", "Share of the cells (%)"]
+    )
+
+
+def test_a_result_is_held_against_an_earlier_calibration(panel, service):
+    service.connected = True
+    earlier = done(service)
+    service.jobs[earlier]["result"] = {"report": "report.html"}
+    now = done(service)
+    page = panel.open(f"#/result/{now}")
+    before = result()
+    moved = before["error_tables"]["EYX"]
+    moved["value_um"] = [v - 8.0 for v in moved["value_um"]]
+    address = f"**/jobs/{earlier}/result"
+    page.route(address, lambda route: route.fulfill(json=before))
+    card = page.locator("[data-card=compare]")
+    card.get_by_label("Calibration").select_option(index=1)
+    expect(card).to_contain_text("1 of 20 errors have changed by more")
+    first = card.locator("tbody tr").first
+    expect(first).to_contain_text("EYX")
+    expect(first).to_contain_text("8.0 µm")
+    expect(first).to_contain_text("changed")
+    first.get_by_role("button").click()
+    expect(page.locator("#detail-title")).to_contain_text("EYX")
+    page.keyboard.press("Escape")
+    before["machine"] = {**before["machine"], "tool_offset_mm": [0.0, 0.0, -90.0]}
+    card.get_by_label("Calibration").select_option(index=0)
+    card.get_by_label("Calibration").select_option(index=1)
+    expect(card.locator(".notice")).to_contain_text("different tool offsets")
 
 
 def test_a_machine_without_backlash_has_one_line_a_table(panel, service):

@@ -13,19 +13,19 @@ const WIDEST = 5; // of the distribution, in root mean squares
 export function residualCard(result) {
   const { by_line: rows, noise_floor_um: floor } = result.residuals ?? {};
   if (!rows?.length) return null;
-  const lines = (result.runs ?? []).flatMap((run, i) => (run.residuals?.along_lines ?? []).map((line) => ({ ...line, run: i })));
+  const cells = (result.runs ?? []).flatMap((run) => run.residuals?.along_lines ?? []);
+  const lines = cells.filter(({ along_mm }) => Math.max(...along_mm) > 0);
   const unit = t(result.mode === "standstill" ? "residual.point" : "residual.line");
   const shownNow = { view: "by_line", line: 0 };
   const plot = h("div", { class: "residual-plot", role: "img" });
   const key = h("ul", { class: "key" });
   const note = h("p", { class: "quiet" });
-  const pick = h("input", { id: "residual-line", class: "slider", type: "range", min: 0, max: Math.max(0, lines.length - 1), step: 1 });
+  const pick = h("input", { id: "residual-line", class: "slider", type: "range", min: 0, max: Math.max(0, lines.length - 1), step: 1, value: 0 });
   const read = h("output", { for: "residual-line" });
   const field = h("div", { class: "slider-field" }, h("label", { for: "residual-line" }, t("residual.which")), read, pick);
   pick.addEventListener("input", () => show({ line: Number(pick.value) }));
-  const hasWay = lines.some((line) => line.along_mm.length > 1);
-  const views = [["by_line", t("residual.by_line", { unit })], hasWay && ["along", t("residual.along")], lines.length && ["spread", t("residual.spread")]].filter(Boolean);
-  const scenes = { by_line: () => byLine(rows, floor, unit), along: () => along(lines, shownNow.line), spread: () => spread(lines, floor) };
+  const views = [["by_line", t("residual.by_line")], lines.length && ["along", t("residual.along")], cells.length && ["spread", t("residual.spread")]].filter(Boolean);
+  const scenes = { by_line: () => byLine(rows, floor, unit), along: () => along(lines, shownNow.line), spread: () => spread(cells, floor) };
   let chart = null;
 
   function show(change) {
@@ -62,20 +62,24 @@ function byLine(rows, floor_um, unit) {
   const floor = floor_um === undefined ? null : shown(floor_um, "gap");
   const top = 1.12 * Math.max(...heights, floor ?? 0);
   const worst = rows.reduce((best, row) => (row.rms_um > best.rms_um ? row : best));
+  // Rows of several Runs repeat: they are counted instead.
+  const places = rows.every((row) => row.run === rows[0].run) ? rows.map((row) => row.row) : rows.map((_, i) => i + 1);
+  const [first, last] = [places[0], places.at(-1)];
   return {
-    x: [0.4, rows.length + 0.6], y: [0, top], names: [unit, t("residual.rms_axis", { unit: unitOf("gap") })], xTicks: thinned(rows.length),
+    x: [first - 0.6, last + 0.6], y: [0, top], names: [unit, t("residual.rms_axis", { unit: unitOf("gap") })], xTicks: thinned(first, last),
     marks: ({ x, y, left, right, bottom }) => [
-      ...heights.map((v, i) => s("rect", { class: "bar", x: x(i + 0.65), width: Math.max(1, x(1.7) - x(1)), y: y(v), height: bottom - y(v) })),
+      ...heights.map((v, i) => s("rect", { class: "column", x: x(places[i] - 0.35), width: Math.max(1, x(1.7) - x(1)), y: y(v), height: bottom - y(v) })),
       floor !== null && s("line", { class: "level", x1: left, x2: right, y1: y(floor), y2: y(floor) })],
-    key: [entry("bar", t("residual.rms")), floor !== null && entry("dashed", t("residual.floor"))].filter(Boolean),
+    key: [entry("column", t("residual.rms")), floor !== null && entry("level", t("residual.floor"))].filter(Boolean),
     note: t("residual.worst", { row: number(worst.row), rms: quantity(worst.rms_um, "gap") }),
     spoken: t("residual.worst", { row: number(worst.row), rms: quantity(worst.rms_um, "gap") }),
   };
 }
 
-function thinned(count) {
-  const step = [1, 2, 5, 10, 20, 50, 100, 200].find((one) => count / one <= 14) ?? 500;
-  return Array.from({ length: Math.floor(count / step) }, (_, i) => (i + 1) * step);
+function thinned(first, last) {
+  const step = [1, 2, 5, 10, 20, 50, 100, 200].find((one) => (last - first) / one <= 14) ?? 500;
+  const begin = Math.ceil(first / step);
+  return Array.from({ length: Math.floor(last / step) - begin + 1 }, (_, i) => (begin + i) * step);
 }
 
 /** The residual's three parts along one line. */
@@ -93,8 +97,8 @@ function along(lines, index) {
 }
 
 /** How often residuals of each size occur, against noise alone. */
-function spread(lines, floor_um) {
-  const all = PARTS.map(([part]) => lines.flatMap((line) => values(line, part)));
+function spread(cells, floor_um) {
+  const all = PARTS.map(([part]) => cells.flatMap((line) => values(line, part)));
   const count = all[0].length;
   const rms = Math.sqrt(all.flat().reduce((sum, v) => sum + v * v, 0) / (3 * count));
   const reach = WIDEST * rms || 1;
@@ -110,7 +114,7 @@ function spread(lines, floor_um) {
     x: [-reach, reach], y: [0, top], names: [t("residual.axis", { unit: unitOf("gap") }), t("residual.share")],
     marks: (frame) => [s("path", { class: "level", d: `M${fine.map((v) => `${frame.x(v)} ${frame.y(normal(v))}`).join("L")}` }),
       ...PARTS.map(([, tone], i) => s("path", { class: `trace is-${tone}`, d: steps(frame, shares[i]) }))],
-    key: [...PARTS.map(([part, tone]) => entry(tone, t(`residual.${part}`))), entry("dashed", t("residual.noise_alone"))],
+    key: [...PARTS.map(([part, tone]) => entry(tone, t(`residual.${part}`))), entry("level", t("residual.noise_alone"))],
     note: outside ? t("residual.outside", { count: number(outside), total: number(3 * count) }) : t("residual.cells", { count: number(count) }),
     spoken: t("residual.spread"),
   };
