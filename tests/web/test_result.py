@@ -87,6 +87,22 @@ def test_residuals_are_seen_by_row_along_lines_and_as_a_distribution(panel, serv
     )
 
 
+def test_the_budget_names_its_sources_the_largest_first(panel, service):
+    def part(um):
+        return {"x": um / 2, "y": um / 2, "z": um / 2, "volume": um}
+
+    service.result["uncertainty_budget"] = {
+        "sources_um": {"tracker": part(0.3), "model": part(0.4), "thermal": part(0.0)},
+        "total_um": part(0.5),
+    }
+    page = panel.open(f"#/result/{done(service)}")
+    rows = page.locator("[data-card=budget] tbody tr")
+    expect(rows).to_have_count(3)
+    expect(rows.nth(0)).to_contain_text("prior and knots64 %0.80")
+    expect(rows.nth(1)).to_contain_text("Noise of the tracker36 %0.60")
+    expect(rows.nth(2)).to_contain_text("Total1.00")
+
+
 def test_a_result_is_held_against_an_earlier_calibration(panel, service):
     service.connected = True
     earlier = done(service)

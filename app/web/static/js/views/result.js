@@ -12,6 +12,7 @@ import { gradeCard } from "./grade-card.js";
 import { residualCard } from "./residual-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
+import { budgetCard } from "./budget-card.js";
 import { compareCard } from "./compare-card.js";
 import { headline } from "./headline.js";
 import { mapCard } from "./map-card.js";
@@ -52,7 +53,7 @@ export function mount(root, { actions, go }) {
     top.append(h("div", { class: "stack" }, headline(job, result), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
-    body.append(...[residuals?.element, compareCard(job, result, jobs), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
