@@ -20,6 +20,7 @@ from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from truepath.app.api import (
+    certificates,
     compensations,
     events,
     jobs,
@@ -129,6 +130,7 @@ def _api() -> APIRouter:
         results.router,
         jobs.stop,
         plans.of_jobs,
+        certificates.router,
         compensations.router,
         models_of_machine.router,
         plans.router,

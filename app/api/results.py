@@ -46,6 +46,11 @@ def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
     return router.get(path, response_class=FileResponse, responses=responses)
 
 
+def send_page(report: Path) -> FileResponse:
+    """Return a report as a page that may ask for nothing and do nothing outside."""
+    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
+
+
 @router.get(
     "/{job_id}/estimate",
     responses={
@@ -117,7 +122,7 @@ def download_error_tables(
 @_serve_file("/{job_id}/result/report.html", "text/html", "string")
 def get_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
-    return _send_page(_find_file(service, job_id, "report.html"))
+    return send_page(_find_file(service, job_id, "report.html"))
 
 
 @router.get("/{job_id}/result/volumetric-error", responses=declare_problems(404, 422))
@@ -190,7 +195,7 @@ def get_discovery(job_id: JobId, service: ServiceDep) -> FileResponse:
 @_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
 def get_discovery_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
-    return _send_page(_find_file(service, job_id, "report.html", of="discovery"))
+    return send_page(_find_file(service, job_id, "report.html", of="discovery"))
 
 
 @router.get("/{job_id}/trend", response_model=TrendOut, responses=declare_problems(404))
@@ -202,7 +207,7 @@ def get_trend(job_id: JobId, service: ServiceDep) -> FileResponse:
 @_serve_file("/{job_id}/trend/report.html", "text/html", "string")
 def get_trend_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a machine over time, one page that needs nothing else."""
-    return _send_page(_find_file(service, job_id, "report.html", of="trend"))
+    return send_page(_find_file(service, job_id, "report.html", of="trend"))
 
 
 @router.get(
@@ -230,10 +235,6 @@ def get_reanalysed_run(
     if not file.is_file():
         raise NotFound(f"reanalysis {job_id} has no result of run {run_id}")
     return FileResponse(file)
-
-
-def _send_page(report: Path) -> FileResponse:
-    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
 
 def _read_result(service: Service, job_id: str) -> dict[str, Any]:

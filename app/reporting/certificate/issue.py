@@ -101,26 +101,27 @@ def gather_certificate(
     )
 
 
-def read_result_source(file: str | Path, name: str = "") -> ResultSource:
+def read_result_source(file: str | Path) -> ResultSource:
     """Read a result file. Raises BundleError, for a model file as well."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
-    shown = name or str(file)
+    shown = Path(file).name
     parsed = parse_json(data, shown)
     result, content = result_from_json(parsed, file=shown), as_object(parsed)
     if content["schema"] != RESULT_SCHEMA:
         remedy = "give the result.json of an analysis"
         raise BundleError("is a model, not a result", file=shown, remedy=remedy)
-    return ResultSource(Path(shown).name, content, _digest(data), result)
+    return ResultSource(shown, content, _digest(data), result)
 
 
 def read_source(file: str | Path, schema: str) -> Source:
     """Read another file of a certificate. Raises BundleError for another schema."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
-    content = as_object(parse_json(data, str(file)))
+    shown = Path(file).name
+    content = as_object(parse_json(data, shown))
     if content.get("schema") != schema:
         remedy = f"give a file of {schema}"
-        raise BundleError("is of another schema", file=str(file), remedy=remedy)
-    return Source(Path(file).name, content, _digest(data))
+        raise BundleError("is of another schema", file=shown, remedy=remedy)
+    return Source(shown, content, _digest(data))
 
 
 def require_same_machine(found: ResultSource, left: ResultSource) -> None:

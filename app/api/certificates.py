@@ -1,0 +1,184 @@
+"""Certificates of a result: issued once, numbered, kept with it, never changed."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from threading import Lock
+from typing import Any, Literal
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import FileResponse
+
+from truepath.app.api.access_control import note_change
+from truepath.app.api.models.certificate import (
+    CertificateLinks,
+    CertificateList,
+    CertificateOut,
+    CertificateRequest,
+)
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.results import send_page
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.session import ActorDep
+from truepath.app.errors import NotFound
+from truepath.app.files.identity_file import IdentityStore
+from truepath.app.jobs.executor import WorkerProcess
+
+# What computes is imported where it does: the service itself carries no science.
+
+router = APIRouter(tags=["certificates"])
+
+# One at a time: each is laid out in a process of its own.
+_TURN = Lock()
+
+
+def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
+    return router.get(
+        f"/jobs/{{job_id}}/certificates/{{number}}.{form}",
+        response_class=FileResponse,
+        responses={
+            200: {"content": {media_type: {"schema": content}}},
+            **declare_problems(404, 422),
+        },
+    )
+
+
+@router.post(
+    "/jobs/{job_id}/certificates",
+    status_code=201,
+    responses=declare_problems(404, 422),
+)
+def issue_certificate(
+    job_id: str,
+    body: CertificateRequest,
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+    actor: ActorDep,
+) -> CertificateOut:
+    """Issue a certificate of a result, as HTML and PDF, and keep it with the result.
+
+    It gets a number and never changes; another request issues another. What is stated
+    of the machine is kept, so that it has to be stated once.
+    """
+    from truepath.app.reporting.certificate import kept_certificates as kept
+
+    result = _find_result(service, job_id)
+    now = datetime.now(UTC)
+    order = kept.CertificateOrder(
+        f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
+        result,
+        now,
+        actor.name if actor else "",
+        _find_other(service, body.as_left_job, "result.json"),
+        _find_other(service, body.verification_job, "verification.json"),
+        _find_account(result.parent, body.compensation_id),
+        _keep_identity(service, result, body),
+        body.language,
+        body.accept_verdict,
+    )
+    with _TURN, closing(WorkerProcess("printer")) as printer:
+        folder = result.parent / kept.FOLDER
+        record = printer.call(partial(kept.issue_certificate, order, folder))
+    issued = _describe(job_id, record)
+    note_change(request, old={}, new={"number": issued.number, **issued.files})
+    response.headers["Location"] = issued.links.self
+    return issued
+
+
+@router.get("/jobs/{job_id}/certificates", responses=declare_problems(404))
+def list_certificates(job_id: str, service: ServiceDep) -> CertificateList:
+    """List the certificates of a result, and what is kept of its machine."""
+    from truepath.app.reporting.certificate import kept_certificates as kept
+
+    folder = _find_folder(service, job_id)
+    machine = _read_machine(_find_result(service, job_id))
+    return CertificateList(
+        items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
+        identity=dict(_open_store(service).load(machine)),
+    )
+
+
+@_serve("html", "text/html", {"type": "string"})
+def get_certificate_page(job_id: str, number: str, service: ServiceDep) -> FileResponse:
+    """Return a certificate as one page that needs nothing else."""
+    return send_page(_find_file(service, job_id, number, "html"))
+
+
+@_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
+def get_certificate_pdf(job_id: str, number: str, service: ServiceDep) -> FileResponse:
+    """Return a certificate as PDF."""
+    file = _find_file(service, job_id, number, "pdf")
+    return FileResponse(file, media_type="application/pdf", filename=f"{number}.pdf")
+
+
+@router.get("/jobs/{job_id}/certificates/{number}", responses=declare_problems(404))
+def get_certificate(job_id: str, number: str, service: ServiceDep) -> CertificateOut:
+    """Return what a certificate was issued from, by whom, and its digests."""
+    from truepath.app.reporting.certificate import kept_certificates as kept
+
+    folder = _find_folder(service, job_id)
+    return _describe(job_id, kept.read_certificate(folder, number))
+
+
+def _find_folder(service: Service, job_id: str) -> Path:
+    """Return where certificates of a job are kept; there may be none yet."""
+    return service.results / service.store.get(job_id).id / "certificates"
+
+
+def _find_file(
+    service: Service, job_id: str, number: str, form: Literal["html", "pdf"]
+) -> Path:
+    from truepath.app.reporting.certificate.kept_certificates import find_certificate
+
+    return find_certificate(_find_folder(service, job_id), number, form)
+
+
+def _find_result(service: Service, job_id: str) -> Path:
+    found = _find_other(service, job_id, "result.json")
+    assert found is not None  # noqa: S101 (a job was named)
+    return found
+
+
+def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
+    if job_id is None:
+        return None
+    file = service.results / service.store.get(job_id).id / name
+    if not file.is_file():
+        raise NotFound(f"job {job_id} has no {name}")
+    return file
+
+
+def _find_account(folder: Path, compensation_id: str | None) -> Path | None:
+    from truepath.app.compensation.kept_files import find_file
+
+    if compensation_id is None:
+        return None
+    kept = folder / "compensations"
+    return find_file(kept, compensation_id, "compensation.json")
+
+
+def _keep_identity(
+    service: Service, result: Path, body: CertificateRequest
+) -> dict[str, str]:
+    stated = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
+    return dict(_open_store(service).keep(_read_machine(result), stated))
+
+
+def _read_machine(result: Path) -> str:
+    from truepath.app.files.file_model import as_object, parse_json
+
+    content = as_object(parse_json(result.read_bytes(), result.name))
+    return str(as_object(content.get("machine")).get("name", ""))
+
+
+def _open_store(service: Service) -> IdentityStore:
+    return IdentityStore.of_folder(service.results.parent)
+
+
+def _describe(job_id: str, record: dict[str, Any]) -> CertificateOut:
+    links = CertificateLinks.of(job=job_id, number=record["number"])
+    return CertificateOut(**{**record, "links": links})

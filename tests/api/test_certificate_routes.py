@@ -1,0 +1,100 @@
+"""Certificates over REST: issued once, numbered, kept, never changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pypdf
+import pytest
+
+from truepath.app.api.models.base import PREFIX
+from truepath.app.api.route_roles import LEAST_ROLES
+from truepath.app.users.roles import Role
+
+
+@pytest.fixture
+def place(service, finished, analysed):
+    """Address of the certificates of a job with that result."""
+    target = service.results / finished["id"]
+    shutil.copytree(analysed, target, dirs_exist_ok=True)
+    return f"/api/v1/jobs/{finished['id']}/certificates"
+
+
+def edit_verdict(service, place, state):
+    file = service.results / place.split("/")[-2] / "result.json"
+    content = json.loads(file.read_text())
+    content["verdict"] = {"state": state, "reasons": ["too few lines"], "details": []}
+    file.write_text(json.dumps(content))
+
+
+def test_a_certificate_is_numbered_kept_listed_and_never_changed(
+    client, service, place, tmp_path
+):
+    asked = {"language": "de", "identity": {"operator": "A. Weiß", "warm_up": "2 h"}}
+    answer = client.post(place, json=asked)
+    assert answer.status_code == 201, answer.text
+    first = answer.json()
+    assert answer.headers["location"] == first["links"]["self"]
+    page = client.get(first["links"]["html"])
+    assert "Kalibrierschein" in page.text
+    assert first["number"] in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    printed = client.get(first["links"]["pdf"]).content
+    (tmp_path / "c.pdf").write_bytes(printed)
+    assert "A. Weiß" in pypdf.PdfReader(tmp_path / "c.pdf").pages[0].extract_text()
+    second = client.post(place, json={}).json()
+    assert second["number"] != first["number"]
+    assert second["identity"] == {"operator": "A. Weiß"}
+    listed = client.get(place).json()
+    assert [one["number"] for one in listed["items"]] == [
+        first["number"],
+        second["number"],
+    ]
+    assert listed["identity"] == {"operator": "A. Weiß"}
+    edit_verdict(service, place, "doubtful")
+    assert client.get(first["links"]["self"]).json() == first
+    assert client.get(first["links"]["pdf"]).content == printed
+    assert client.put(first["links"]["self"], json={}).status_code == 405
+    assert client.delete(first["links"]["self"]).status_code == 405
+
+
+def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
+    client, service, place, is_problem
+):
+    edit_verdict(service, place, "not-usable")
+    is_problem(client.post(place, json={}), 422, "not-usable")
+    assert client.get(place).json()["items"] == []
+    taken = client.post(place, json={"accept_verdict": True}).json()
+    assert taken["verdict"] == "not-usable"
+    assert "NOT TO BE USED" in client.get(taken["links"]["html"]).text
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "code"),
+    [
+        ({"language": "fr"}, 422, "validation"),
+        ({"identity": {"opertor": "A"}}, 422, "validation"),
+        ({"identity": {"operator": "A\nB"}}, 422, "validation"),
+        ({"compensation_id": "../../x"}, 404, "not-found"),
+        ({"as_left_job": "019a3f6b"}, 404, "not-found"),
+    ],
+)
+def test_what_cannot_be_issued_is_refused(
+    client, place, is_problem, asked, status, code
+):
+    is_problem(client.post(place, json=asked), status, code)
+
+
+def test_a_job_without_a_result_has_no_certificate(
+    client, service, finished, is_problem
+):
+    (service.results / finished["id"] / "result.json").unlink(missing_ok=True)
+    answer = client.post(f"/api/v1/jobs/{finished['id']}/certificates", json={})
+    is_problem(answer, 404, "not-found")
+
+
+def test_metrologists_issue_and_everybody_reads():
+    route = f"{PREFIX}/jobs/{{job_id}}/certificates"
+    assert LEAST_ROLES[f"POST {route}"] is Role.METROLOGIST
+    assert LEAST_ROLES[f"GET {route}"] is Role.VIEWER
