@@ -59,3 +59,16 @@ def luminance(colour: str) -> float:
         p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts
     ]
     return sum(w * p for w, p in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def test_folded_tables_open_on_a_click_and_are_all_printed(browser, file):
+    page = browser.new_page(viewport={"width": 1180, "height": 900})
+    page.goto(file.as_uri())
+    tables = page.locator(".folded table")
+    assert tables.count() == 3
+    assert not tables.first.is_visible()
+    page.locator(".fold label").first.click()
+    assert tables.first.is_visible()
+    assert not tables.last.is_visible()
+    page.emulate_media(media="print")
+    assert all(table.is_visible() for table in tables.all())
