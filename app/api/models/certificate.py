@@ -55,7 +55,7 @@ class CertificateRequest(RequestBody):
     )
 
     language: Language = "en"
-    identity: IdentityIn = Field(default_factory=lambda: IdentityIn())
+    identity: IdentityIn = Field(default_factory=lambda: IdentityIn.model_validate({}))
     as_left_job: Identifier | None = Field(
         None, description="A job whose result was measured after compensation."
     )
