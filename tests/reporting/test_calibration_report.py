@@ -14,7 +14,7 @@ from truepath.app.reporting.calibration_report import (
 from truepath.app.results.findings import group_residuals, state_findings, state_noise
 from truepath.app.results.number_format import format_expanded, format_number
 
-VOID = {"meta", "br", "img", "link", "hr", "path", "use"}
+VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
 
 
 class Outline(HTMLParser):
