@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +19,9 @@ from truepath.app.users.accounts import Accounts
 from truepath.app.users.certificates import create_certificate
 from truepath.app.users.roles import Role
 from truepath.app.users.tokens import Tokens
+
+sys.path.append(str(Path(__file__).parents[1] / "jobs"))
+from service_process import process
 
 PLANTED = "planted-5eCret"
 
@@ -100,6 +105,25 @@ def test_it_holds_what_helps_and_no_secret(installation, tmp_path, capsys):
     assert json.loads(parts["catalogue.json"])["jobs"] == 1
     assert "numpy" in json.loads(parts["versions.json"])["libraries"]
     assert file.stat().st_mode & 0o077 == 0, "it is for nobody else"
+
+
+@pytest.mark.timeout(120)
+def test_a_running_service_gives_its_metrics_and_its_log(tmp_path, monkeypatch):
+    log = tmp_path / "logs" / "service.log"
+    given = {"TRUEPATH_SIMULATED": "0", "TRUEPATH_LOG_FILE": str(log)}
+    with process(tmp_path, **given) as (_, client):
+        client.get("/api/v1/system")
+        monkeypatch.setenv("TRUEPATH_PORT", str(client.base_url.port))
+        monkeypatch.setenv("TRUEPATH_LOG_FILE", str(log))
+        file = tmp_path / "support.zip"
+        data = str(tmp_path / "data")
+        assert run(["support-bundle", "-o", str(file), "--data-dir", data]) == 0
+    parts = read(file)
+    assert json.loads(parts["summary.json"])["missing"] == {}
+    assert "truepath_catalogue_up 1.0" in parts["metrics.txt"]
+    lines = parts["logs/service.log"].splitlines()
+    assert all(json.loads(line)["event"] for line in lines)
+    assert "catalogue migrated" in parts["logs/service.log"]
 
 
 def test_the_ends_of_long_logs_are_kept_within_the_bound(installation, tmp_path):
