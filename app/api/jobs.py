@@ -155,6 +155,18 @@ def cancel_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut
     return _describe(service.dispatcher.cancel(job_id), response)
 
 
+@router.post(
+    "/{job_id}/acknowledge", status_code=202, responses=declare_problems(404, 409)
+)
+def acknowledge_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+    """Prepare a `faulted` or `interrupted` measurement to go on. Moves nothing.
+
+    It is `ready` then, to be armed as any other. Armed, the machine first stands again
+    where it stood last; only where the target is seen where it was does it go on.
+    """
+    return _describe(service.dispatcher.acknowledge(job_id), response)
+
+
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))
 async def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""

@@ -46,6 +46,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /jobs/{job_id}/pause": _OPERATOR,
     "POST /jobs/{job_id}/resume": _OPERATOR,
     "POST /jobs/{job_id}/cancel": _OPERATOR,
+    "POST /jobs/{job_id}/acknowledge": _OPERATOR,
     "POST /jobs/{job_id}/abort": _VIEWER,
     "GET /jobs/{job_id}/plan": _VIEWER,
     "GET /jobs/{job_id}/estimate": _VIEWER,

@@ -220,6 +220,10 @@ class ActiveJob:
         """Let the job be begun again at the next start of the service."""
         self._change(lambda job: put_back(job, in_order=True))
 
+    def add_run(self, run_id: str) -> None:
+        """Store a Run that the job has made, unless it has ended."""
+        self._change(lambda job: job if job.is_final else job.add_run(run_id))
+
     def store_values(self, **values: Any) -> None:
         """Store fields of the job, unless it has ended."""
         self._change(lambda job: job if job.is_final else replace(job, **values))

@@ -15,8 +15,10 @@ from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.plan_orders import plan_measurement
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import (
+    check_closure,
     check_station,
     discover_recorded,
+    find_committed_rows,
     follow_recorded,
     reanalyse_run,
 )
@@ -35,6 +37,7 @@ class JobContext:
     planner, science, discoverer, follower, checker, reanalyser : called as
         `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
         `check_station`, `reanalyse_run`
+    resumer, closer : called as `find_committed_rows`, `check_closure`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
     confirm_s : time in which the cell has to confirm each state
@@ -56,6 +59,8 @@ class JobContext:
     follower: Task = follow_recorded
     checker: Task = check_station
     reanalyser: Task = reanalyse_run
+    resumer: Task = find_committed_rows
+    closer: Task = check_closure
 
     def of_machine(self, machine_id: str | None) -> JobContext:
         """Return it for a job on a machine; without a name on the only one.

@@ -24,7 +24,8 @@ from truepath.app.jobs.job import Failure, Job, Stage
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
-from truepath.app.jobs.restart import put_back
+from truepath.app.jobs.restart import leave_end, put_back
+from truepath.app.jobs.resumption import list_part_ids, require_resumable
 from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.store import IdempotencyKey
 from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
@@ -158,6 +159,23 @@ class Dispatcher:
             active.cancel()
         return job
 
+    def acknowledge(self, job_id: str) -> Job:
+        """Prepare a measurement that was cut short to go on.
+
+        It then waits to be armed; nothing moves. Raises IllegalTransition,
+        NotResumable, CellBusy.
+        """
+        job = self._context.store.get(job_id)
+        if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
+            return job
+        require_resumable(job, self._context.store.read_plan(job_id))
+        self._context.require_cell()
+        if self._closing:
+            raise CellDown("the service is ending")
+        job = self._context.store.change(job_id, leave_end, version=job.version)
+        self._begin(job)
+        return job
+
     def abort(self, job_id: str) -> Job:
         """End a job now. Never refused; a job that has ended stays as it is."""
         active = self._active.get(job_id)
@@ -274,7 +292,7 @@ class Dispatcher:
     def _add_runs(self, job: Job) -> None:
         plan = self._context.store.read_plan(job.id) or {}
         stations = (*list_run_ids(plan), *list_run_ids(plan, "points_id"))
-        for run_id in dict.fromkeys((job.id, *stations)):
+        for run_id in dict.fromkeys((job.id, *list_part_ids(plan), *stations)):
             self._context.runs.add_measured(run_id)
 
     def _interrupt(self, job: Job) -> None:

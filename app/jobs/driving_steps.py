@@ -33,12 +33,14 @@ class DrivingSteps:
     """One measurement from one place of the tracker.
 
     request : as `plan_orders` states it, for the live estimate
+    run_id : of the Run that is made; it bears the name of the job where it is the first
     """
 
     job: Job
     active: ActiveJob
     context: JobContext
     request: Json
+    run_id: str
 
     def run(self, commanded: Commanded) -> None:
         """Drive the machine; what was recorded is in the catalogue in any case."""
@@ -53,9 +55,9 @@ class DrivingSteps:
             with closing(live):
                 self._follow(live, first, planned)
         finally:
-            record = self.context.runs.add_measured(self.job.id)
+            record = self.context.runs.add_measured(self.run_id)
             if record is not None:
-                self.active.store_values(run_id=record.id)
+                self.active.add_run(record.id)
 
     def _part(self, commanded: Commanded) -> PlannedRows | None:
         """Return the rows in parts, where some may be driven again."""
@@ -95,7 +97,7 @@ class DrivingSteps:
         machine = self.context.require_machine()
         order = MeasurementOrder(
             run_name=f"{machine.name} {self.job.created}",
-            run_file=str(self.context.runs.name_run_file(self.job.id)),
+            run_file=str(self.context.runs.name_run_file(self.run_id)),
             machine=machine,
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,

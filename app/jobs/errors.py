@@ -69,6 +69,10 @@ class CellBusy(JobError):
         self.job_id = job_id
 
 
+class NotResumable(JobError):
+    """A measurement that ended before its time and cannot go on; the text says why."""
+
+
 class NotInOrder(JobError):
     """Something that is known to be wrong keeps the machine from being let move."""
 

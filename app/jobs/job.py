@@ -208,6 +208,13 @@ class Job:
             return (*self.further_run_ids, *own)
         return (*own, *self.further_run_ids)
 
+    def add_run(self, run_id: str) -> Job:
+        """Return the job with a Run that it has made: its first one, or a further."""
+        if self.run_id in (None, run_id) or self.kind is JobKind.MEASURE_EXTRA:
+            return replace(self, run_id=run_id)
+        further = tuple(dict.fromkeys((*self.further_run_ids, run_id)))
+        return replace(self, further_run_ids=further)
+
     @property
     def wants_pause(self) -> bool:
         """Whether a user has asked for a pause and for nothing since."""

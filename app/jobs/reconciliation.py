@@ -18,6 +18,7 @@ from truepath.app.errors import NotFound
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job
+from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.station_steps import list_run_ids
 
 log = structlog.get_logger(__name__)
@@ -35,9 +36,10 @@ def name_runs(job: Job, context: JobContext) -> Job:
         if not known or job.run_ids == tuple(known):
             return job
         return replace(job, run_id=known[0], further_run_ids=tuple(known[1:]))
-    if job.run_id is not None or not context.runs.find([job.id]):
-        return job
-    return replace(job, run_id=job.id)
+    made = dict.fromkeys((job.id, *list_part_ids(plan)))
+    for run_id in context.runs.find(list(made)):
+        job = job if run_id in job.run_ids else job.add_run(run_id)
+    return job
 
 
 def store_runs(job_id: str, context: JobContext) -> None:

@@ -1,4 +1,4 @@
-"""What becomes of a job that computes when the service ends before it has ended."""
+"""What becomes of a job that the end of the service, or a fault, has cut short."""
 
 from __future__ import annotations
 
@@ -6,9 +6,21 @@ from dataclasses import replace
 
 from truepath.app.jobs.errors import GivenUp
 from truepath.app.jobs.job import Failure, Job, Progress, Stage
-from truepath.app.jobs.transitions import State
+from truepath.app.jobs.transitions import State, Verb, apply_verb
 
 MAX_ATTEMPTS = 2
+
+
+def leave_end(job: Job) -> Job:
+    """Return a measurement that was cut short, in preparation again."""
+    return replace(
+        job,
+        state=apply_verb(Verb.ACKNOWLEDGE, job.state),
+        desired_state=str(State.READY),
+        stage=Stage.WAITING,
+        failure=None,
+        ended=None,
+    )
 
 
 def put_back(job: Job, *, in_order: bool = False) -> Job:

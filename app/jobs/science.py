@@ -11,6 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import structlog
+
 from truepath.app.errors import AlignmentError, TruepathError
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import State
@@ -18,9 +21,12 @@ from truepath.app.files.whole_files import sync_to_disk, write_files
 from truepath.app.jobs.job import Json
 from truepath.app.jobs.reanalysis import RunOrder, figures_of, keep_outcome
 from truepath.app.jobs.workers import Workers, open_workers
+from truepath.app.kinematics.machine import Machine
 from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.app.progress import Progress
+
+log = structlog.get_logger(__name__)
 
 
 def analyse_recorded(
@@ -188,6 +194,64 @@ def check_station(
         "problem": found.problem,
         "text": found.text,
     }
+
+
+def find_committed_rows(
+    files: Sequence[str], machine: Machine, *, on_progress: Progress
+) -> list[dict[str, Any] | None]:
+    """Return how far each Run has got, as `Committed`; None where it tells nothing.
+
+    machine : as it is now. Raises BundleError where a Run is of another.
+    """
+    # Imported where it computes: the service itself carries no science.
+    from truepath.app.alignment.closure import find_committed
+    from truepath.app.files.one_machine import one_machine
+
+    found: list[dict[str, Any] | None] = []
+    for file in files:
+        run = open_recorded(Path(file))
+        one_machine([run.machine, machine], [run.name, "the machine file now"])
+        try:
+            at = find_committed(run)
+        except AlignmentError as error:
+            log.info("a Run tells nothing to go on from", file=file, reason=str(error))
+            found.append(None)
+            continue
+        place_mm = at.place_mm.tolist()
+        found.append({"next_row": at.next_row, "row": at.row, "place_mm": place_mm})
+    on_progress(1.0, "planning")
+    return found
+
+
+def check_closure(
+    file: str, place_mm: Sequence[Sequence[float]], *, on_progress: Progress
+) -> dict[str, Any]:
+    """Return how far the target is from where it was, and a problem in words if far.
+
+    file : of the Run of the closure; place_mm : as `Committed` states them
+    """
+    # Imported where it computes: the service itself carries no science.
+    from truepath.app.alignment.closure import compare_places, find_again
+
+    run, before_mm = open_recorded(Path(file)), np.array(place_mm)
+    try:
+        found = compare_places(
+            before_mm, find_again(run, before_mm), run.machine.tracker
+        )
+    except AlignmentError as error:
+        return {"step_um": None, "allowed_um": None, "problem": str(error)}
+    finally:
+        on_progress(1.0, "measuring")
+    step_um, allowed_um = UM_PER_MM * found.step_mm, UM_PER_MM * found.allowed_mm
+    problem = (
+        ""
+        if found.agrees
+        else (
+            f"the target is {step_um:.0f} µm from where it was measured before the "
+            f"interruption, {allowed_um:.0f} µm are allowed"
+        )
+    )
+    return {"step_um": step_um, "allowed_um": allowed_um, "problem": problem}
 
 
 def prepare() -> None:

@@ -32,6 +32,7 @@ from truepath.app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
 from truepath.app.jobs.notices import add_to_result
 from truepath.app.jobs.plan_orders import order_first_part
 from truepath.app.jobs.reanalysis import Reanalysis, list_orders, write_summary
+from truepath.app.jobs.resumption import ResumedSteps, Resumption
 from truepath.app.jobs.station_steps import StationSteps, begin_at_station
 from truepath.app.jobs.transitions import State, Verb
 from truepath.app.motion.configurations import Commanded
@@ -139,11 +140,12 @@ class _JobSteps:
         chooses = job.kind.measures or job.kind is JobKind.PLAN
         if chooses and context.store.read_plan(job.id) is None:
             self._plan()
+        elif job.kind.measures and job.started is not None:
+            self._resumed_steps.prepare()
         elif job.kind is JobKind.PLAN:  # planned before the service ended
             self.active.enter(State.RUNNING, Stage.PLANNING)
         if job.kind.measures:
-            made = self._measure_all(self._wait_until_armed())
-            run_ids = tuple(dict.fromkeys((*run_ids, *made)))
+            run_ids = self._measure_all(self._wait_until_armed())
         if job.kind.analyses:
             how = job.perpendicular_only, job.monte_carlo, context.workers
             self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
@@ -178,13 +180,25 @@ class _JobSteps:
         return commanded
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
-        """Measure, from every station of the plan; return the Runs made."""
-        if "stations" in (self.context.store.read_plan(self.job.id) or {}):
-            steps = StationSteps(self.job, self.active, self.context, self._compute)
-            return steps.run()
-        steps = DrivingSteps(self.job, self.active, self.context, self._plan_order())
-        steps.run(commanded)
-        return (self.job.id,)
+        """Measure, from every station of the plan; return the Runs to go by."""
+        plan, job = self.context.store.read_plan(self.job.id) or {}, self.job
+        if "stations" in plan:
+            steps = StationSteps(job, self.active, self.context, self._compute)
+            return tuple(dict.fromkeys((*job.run_ids, *steps.run())))
+        resumption, run_id, before = Resumption.read(plan), job.id, job.run_ids
+        if resumption is not None:
+            run_id = self._resumed_steps.begin_part(resumption, commanded)
+            commanded = resumption.select_rest(commanded)
+            before = resumption.kept_run_ids
+        elif job.started is not None:
+            run_id, before = self._resumed_steps.begin_anew(), ()
+        order = self._plan_order()
+        DrivingSteps(job, self.active, self.context, order, run_id).run(commanded)
+        return tuple(dict.fromkeys((*before, run_id)))
+
+    @property
+    def _resumed_steps(self) -> ResumedSteps:
+        return ResumedSteps(self.job, self.active, self.context, self._compute)
 
     @property
     def _is_adaptive(self) -> bool:

@@ -101,6 +101,13 @@ def follow(client, job_id, *states, patience_s=50.0):
         time.sleep(0.02)
 
 
+def acknowledge(client, job_id):
+    """Let a measurement that was cut short get ready again."""
+    answer = client.post(f"/api/v1/jobs/{job_id}/acknowledge")
+    assert answer.status_code == 202, answer.text
+    return follow(client, job_id, "ready")
+
+
 def moving(client, job_id):
     """Wait until samples of a moving machine have come."""
     wait_until(

@@ -70,6 +70,20 @@ class StationRows(BaseModel):
     run_id: str | None = Field(None, description="Of its Run, once that has begun.")
 
 
+class ResumptionOut(BaseModel):
+    """How a measurement goes on that was cut short."""
+
+    first_row: int = Field(description="Of the plan, where the further Run begins.")
+    kept_run_ids: list[str] = Field(description="Runs before it that are analysed.")
+    closure_row: list[int] = Field(
+        description="Rows to stand at first; at the last ones the target has to be "
+        "where it was."
+    )
+    place_mm: list[list[float]] = Field(
+        description="Where it was there, in the tracker's frame."
+    )
+
+
 class PlanOut(BaseModel):
     """What is or was commanded, a row of `position` for each waypoint or point."""
 
@@ -88,6 +102,9 @@ class PlanOut(BaseModel):
     target_um: float | None = Field(
         None,
         description="`volumetric_uncertainty_um` (k = 1) at which it may end early.",
+    )
+    resumption: ResumptionOut | None = Field(
+        None, description="Of a measurement that goes on; null where it begins."
     )
     predicted_um: float | None = Field(
         None,

@@ -1,0 +1,230 @@
+"""Going on with a measurement that the service, or a fault, has cut short.
+
+The plan of the job keeps its parts: one Run each, with the row it begins at. After
+`acknowledge` a worker reads how far the last part has got; the job waits to be armed
+like any other. Armed, the machine stands again at the places where it stood last, and
+only where the target is seen where it was are the rows that are left driven, as a
+further Run. Nothing that was recorded is changed; the analysis takes all parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import structlog
+
+from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.cell_measurement import CellMeasurement
+from truepath.app.jobs.context import JobContext
+from truepath.app.jobs.errors import MachineFault, NotResumable
+from truepath.app.jobs.job import Job, JobKind, Json, Stage, make_id
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.transitions import LEFT_BY_ACKNOWLEDGE, State
+from truepath.app.measurement.messages import MeasurementOrder
+from truepath.app.motion.configurations import Commanded, Configurations, select_rows
+from truepath.drivers.interfaces.records import Path
+
+CLOSURE_DWELL_S = 1.5
+_FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
+_MEASURED = frozenset(
+    {Stage.ALIGNING, Stage.ESTIMATING, Stage.VALIDATING, Stage.REPORTING}
+)
+CLOSURE_CODE = "closure"
+_REMEDY = (
+    "Look at reflector, its nest and the tracker: one of them has moved since. Put it "
+    "back and acknowledge the job to check again, or measure anew; what was recorded "
+    "is kept."
+)
+
+log = structlog.get_logger(__name__)
+
+
+def list_part_ids(plan: Json) -> list[str]:
+    """Return the Runs of the parts of a plan, made or about to be made."""
+    return [part["run_id"] for part in plan.get("parts", ())]
+
+
+def require_resumable(job: Job, plan: Json | None) -> None:
+    """Raise NotResumable where a measurement cannot go on by another part."""
+    if job.state not in LEFT_BY_ACKNOWLEDGE:
+        return
+    if reason := _find_reason(job, plan or {}):
+        raise NotResumable(f"job {job.id} ({job.kind}) cannot go on: {reason}")
+
+
+def _find_reason(job: Job, plan: Json) -> str:
+    kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
+    if job.kind not in (JobKind.MEASURE_OTF, JobKind.MEASURE_STANDSTILL):
+        why = "its rows depend on what was measured before" if job.kind.measures else ""
+        return f"{why or 'it only computes'}; {kept}; begin a new job"
+    if "stations" in plan:
+        return f"it has several stations; begin a job that `continues` it; {kept}"
+    if job.on_notice is not OnNotice.NOTE:
+        return f"it drives lines again by what it notices; {kept}; begin a new job"
+    if len(set(plan.get("target", ()))) > 1:
+        return f"its targets have to be measured in one Run; {kept}; begin a new job"
+    if job.stage in _MEASURED:
+        return f"all its rows are measured; analyse its Runs; {kept}"
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Resumption:
+    """How a measurement goes on, as the plan keeps it.
+
+    first_row : of the plan, where the further part begins
+    kept_run_ids : of the parts that the analysis takes
+    closure_row : rows of the plan to stand at before; the last ones are compared
+    place_mm : where the target was there, in the tracker's frame
+    """
+
+    first_row: int
+    kept_run_ids: tuple[str, ...]
+    closure_row: tuple[int, ...]
+    place_mm: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def read(cls, plan: Json) -> Resumption | None:
+        """Return that of a plan; None where it begins from its first row."""
+        found = plan.get("resumption")
+        if found is None:
+            return None
+        return cls(
+            found["first_row"],
+            tuple(found["kept_run_ids"]),
+            tuple(found["closure_row"]),
+            tuple(tuple(place) for place in found["place_mm"]),
+        )
+
+    def select_rest(self, commanded: Commanded) -> Commanded:
+        """Return the rows that are left; a path begins where the machine stands."""
+        return select_rows(commanded, slice(self.first_row, None))
+
+    def select_closure(self, commanded: Commanded) -> Configurations:
+        """Return the standstills of the closure check."""
+        rows = list(self.closure_row)
+        return Configurations(
+            commanded.axes,
+            commanded.position[rows],
+            np.full(len(rows), CLOSURE_DWELL_S),
+            tuple(commanded.target[row] for row in rows if commanded.target),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ResumedSteps:
+    """The steps of a job that goes on.
+
+    compute : lets the executor compute a task
+    """
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+    compute: Callable[..., Any]
+
+    def prepare(self) -> None:
+        """Find how far the job has got and keep with its plan how it goes on."""
+        plan = dict(self.context.store.read_plan(self.job.id) or {})
+        parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
+        recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
+        parts = [part for part in parts if part["run_id"] in recorded]
+        found = self._find(plan, parts)
+        plan |= {"parts": parts, "resumption": found}
+        self.context.store.keep_plan(self.job.id, plan)
+        log.info("the measurement can go on", row=found and found["first_row"])
+
+    def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any] | None:
+        """Return a resumption; None where nothing that was recorded can be used."""
+        files = [str(self.context.runs.file(part["run_id"])) for part in parts]
+        found = self.compute(
+            State.PREPARING,
+            Stage.PLANNING,
+            self.context.resumer,
+            files,
+            self.context.require_machine(),
+        )
+        usable = [k for k, one in enumerate(found) if one is not None]
+        if not usable:
+            return None
+        last, base = found[usable[-1]], parts[usable[-1]]["first_row"]
+        rows = [base + row for row in last["row"]]
+        commanded = decode_commanded_json(plan)
+        return {
+            "first_row": _choose_first_row(commanded, base + last["next_row"]),
+            "kept_run_ids": [parts[k]["run_id"] for k in usable],
+            # One row more: the first place is then come to from where it was before.
+            "closure_row": [*range(max(rows[0] - 1, 0), rows[0]), *rows],
+            "place_mm": last["place_mm"],
+        }
+
+    def begin_part(self, resumption: Resumption, commanded: Commanded) -> str:
+        """Check the closure, then return the Run of the part that is to be driven.
+
+        Raises MachineFault where the target is not where it was.
+        """
+        run_id, closure_id = make_id(), make_id()
+        part = {"run_id": run_id, "first_row": resumption.first_row}
+        self._drive_closure(resumption.select_closure(commanded), closure_id)
+        self._require_closure(resumption, closure_id)
+        self._keep_part({**part, "closure_id": closure_id})
+        return run_id
+
+    def begin_anew(self) -> str:
+        """Return the Run of a part from the first row: none before can be used."""
+        run_id = make_id()
+        self._keep_part({"run_id": run_id, "first_row": 0})
+        return run_id
+
+    def _keep_part(self, part: Json) -> None:
+        plan = dict(self.context.store.read_plan(self.job.id) or {})
+        plan["parts"] = [*plan["parts"], part]
+        self.context.store.keep_plan(self.job.id, plan)
+
+    def _drive_closure(self, points: Configurations, run_id: str) -> None:
+        context, machine = self.context, self.context.require_machine()
+        order = MeasurementOrder(
+            run_name=f"{machine.name} {self.job.created}, closure",
+            run_file=str(context.runs.name_run_file(run_id)),
+            machine=machine,
+            commanded=points,
+            rate_hz=machine.tracker.rate_hz,
+            job_id=self.job.id,
+        )
+        self.active.enter(State.RUNNING, Stage.MEASURING)
+        try:
+            CellMeasurement(
+                self.active,
+                context.require_cell(),
+                confirm_s=context.confirm_s,
+                steering=None,
+            ).run(order)
+        finally:
+            context.runs.add_measured(run_id)
+
+    def _require_closure(self, resumption: Resumption, closure_id: str) -> None:
+        found = self.compute(
+            State.RUNNING,
+            Stage.MEASURING,
+            self.context.closer,
+            str(self.context.runs.file(closure_id)),
+            resumption.place_mm,
+        )
+        log.info("closure checked", **found)
+        if found["problem"]:
+            raise MachineFault(CLOSURE_CODE, found["problem"], _REMEDY)
+
+
+def _choose_first_row(commanded: Commanded, next_row: int) -> int:
+    """Return the row to begin at; some rows again where few are left.
+
+    A line begins where the one before has ended.
+    """
+    latest = len(commanded) - _FEWEST
+    if isinstance(commanded, Path):
+        return max(min(next_row, latest) - 1, 0)
+    return max(min(next_row, latest), 0)
