@@ -22,6 +22,7 @@ from truepath.app.alignment.cleaning import (
 )
 from truepath.app.alignment.driving import describe_driving
 from truepath.app.alignment.left_out import LeftOut, describe_unusable
+from truepath.app.alignment.measured_elsewhere import drop_measured_elsewhere
 from truepath.app.alignment.measured_points import (
     find_measured,
     list_as_stops,
@@ -63,7 +64,7 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
                 raise
             raise AlignmentError(f"{name}: {error}") from error
         observed.append(seen)
-    return observed
+    return drop_measured_elsewhere(runs, observed)
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:

@@ -264,7 +264,9 @@ class Dispatcher:
             if job.kind.measures:
                 self._name_runs(job)
         finally:
-            del self._active[job.id]
+            with self._lock:  # acknowledged meanwhile, it has another thread
+                if self._active.get(job.id) is active:
+                    del self._active[job.id]
 
     def _name_runs(self, job: Job) -> None:
         """Catalogue and name the Runs of a job that could not be while it lasted."""

@@ -7,10 +7,11 @@ can be knocked while nobody looks.
 from __future__ import annotations
 
 import json
+import random
 
 import psutil
 import pytest
-from service_process import ROWS, acknowledge, arm, create, follow, process, wait_for
+from service_process import acknowledge, arm, create, follow, process, wait_for
 
 from truepath.simulators.rig import running_rig
 from truepath.simulators.scenario import load_machine
@@ -18,6 +19,16 @@ from truepath.simulators.scenario import load_machine
 SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
+RNG = random.Random(1)
+ROWS = [
+    {
+        "x_mm": round(RNG.uniform(10, 490), 1),
+        "y_mm": round(RNG.uniform(10, 390), 1),
+        "z_mm": round(RNG.uniform(10, 290), 1),
+        "dwell_s": 0.6,
+    }
+    for _ in range(24)
+]
 
 
 @pytest.fixture
@@ -67,14 +78,13 @@ def stands(rig):
 @pytest.mark.fault_row(25)
 @pytest.mark.fault_row(9)
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize("kind", ["measure-otf", "measure-standstill"])
+@pytest.mark.parametrize(
+    "kind",
+    ["measure-otf", pytest.param("measure-standstill", marks=pytest.mark.long)],
+)
 def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig, kind):
-    rows = ROWS * 2
-    order = {"path": rows}
-    if kind == "measure-standstill":
-        rows = [{k: v for k, v in row.items() if k[1] == "_"} for row in rows]
-        order = {"points": rows}
-    job_id = kill_in_motion(start, kind=kind, **order)
+    rows = "path" if kind == "measure-otf" else "points"
+    job_id = kill_in_motion(start, **{"kind": kind, rows: ROWS})
     with start() as (_, client):
         job = client.get(f"/api/v1/jobs/{job_id}").json()
         assert job["state"] == "interrupted"
@@ -95,13 +105,14 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
         assert len(result["runs"]) == 2
 
 
+@pytest.mark.long
 @pytest.mark.fault_row(11)
 @pytest.mark.fault_row(25)
 @pytest.mark.timeout(240)
 def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size(
     start, rig
 ):
-    job_id = kill_in_motion(start, path=ROWS * 2)
+    job_id = kill_in_motion(start, path=ROWS)
     rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
     with start() as (_, client):
         arm(client, acknowledge(client, job_id))

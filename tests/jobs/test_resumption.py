@@ -1,0 +1,222 @@
+"""A measurement that was cut short goes on: acknowledged, armed, checked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from truepath.app.errors import IllegalTransition
+from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.errors import CellBusy, NotResumable
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.transitions import State
+from truepath.app.motion.configurations import Configurations
+
+PATH = tuple(
+    {"x_mm": 20.0 + 40.0 * n, "y_mm": 30.0 + 10.0 * (n % 3), "z_mm": 40.0 + 5.0 * n}
+    for n in range(12)
+)
+OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
+PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
+
+
+class Resumer:
+    """Says how far each Run has got."""
+
+    def __init__(self):
+        self.calls, self.next_row = [], 4
+
+    def __call__(self, files, machine, *, on_progress):
+        self.calls.append(files)
+        if self.next_row is None:
+            return [None for _ in files]
+        reached = {"next_row": self.next_row, "row": [2, 3], "place_mm": PLACES}
+        return [reached for _ in files]
+
+
+class Closer:
+    """Says whether the target is where it was."""
+
+    def __init__(self):
+        self.calls, self.problem = [], ""
+
+    def __call__(self, file, place_mm, *, on_progress):
+        self.calls.append(place_mm)
+        return {"step_um": 1.0, "allowed_um": 20.0, "problem": self.problem}
+
+
+@pytest.fixture
+def resumer():
+    return Resumer()
+
+
+@pytest.fixture
+def closer():
+    return Closer()
+
+
+@pytest.fixture
+def going_on(context, event_bus, resumer, closer):
+    """A dispatcher that can go on with what was cut short."""
+    context.cell.start()
+    full = replace(context, resumer=resumer, closer=closer)
+    dispatcher = Dispatcher(full, event_bus)
+    yield dispatcher
+    dispatcher.close()
+
+
+@pytest.fixture
+def faulted(going_on, until, make_cell):
+    """A measurement that a fault has ended in motion."""
+
+    def make(request=OTF):
+        job, _ = going_on.create(request)
+        going_on.arm(job.id, until(job, "ready").version)
+        cell = make_cell.cell
+        assert cell.begun.wait(5)
+        cell.fault()
+        cell.end("faulted")
+        return until(job, "faulted")
+
+    return make
+
+
+def drive(going_on, until, cell, job):
+    """Acknowledge and arm; let the closure be measured."""
+    going_on.acknowledge(job.id)
+    cell.begun.clear()
+    going_on.arm(job.id, until(job, "ready").version)
+    assert cell.begun.wait(5)
+    closure = cell.order
+    cell.begun.clear()
+    cell.end()
+    return closure
+
+
+@pytest.mark.fault_row(25)
+def test_it_stands_where_it_stood_then_drives_what_is_left_as_a_further_run(
+    going_on, faulted, until, make_cell, closer, science, context
+):
+    job, cell = faulted(), make_cell.cell
+    closure = drive(going_on, until, cell, job)
+    assert isinstance(closure.commanded, Configurations)
+    x_mm = closure.commanded.position[:, 0].tolist()
+    assert x_mm == [PATH[row]["x_mm"] for row in (1, 2, 3)]
+    assert cell.begun.wait(5)
+    rest = cell.order
+    assert rest.commanded.position[:, 0].tolist() == [r["x_mm"] for r in PATH[3:]]
+    assert closer.calls == [tuple(map(tuple, PLACES))]
+    cell.end()
+    ended = until(job, "succeeded")
+    assert ended.run_ids == (job.id, ended.further_run_ids[0])
+    files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
+    assert science.calls[0][0] == files
+    assert ended.failure is None
+
+
+def test_nothing_moves_until_it_is_armed_anew(going_on, faulted, until, make_cell):
+    job, heard = faulted(), make_cell.cell.heard
+    before = len(heard)
+    ready = going_on.acknowledge(job.id)
+    assert (ready.state, ready.failure, ready.ended) == (State.PREPARING, None, None)
+    now = until(job, "ready")
+    assert going_on.acknowledge(job.id) == now
+    assert heard[before:] == ["connect"]
+
+
+@pytest.mark.fault_row(11)
+def test_a_target_that_is_elsewhere_faults_the_job_and_it_can_be_checked_again(
+    going_on, faulted, until, make_cell, closer
+):
+    job, cell = faulted(), make_cell.cell
+    closer.problem = "the target is 51 µm from where it was"
+    drive(going_on, until, cell, job)
+    refused = until(job, "faulted")
+    assert (refused.failure.code, refused.failure.detail) == ("closure", closer.problem)
+    assert refused.run_ids == (job.id,)
+    closer.problem = ""
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    cell.end()
+    assert len(until(job, "succeeded").run_ids) == 2
+
+
+def test_a_part_that_was_cut_short_too_is_joined_by_a_third(
+    going_on, faulted, until, make_cell, resumer, science
+):
+    job, cell = faulted(), make_cell.cell
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    cell.fault()
+    cell.end("faulted")
+    until(job, "faulted")
+    resumer.next_row = 2
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    assert len(resumer.calls[-1]) == 2
+    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
+    cell.end()
+    assert len(until(job, "succeeded").run_ids) == 3
+    assert len(science.calls[0][0]) == 3
+
+
+def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
+    going_on, faulted, until, make_cell, resumer, science
+):
+    resumer.next_row = None
+    job, cell = faulted(), make_cell.cell
+    going_on.acknowledge(job.id)
+    cell.begun.clear()
+    going_on.arm(job.id, until(job, "ready").version)
+    assert cell.begun.wait(5)
+    assert len(cell.order.commanded) == len(PATH)
+    cell.end()
+    ended = until(job, "succeeded")
+    assert ended.run_ids[0] == job.id
+    assert len(ended.run_ids) == 2
+    assert len(science.calls[0][0]) == 1
+
+
+def test_few_rows_that_are_left_are_driven_with_some_before_them(
+    going_on, faulted, until, resumer, context
+):
+    resumer.next_row = 12
+    job = faulted()
+    going_on.acknowledge(job.id)
+    until(job, "ready")
+    assert context.store.read_plan(job.id)["resumption"]["first_row"] == 5
+
+
+def test_it_does_not_go_on_while_another_job_holds_the_machine(
+    going_on, faulted, until
+):
+    job = faulted()
+    other, _ = going_on.create(OTF)
+    until(other, "ready")
+    with pytest.raises(CellBusy, match=other.id):
+        going_on.acknowledge(job.id)
+
+
+@pytest.mark.parametrize(
+    ("reason", "on_notice"), [("by what it notices", OnNotice.CHECK)]
+)
+def test_a_measurement_that_cannot_go_on_says_why(
+    going_on, faulted, context, reason, on_notice
+):
+    job = faulted()
+    context.store.change(job.id, lambda j: replace(j, on_notice=on_notice))
+    with pytest.raises(NotResumable, match=reason):
+        going_on.acknowledge(job.id)
+    assert context.store.get(job.id).state is State.FAULTED
+
+
+def test_only_a_fault_or_an_interruption_is_acknowledged(going_on, until, context):
+    job, _ = going_on.create(OTF)
+    until(job, "ready")
+    going_on.abort(job.id)
+    until(job, "aborted")
+    with pytest.raises(IllegalTransition, match="cannot acknowledge"):
+        going_on.acknowledge(job.id)
