@@ -163,13 +163,13 @@ class Dispatcher:
         """Prepare a measurement that was cut short to go on.
 
         It then waits to be armed; nothing moves. Raises IllegalTransition,
-        NotResumable, CellBusy.
+        NotResumable, CellBusy, NotFound.
         """
         job = self._context.store.get(job_id)
         if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
             return job
         require_resumable(job, self._context.store.read_plan(job_id))
-        self._context.require_cell()
+        self._context.machines.choose(job.machine)  # it may have gone meanwhile
         if self._closing:
             raise CellDown("the service is ending")
         job = self._context.store.change(job_id, leave_end, version=job.version)

@@ -216,7 +216,7 @@ class Store:
             if after.state is not before.state:
                 check_transition(before.state, after.state)
                 if before.is_final and after.kind.measures:
-                    _refuse_second_measurement(connection)
+                    _refuse_second_measurement(connection, after.machine)
                 _refuse_to_measure_again(after)
             after = _stamp_times(before, replace(after, version=before.version + 1))
             _update_job(connection, before, after)

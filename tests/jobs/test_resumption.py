@@ -61,7 +61,7 @@ def closer():
 @pytest.fixture
 def going_on(context, event_bus, resumer, closer):
     """A dispatcher that can go on with what was cut short."""
-    context.cell.start()
+    context.require_cell().start()
     full = replace(context, resumer=resumer, closer=closer)
     dispatcher = Dispatcher(full, event_bus)
     yield dispatcher
