@@ -44,14 +44,14 @@ from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.jobs.live_estimation import LiveEstimation
-from truepath.app.jobs.machine_cells import Machines
+from truepath.app.jobs.machine_registry import MachineRegistry
+from truepath.app.jobs.machine_setup import ConfiguredMachine, MachineSetup
 from truepath.app.jobs.reconciliation import Reconciliation
 from truepath.app.jobs.run_reader import ReadingLimits, RunReader
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded, prepare
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.workers import choose_workers
-from truepath.app.kinematics.machine import Machine
 from truepath.app.machine_settings import ONLY_MACHINE
 from truepath.app.measurement.messages import CellConfig
 from truepath.app.plugins import load
@@ -103,7 +103,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         stack.callback(database.close)
         database.migrate()
         event_bus = EventBus()
-        context = _make_context(settings, database, event_bus, stack)
+        context, setup = _make_context(settings, database, event_bus, stack)
         dispatcher = Dispatcher(context, event_bus)
         stack.callback(dispatcher.close)
         dispatcher.interrupt_unfinished_jobs()
@@ -124,6 +124,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             dispatcher=dispatcher,
             event_bus=event_bus,
             machines=context.machines,
+            setup=setup,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
             access=access,
@@ -134,9 +135,12 @@ def open_service(settings: Settings) -> Iterator[Service]:
 
 def _make_context(
     settings: Settings, database: Database, event_bus: EventBus, stack: ExitStack
-) -> JobContext:
-    setup = CellSetup(settings.data_dir, LEAST_FREE_BYTES)
-    machines = Machines(setup.make(*one) for one in _load_machines(settings, stack))
+) -> tuple[JobContext, MachineSetup]:
+    store = Store(database, event_bus.publish)
+    cells = CellSetup(settings.data_dir, LEAST_FREE_BYTES)
+    setup = MachineSetup(MachineRegistry(database), store, cells)
+    setup.load(_load_machines(settings, stack))
+    machines = setup.machines
     stack.callback(machines.close)
     workers = choose_workers(settings)
     workers.check()
@@ -147,8 +151,8 @@ def _make_context(
     stack.callback(reader.close)
     results = settings.data_dir / "results"
     results.mkdir(exist_ok=True)
-    return JobContext(
-        store=Store(database, event_bus.publish),
+    context = JobContext(
+        store=store,
         runs=RunCatalogue(database, settings.data_dir / "runs", reader),
         results=results,
         executor=executor,
@@ -157,6 +161,7 @@ def _make_context(
         machines=machines,
         live=LiveEstimation,
     )
+    return context, setup
 
 
 def _check_tls(settings: Settings) -> TlsFiles | None:
@@ -188,26 +193,24 @@ def _make_rules(settings: Settings) -> AccessRules:
     )
 
 
-def _load_machines(
-    settings: Settings, stack: ExitStack
-) -> list[tuple[str, Machine, CellConfig]]:
+def _load_machines(settings: Settings, stack: ExitStack) -> list[ConfiguredMachine]:
     """Return the machines by their identifiers, and how their devices are reached."""
     if settings.simulated:
         return _start_simulators(settings, stack)
     found = [
-        (machine_id, read_machine(one.machine_file), configure_cell(one))
+        ConfiguredMachine(
+            machine_id, read_machine(one.machine_file), configure_cell(one)
+        )
         for machine_id, one in settings.list_machines().items()
     ]
     if not found:
         log.warning("no machine_file: analyses only")
-    refuse_same_names((machine_id, machine.name) for machine_id, machine, _ in found)
-    refuse_shared_links((machine_id, config) for machine_id, _, config in found)
+    refuse_same_names((one.id, one.machine.name) for one in found)
+    refuse_shared_links((one.id, one.config) for one in found)
     return found
 
 
-def _start_simulators(
-    settings: Settings, stack: ExitStack
-) -> list[tuple[str, Machine, CellConfig]]:
+def _start_simulators(settings: Settings, stack: ExitStack) -> list[ConfiguredMachine]:
     """Return benches, one a machine of the settings or `simulated_machines` of one."""
     contents: dict[str, Mapping[str, Any] | None] = {
         machine_id: _read_content(one.machine_file)
@@ -220,7 +223,7 @@ def _start_simulators(
             contents.items(), start=settings.simulated_seed
         )
     ]
-    _, first, _ = started[0]
+    first = started[0].machine
     for number in range(2, settings.simulated_machines + 1):
         content = {**machine_to_json(first), "name": f"{first.name} {number}"}
         machine_id, seed = f"bench-{number}", settings.simulated_seed + number - 1
@@ -240,7 +243,7 @@ def _start_bench(
     content: Mapping[str, Any] | None,
     *,
     seed: int,
-) -> tuple[str, Machine, CellConfig]:
+) -> ConfiguredMachine:
     try:
         bench = load("truepath.simulators", "bench")(
             machine=content,
@@ -267,7 +270,8 @@ def _start_bench(
         thermometer_driver="modbus-registers",
         thermometer_options=bench.thermometer_options,
     )
-    return machine_id, machine_from_json(bench.machine), config
+    machine = machine_from_json(bench.machine)
+    return ConfiguredMachine(machine_id, machine, config, simulated=True)
 
 
 @contextmanager

@@ -136,7 +136,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
     # Here `tracker` and `motion` are who answers.
     content["tracker_noise"] = content.pop("tracker")
     content["motion_limits"] = content.pop("motion", None)
-    connection = _describe_connection(one.cell.status.devices)
+    connection = describe_connection(one.cell.status.devices)
     return MachineOut(**content, **connection.model_dump())
 
 
@@ -145,7 +145,7 @@ def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.machines.first is None:
         raise NoMachine
-    return _describe_connection(service.machines.first.cell.connect())
+    return describe_connection(service.machines.first.cell.connect())
 
 
 @machines.get("/current/conditions", responses=declare_problems(404))
@@ -154,9 +154,7 @@ def list_conditions(service: ServiceDep) -> ConditionList:
 
     The controller is read once a second while nothing is measured.
     """
-    board = _require_first(service).conditions
-    found = [] if board is None else board.read()
-    return ConditionList(items=[ConditionOut(**asdict(one)) for one in found])
+    return list_conditions_of(_require_first(service))
 
 
 @system.get("")
@@ -217,6 +215,13 @@ def _read_status(service: Service) -> CellStatus:
     return CellStatus("none") if first is None else first.cell.status
 
 
-def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
+def list_conditions_of(one: MachineCell) -> ConditionList:
+    """Return the conditions of a machine as they are now."""
+    found = [] if one.conditions is None else one.conditions.read()
+    return ConditionList(items=[ConditionOut(**asdict(each)) for each in found])
+
+
+def describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
+    """Return who answers, as the supervisor of a cell keeps it."""
     none = dict.fromkeys(("tracker", "motion"))
     return Connection.model_validate({**none, **devices, "connected": bool(devices)})

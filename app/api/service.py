@@ -15,6 +15,7 @@ from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.job import JobEvent
 from truepath.app.jobs.machine_cells import Machines
+from truepath.app.jobs.machine_setup import MachineSetup
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.users.access import Access
@@ -26,7 +27,7 @@ LEAST_FREE_BYTES = 500 << 20
 class Service:
     """Everything behind the routes.
 
-    machines : those that it drives
+    machines : those that it drives; setup : adds and configures them
     access : users, roles and audit log
     closing : set when the service is about to end; open streams then end
     """
@@ -40,6 +41,7 @@ class Service:
     dispatcher: Dispatcher
     event_bus: EventBus
     machines: Machines
+    setup: MachineSetup
     access: Access
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64

@@ -64,7 +64,7 @@ def refuse_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
     """
     known: dict[str, str] = {}
     for machine_id, config in reached:
-        for link in set(_list_links(config)):
+        for link in dict.fromkeys(_list_links(config)):
             if link in known:
                 raise BadInput(
                     f"machines {known[link]} and {machine_id} both name {link}; a "
@@ -113,7 +113,7 @@ class CellSetup:
     begun_s: float = field(default_factory=_read_clock_difference_s)
 
     def make(
-        self, machine_id: str, machine: Machine, config: CellConfig
+        self, machine_id: str, machine: Machine, config: CellConfig, version: int = 1
     ) -> MachineCell:
         """Return a machine with its cell, to be started."""
         cell = CellSupervisor(lambda: Cell(config))
@@ -128,4 +128,5 @@ class CellSetup:
                 clock_step_s=_read_clock_difference_s() - self.begun_s,
             )
 
-        return MachineCell(machine_id, machine, cell, ConditionBoard(observe))
+        board = ConditionBoard(observe)
+        return MachineCell(machine_id, machine, cell, board, version)

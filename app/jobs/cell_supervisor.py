@@ -31,6 +31,8 @@ from truepath.app.measurement.messages import (
     FaultReported,
     MeasurementOrder,
     StateChanged,
+    TrackerTrial,
+    TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
 from truepath.drivers.interfaces.records import MotionStatus
@@ -122,6 +124,20 @@ class CellSupervisor:
         """
         with self.counters.time_command("connect"):
             return self._ask(self._connect)
+
+    def try_tracker(self, rate_hz: float) -> TrackerTried | None:
+        """Listen to the tracker for a moment; None in a measurement.
+
+        Raises as `connect`.
+        """
+
+        def listen(cell: Cell) -> TrackerTried | None:
+            if self._on_event is not None:
+                return None
+            self._connect(cell)
+            return cell.try_tracker(TrackerTrial(rate_hz))
+
+        return self._ask(listen)
 
     def begin(
         self,

@@ -104,6 +104,8 @@ class DrivingSteps:
             live=steering is not None,
             grows=grows,
             job_id=self.job.id,
+            machine_id=self.job.machine or "",
+            machine_version=self.job.machine_version or 0,
         )
         CellMeasurement(
             self.active,

@@ -49,6 +49,14 @@ class UnnamedMachine(BadInput):
         )
 
 
+class MachineKnown(JobError):
+    """There is a machine of that identifier, name, port or address already."""
+
+
+class SetElsewhere(JobError):
+    """The machine is configured in the settings, not over the interface."""
+
+
 class DeviceSettings(JobError):
     """A driver cannot be made with its options: unknown driver, wrong option."""
 

@@ -168,7 +168,8 @@ class Job:
     station : of a measurement from several places of the tracker
     on_notice : what is done where its live estimate notices a change
     notices : what it has noticed
-    machine : identifier of the machine that it drives or plans for
+    machine, machine_version : the machine that it drives, plans for or is about, and
+        which configuration of it
     owner : name of the user who asked for it; None where nobody logs in
     attempts : how often it was begun, restarts of the service in between
     """
@@ -199,6 +200,7 @@ class Job:
     owner: str | None = None
     attempts: int = 0
     machine: str | None = None
+    machine_version: int | None = None
 
     @property
     def run_ids(self) -> tuple[str, ...]:

@@ -19,12 +19,14 @@ class MachineCell:
 
     id : by which jobs name it
     conditions : what has to be so before it moves
+    version : of its configuration, as the registry counts them
     """
 
     id: str
     machine: Machine
     cell: CellSupervisor
     conditions: ConditionBoard | None = None
+    version: int = 1
 
     def start(self) -> None:
         """Start the cell process and the look at the conditions."""
@@ -50,6 +52,13 @@ class Machines:
         """Return all of them, the first one first."""
         with self._lock:
             return list(self._cells.values())
+
+    def put(self, cell: MachineCell) -> MachineCell | None:
+        """Add a machine, or put it in another's place; return that one."""
+        with self._lock:
+            before = self._cells.get(cell.id)
+            self._cells[cell.id] = cell
+            return before
 
     @property
     def first(self) -> MachineCell | None:

@@ -76,7 +76,7 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
         return _make_computing_job(request, context)
     machine = context.machines.choose(_name_machine(request, context))
     job, plan = _make_driving_job(request, replace(context, driven=machine))
-    return replace(job, machine=machine.id), plan
+    return replace(job, machine=machine.id, machine_version=machine.version), plan
 
 
 def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
@@ -122,6 +122,7 @@ def _make_computing_job(request: RequestedJob, context: JobContext) -> tuple[Job
         further_run_ids=tuple(further),
         perpendicular_only=request.perpendicular_only,
         monte_carlo=request.monte_carlo,
+        machine=_find_machine(request.run_ids, context),
     )
     return job, {"request": _make_plan_order(request, context)}
 
@@ -144,6 +145,13 @@ def _choose_runs(request: RequestedJob, context: JobContext) -> list[str]:
             f"{f' since {since}' if since else ''}"
         )
     return found
+
+
+def _find_machine(run_ids: Sequence[str], context: JobContext) -> str | None:
+    """Return the machine that all the Runs are of, where this service knows it."""
+    by_name = {one.machine.name: one.id for one in context.machines.list_all()}
+    known = {by_name.get(context.runs.get(run_id).machine) for run_id in run_ids}
+    return known.pop() if len(known) == 1 else None
 
 
 def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:

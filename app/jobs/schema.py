@@ -36,6 +36,7 @@ jobs = sa.Table(
     sa.Column("id", sa.String(36), nullable=False, unique=True),
     sa.Column("kind", sa.String(32), nullable=False),
     sa.Column("machine", sa.String(32), nullable=True),
+    sa.Column("machine_version", sa.Integer, nullable=True),
     sa.Column("state", sa.String(16), nullable=False),
     sa.Column("desired_state", sa.String(16), nullable=False),
     sa.Column("version", sa.Integer, nullable=False),
@@ -61,6 +62,35 @@ jobs = sa.Table(
     sa.Column("ended", sa.String(32), nullable=True),
     sa.Index("jobs_by_state", "state", "seq"),
     sqlite_autoincrement=True,
+)
+
+machines = sa.Table(
+    "machines",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("origin", sa.String(16), nullable=False),  # settings, catalogue
+    sa.Column("name", sa.String(200), nullable=False),
+    sa.Column("maker", sa.String(200), nullable=False),
+    sa.Column("model", sa.String(200), nullable=False),
+    sa.Column("serial_number", sa.String(200), nullable=False),
+    sa.Column("control", sa.String(200), nullable=False),
+    sa.Column("customer", sa.String(200), nullable=False),
+    sa.Column("place", sa.String(200), nullable=False),
+    sa.Column("tolerance_um", sa.Float, nullable=True),
+    sa.Column("reference_job", sa.String(36), nullable=True),
+    sa.Column("created", sa.String(32), nullable=False),
+)
+
+machine_versions = sa.Table(
+    "machine_versions",
+    metadata,
+    sa.Column("machine_id", sa.String(32), sa.ForeignKey("machines.id")),
+    sa.Column("number", sa.Integer),
+    sa.Column("sha256", sa.String(64), nullable=False),
+    sa.Column("machine_file", sa.JSON, nullable=False),
+    sa.Column("devices", sa.JSON, nullable=False),
+    sa.Column("since", sa.String(32), nullable=False),
+    sa.PrimaryKeyConstraint("machine_id", "number"),
 )
 
 events = sa.Table(

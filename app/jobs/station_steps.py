@@ -169,6 +169,8 @@ class StationSteps:
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,
             job_id=self.job.id,
+            machine_id=self.job.machine or "",
+            machine_version=self.job.machine_version or 0,
         )
         self.active.enter(State.RUNNING, Stage.MEASURING)
         try:

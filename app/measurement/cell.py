@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from typing import TypeVar
 
 from truepath.app.child_process import ChildProcess
 from truepath.app.errors import MeasurementFailed, TruepathError
@@ -24,6 +25,8 @@ from truepath.app.measurement.messages import (
     FaultReported,
     MeasurementOrder,
     StateChanged,
+    TrackerTrial,
+    TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.travel import check_travel
@@ -40,6 +43,9 @@ FORCE_S = 5.0
 _FAMILIES: dict[str, type[Exception]] = {
     family.__name__: family for family in (DeviceError, *DeviceError.__subclasses__())
 }
+
+_ANSWERS = Connected | ConnectRefused | TrackerTried
+Answer = TypeVar("Answer", Connected, TrackerTried)
 
 
 class Cell:
@@ -71,17 +77,22 @@ class Cell:
 
         Raises a DeviceError, or MeasurementFailed if the cell does not answer.
         """
-        self.send(CellVerb.CONNECT)
+        return dict(self._ask(CellVerb.CONNECT, Connected).devices)
+
+    def try_tracker(self, trial: TrackerTrial) -> TrackerTried:
+        """Listen to the connected tracker. Raises as `connect`."""
+        return self._ask(trial, TrackerTried)
+
+    def _ask(self, command: CellCommand, answer: type[Answer]) -> Answer:
+        self.send(command)
         deadline_s = time.monotonic() + CONNECT_S
         while (left_s := deadline_s - time.monotonic()) > 0:
             for event in self._receive(left_s):
-                match event:
-                    case Connected(devices):
-                        return dict(devices)
-                    case ConnectRefused():
-                        raise _FAMILIES.get(event.family, TruepathError)(event.text)
-                    case _:
-                        self._events.append(event)
+                if isinstance(event, answer):
+                    return event
+                if isinstance(event, ConnectRefused):
+                    raise _FAMILIES.get(event.family, TruepathError)(event.text)
+                self._events.append(event)
             if not self.alive:
                 raise MeasurementFailed("the cell process has died while connecting")
         raise MeasurementFailed(f"the cell process did not answer in {CONNECT_S:g} s")
@@ -118,7 +129,7 @@ class Cell:
         events += self._receive(0.0 if events else timeout_s)
         if not events and self.process_id and not self._closed and not self.alive:
             events += self._report_death()
-        return [e for e in events if not isinstance(e, Connected | ConnectRefused)]
+        return [e for e in events if not isinstance(e, _ANSWERS)]
 
     def kill(self) -> None:
         """End the process at once; the machine's watchdog holds the feed."""

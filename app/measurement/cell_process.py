@@ -40,9 +40,11 @@ from truepath.app.measurement.messages import (
     MeasurementProgress,
     RunClosed,
     StateChanged,
+    TrackerTrial,
 )
 from truepath.app.measurement.timing import EngineSettings
-from truepath.drivers.interfaces.errors import DeviceError
+from truepath.app.measurement.tracker_trial import try_tracker
+from truepath.drivers.interfaces.errors import DeviceError, Refused
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import Identity
 from truepath.drivers.interfaces.thermometers import Thermometers
@@ -138,6 +140,8 @@ class _CellServer:
         match command:
             case CellVerb.CONNECT:
                 self._answer_connect()
+            case TrackerTrial():
+                self._answer_trial(command)
             case MeasurementOrder():
                 self._begin(command)
             case CellVerb.CLOSE:
@@ -174,6 +178,14 @@ class _CellServer:
             self._state(CellState.FAILED, str(error))
             return
         self._outbox.report(Connected(dict(self._identities)))
+
+    def _answer_trial(self, trial: TrackerTrial) -> None:
+        try:
+            if self._measuring or self._tracker is None or not self._identities:
+                raise Refused("the tracker is not connected, or it is measuring")
+            self._outbox.report(try_tracker(self._tracker, trial))
+        except DeviceError as error:
+            self._outbox.report(ConnectRefused(type(error).__name__, str(error)))
 
     def _connect(self) -> None:
         self._state(CellState.CONNECTING)

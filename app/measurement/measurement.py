@@ -215,6 +215,8 @@ class Measurement:
             name_channels(self._groups),
             choose_refraction(self._tracker.capabilities, self._settings.light),
             order.job_id,
+            order.machine_id,
+            order.machine_version,
         )
 
     def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:

@@ -96,7 +96,8 @@ class MeasurementOrder:
     live : report recorded blocks, for an estimate on the way
     grows : after the last row request a further part, and stand until there is one or
         the measurement is concluded
-    job_id : of the job that measures, for the Run to name
+    job_id, machine_id, machine_version : of the job that measures and its machine, for
+        the Run to name
     """
 
     run_name: str
@@ -109,6 +110,19 @@ class MeasurementOrder:
     live: bool = False
     grows: bool = False
     job_id: str = ""
+    machine_id: str = ""
+    machine_version: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerTrial:
+    """Listen to the tracker for a moment; nothing moves.
+
+    duration_s : of the stream; a polled tracker measures one point instead
+    """
+
+    rate_hz: float
+    duration_s: float = 1.0
 
 
 class CellVerb(StrEnum):
@@ -125,8 +139,8 @@ class CellVerb(StrEnum):
 
 MeasurementCommand = CellVerb | Commanded
 """A verb for a measurement under way, or a further part to go on with."""
-CellCommand = MeasurementCommand | MeasurementOrder
-"""The same, or a measurement to begin."""
+CellCommand = MeasurementCommand | MeasurementOrder | TrackerTrial
+"""The same, a measurement to begin, or a trial of the tracker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,13 +152,27 @@ class Connected:
 
 @dataclass(frozen=True, slots=True)
 class ConnectRefused:
-    """Event: a device cannot be connected.
+    """Event: a device cannot be connected, or tried.
 
     family : name of the class of the error
     """
 
     family: str
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerTried:
+    """Event: what the tracker has sent in a trial.
+
+    usable : samples that it calls valid; distance_mm : their mean distance from the
+        tracker, None where none is usable
+    """
+
+    samples: int
+    usable: int
+    lost_samples: int
+    distance_mm: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,6 +295,7 @@ class RunClosed:
 CellEvent = (
     Connected
     | ConnectRefused
+    | TrackerTried
     | StateChanged
     | MeasurementProgress
     | LivePoints

@@ -109,7 +109,8 @@ class RunHeader:
 
     channels : names of thermometers and sensors of the air
     refraction : who corrects the ranges for the air, as it is before anything is done
-    job_id : of the job that measures; empty without a service
+    job_id, machine_id, machine_version : of the job that measures and its machine;
+        empty without a service
     """
 
     name: str
@@ -121,6 +122,8 @@ class RunHeader:
     channels: tuple[str, ...] = ()
     refraction: Refraction = field(default_factory=Refraction)
     job_id: str = ""
+    machine_id: str = ""
+    machine_version: int = 0
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -129,6 +132,8 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "schema": SCHEMA,
         "name": header.name,
         "job": header.job_id,
+        "machine_id": header.machine_id,
+        "machine_version": header.machine_version,
         "started": started,
         "machine": machine_to_json(header.machine),
         "commanded": _encode_commanded(header.commanded),
@@ -183,6 +188,8 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         channels=tuple(content.get("channels", ())),
         refraction=refraction_from_json(content.get("refraction")),
         job_id=content.get("job", ""),
+        machine_id=content.get("machine_id", ""),
+        machine_version=content.get("machine_version", 0),
     )
 
 

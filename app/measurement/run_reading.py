@@ -30,6 +30,7 @@ from truepath.app.measurement.run_file import (
     TRACKER,
     TRACKER_STREAM,
     Batch,
+    RunHeader,
     decode_header,
     unpack_axes,
     unpack_environment,
@@ -93,6 +94,7 @@ def open_run(file: str | Path) -> Run:
             "source": place.name,
             "started": started,
             "outcome": closed.get("outcome", TORN),
+            **_describe_machine(header),
             **_describe_notes(content.events),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
@@ -100,6 +102,14 @@ def open_run(file: str | Path) -> Run:
             },
         },
     )
+
+
+def _describe_machine(header: RunHeader) -> dict[str, str]:
+    """Return which configuration of which machine was measured, where a Run knows."""
+    if not header.machine_id:
+        return {}
+    version = str(header.machine_version)
+    return {"machine_id": header.machine_id, "machine_version": version}
 
 
 def open_recorded(place: str | Path) -> Run:

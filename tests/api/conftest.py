@@ -19,12 +19,15 @@ from truepath.app.api.application import create_application
 from truepath.app.api.service import Service
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.jobs.cell_setup import CellSetup
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.machine_cells import MachineCell, Machines
+from truepath.app.jobs.machine_registry import MachineRegistry
+from truepath.app.jobs.machine_setup import MachineSetup
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.planning.default_path import default_path
@@ -150,6 +153,13 @@ def service(
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
+    setup = MachineSetup(
+        MachineRegistry(database), context.store, CellSetup(tmp_path, 0)
+    )
+    setup.machines = machines
+    for one in machines.list_all():
+        content = machine_to_json(one.machine)
+        setup.registry.note(one.id, "settings", content, {"simulated": True})
     access = Access(database, AccessRules())
     yield Service(
         version="1.2.3",
@@ -161,6 +171,7 @@ def service(
         dispatcher=dispatcher,
         event_bus=event_bus,
         machines=machines,
+        setup=setup,
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,

@@ -78,7 +78,7 @@ def test_patience_with_a_tracker_reaches_its_cell(toml, tmp_path, mill):
     machine.write_bytes(encode_machine(mill))
     text = f'machine_file = "{machine}"\n[tracker_patience_s]\npoint = 60.0\n'
     with ExitStack() as stack:
-        [(_, _, cell)] = _load_machines(load_settings(toml(text)), stack)
+        cell = _load_machines(load_settings(toml(text)), stack)[0].config
     assert cell is not None
     assert (cell.timeouts.point_s, cell.timeouts.dead_s) == (60.0, 5.0)
 
@@ -195,7 +195,7 @@ address = 3
 scale = 0.1
 """)
     with ExitStack() as stack:
-        [(_, _, config)] = _load_machines(load_settings(file), stack)
+        config = _load_machines(load_settings(file), stack)[0].config
     assert config.thermometer_driver == "modbus-registers"
     row = config.thermometer_options["registers"][0]
     assert row == {"name": "X_degC", "address": 3, "scale": 0.1}
@@ -238,7 +238,8 @@ allow_no_watchdog = true
 """)
     with ExitStack() as stack:
         mill_3, lathe = _load_machines(load_settings(file), stack)
-    assert (mill_3[0], mill_3[1].name) == ("mill-3", "mill")
-    assert (lathe[0], lathe[1].name) == ("lathe", "lathe")
-    assert lathe[2].tracker_driver == "geocom"
-    assert (mill_3[2].allow_no_watchdog, lathe[2].allow_no_watchdog) == (False, True)
+    assert (mill_3.id, mill_3.machine.name) == ("mill-3", "mill")
+    assert (lathe.id, lathe.machine.name) == ("lathe", "lathe")
+    assert lathe.config.tracker_driver == "geocom"
+    assert not mill_3.config.allow_no_watchdog
+    assert lathe.config.allow_no_watchdog

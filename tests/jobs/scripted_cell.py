@@ -22,6 +22,7 @@ from truepath.app.measurement.messages import (
     MeasurementOrder,
     MeasurementProgress,
     StateChanged,
+    TrackerTried,
 )
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader
@@ -82,6 +83,10 @@ class ScriptedCell:
         self.say_state("connecting")
         self.say_state("ready")
         return DEVICES
+
+    def try_tracker(self, trial):
+        self.heard.append("try")
+        return TrackerTried(42, 42, 0, 1234.0)
 
     def begin(self, order):
         self.heard.append("begin")

@@ -153,7 +153,11 @@ class JobOut(BaseModel):
     kind: JobKind = Field(examples=["measure-otf"])
     machine: str | None = Field(
         examples=["default"],
-        description="The machine that it drives or plans for, as GET /machines has it.",
+        description="The machine that it is about, as GET /machines has it; null where "
+        "its Runs are of none that the service knows.",
+    )
+    machine_version: int | None = Field(
+        examples=[1], description="Of the configuration that was measured."
     )
     state: State = Field(examples=["ready"])
     desired_state: State = Field(

@@ -1,0 +1,164 @@
+"""The machines: who they are, how they are configured, whether their devices work."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from truepath.app.api.machine import (
+    ConditionList,
+    Connection,
+    describe_connection,
+    list_conditions_of,
+)
+from truepath.app.api.models.base import PREFIX
+from truepath.app.api.models.machine import (
+    MachineDetail,
+    MachineDevices,
+    MachineEntry,
+    MachineIdentity,
+    MachineList,
+    MachineVersionOut,
+    NewMachine,
+    TrialOut,
+)
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.jobs.machine_registry import IDENTITY, MachineRecord
+from truepath.app.jobs.machine_setup import show_devices
+from truepath.app.measurement.messages import TrackerTried
+
+router = APIRouter(prefix="/machines", tags=["machines"])
+
+
+@router.get("")
+def list_machines(service: ServiceDep) -> MachineList:
+    """List the machines that the service knows, those it drives first."""
+    holders = _find_holders(service)
+    driven = [one.id for one in service.machines.list_all()]
+    records = {record.id: record for record in service.setup.registry.list_all()}
+    order = [*driven, *(i for i in records if i not in driven)]
+    items = [
+        MachineEntry(**_describe(records[i], service, holders))
+        for i in order
+        if i in records
+    ]
+    return MachineList(items=items)
+
+
+@router.post("", status_code=201, responses=declare_problems(409, 422))
+def add_machine(
+    request: NewMachine, response: Response, service: ServiceDep
+) -> MachineDetail:
+    """Add a machine by its machine file. Its devices are chosen next."""
+    texts = request.identity.model_dump(include=set(IDENTITY), exclude_none=True)
+    service.setup.add(request.id, request.machine_file, texts)
+    _change(request.id, request.identity, service)
+    response.headers["Location"] = f"{PREFIX}/machines/{request.id}"
+    return _read_detail(request.id, service)
+
+
+@router.get("/{machine_id}", responses=declare_problems(404))
+def get_machine_record(machine_id: str, service: ServiceDep) -> MachineDetail:
+    """Return a machine with its configuration and the versions of it."""
+    return _read_detail(machine_id, service)
+
+
+@router.patch("/{machine_id}", responses=declare_problems(404, 422))
+def change_machine(
+    machine_id: str, request: MachineIdentity, service: ServiceDep
+) -> MachineDetail:
+    """Say who the machine is, what it may err by, and what it is held against."""
+    if request.reference_job is not None:
+        service.store.get(request.reference_job)
+    _change(machine_id, request, service)
+    return _read_detail(machine_id, service)
+
+
+@router.put("/{machine_id}/devices", responses=declare_problems(404, 409, 422))
+def set_machine_devices(
+    machine_id: str, request: MachineDevices, service: ServiceDep
+) -> MachineDetail:
+    """Choose drivers and options; the cell is started anew. No port is opened yet."""
+    service.setup.set_devices(machine_id, request)
+    return _read_detail(machine_id, service)
+
+
+@router.post(
+    "/{machine_id}/devices:try", responses=declare_problems(404, 409, 502, 503, 504)
+)
+def try_machine_devices(machine_id: str, service: ServiceDep) -> TrialOut:
+    """Connect, and listen to the tracker for a second. Moves nothing."""
+    return _describe_trial(service.setup.try_devices(machine_id))
+
+
+@router.post(
+    "/{machine_id}:connect", responses=declare_problems(404, 409, 502, 503, 504)
+)
+def connect_one_machine(machine_id: str, service: ServiceDep) -> Connection:
+    """Open the ports of a machine and return who answers. Moves nothing."""
+    return describe_connection(service.machines.get(machine_id).cell.connect())
+
+
+@router.get("/{machine_id}/conditions", responses=declare_problems(404))
+def list_machine_conditions(machine_id: str, service: ServiceDep) -> ConditionList:
+    """Return what has to be so before the machine moves. Asks no device."""
+    return list_conditions_of(service.machines.get(machine_id))
+
+
+def _change(machine_id: str, request: MachineIdentity, service: Service) -> None:
+    given = request.model_dump(exclude_unset=True)
+    values = {k: "" if v is None and k in IDENTITY else v for k, v in given.items()}
+    service.setup.registry.change(machine_id, **values)
+
+
+def _find_holders(service: Service) -> Mapping[str | None, str]:
+    unfinished = service.store.list_unfinished()
+    return {job.machine: job.id for job in unfinished if job.kind.measures}
+
+
+def _read_detail(machine_id: str, service: Service) -> MachineDetail:
+    record = service.setup.registry.get(machine_id)
+    newest = record.versions[0]
+    return MachineDetail(
+        **_describe(record, service, _find_holders(service)),
+        machine_file=dict(newest.machine_file),
+        devices=show_devices(newest.devices),
+        versions=[
+            MachineVersionOut(number=v.number, sha256=v.sha256, since=v.since)
+            for v in record.versions
+        ],
+    )
+
+
+def _describe(
+    record: MachineRecord, service: Service, holders: Mapping[str | None, str]
+) -> dict[str, Any]:
+    """Return the content of a MachineEntry."""
+    cells = {one.id: one for one in service.machines.list_all()}
+    one = cells.get(record.id)
+    return {
+        **{name: getattr(record, name) for name in ("id", "origin", *IDENTITY)},
+        "tolerance_um": record.tolerance_um,
+        "reference_job": record.reference_job,
+        "created": record.created,
+        "cell": "none" if one is None else one.cell.status.state,
+        "connected": one is not None and one.cell.status.connected,
+        "current_job": holders.get(record.id),
+        "version": record.versions[0].number if record.versions else None,
+    }
+
+
+def _describe_trial(tried: TrackerTried) -> TrialOut:
+    place = "no target seen"
+    if tried.distance_mm is not None:
+        place = f"target {tried.distance_mm / 1000.0:.1f} m away"
+    return TrialOut(
+        text=f"{tried.samples} samples, {tried.lost_samples} lost, {place}",
+        samples=tried.samples,
+        usable=tried.usable,
+        lost_samples=tried.lost_samples,
+        distance_mm=tried.distance_mm,
+    )

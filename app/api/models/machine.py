@@ -1,0 +1,174 @@
+"""A machine of the catalogue as clients see it, and what they send of one."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
+
+from truepath.app.api.models.base import JOB_ID, Identifier, MachineId, RequestBody
+from truepath.app.machine_settings import DeviceConfiguration, check_machine_id
+
+_Text = Annotated[str, StringConstraints(max_length=200)]
+_TRACKER = {"port": "/dev/serial/by-id/usb-tracker-if00-port0"}
+
+
+class MachineIdentity(RequestBody):
+    """Who a machine is, as certificates state it. What is left out stays as it is."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "maker": "Example Works",
+                    "model": "VMC 400",
+                    "serial_number": "4711",
+                    "customer": "Example Ltd",
+                    "place": "hall 3",
+                    "tolerance_um": 15.0,
+                }
+            ]
+        },
+    )
+
+    name: _Text | None = None
+    maker: _Text | None = None
+    model: _Text | None = None
+    serial_number: _Text | None = None
+    control: _Text | None = Field(None, description="The numerical control.")
+    customer: _Text | None = None
+    place: _Text | None = None
+    tolerance_um: float | None = Field(
+        None,
+        gt=0,
+        le=1e6,
+        allow_inf_nan=False,
+        description="What 95 % of the places in its travel may err by at most. Null "
+        "takes it back.",
+    )
+    reference_job: Identifier | None = Field(
+        None,
+        description="Job whose result later ones are held against. Null: the one "
+        "before.",
+    )
+
+
+class NewMachine(RequestBody):
+    """A machine to add. Its devices are chosen afterwards."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": "mill-3",
+                    "machine_file": {
+                        "schema": "machine/1",
+                        "name": "VMC 400",
+                        "kinematic_chain": "w-X-b-Y-Z-t",
+                        "axes": {
+                            "X": {"type": "linear", "min_mm": 0, "max_mm": 400},
+                            "Y": {"type": "linear", "min_mm": 0, "max_mm": 300},
+                            "Z": {"type": "linear", "min_mm": 0, "max_mm": 200},
+                        },
+                    },
+                    "identity": {"serial_number": "4711"},
+                }
+            ]
+        },
+    )
+
+    id: MachineId
+    machine_file: dict[str, Any] = Field(description="The content of machine.json.")
+    identity: MachineIdentity = Field(default_factory=MachineIdentity)
+
+    @field_validator("id")
+    @classmethod
+    def _require_free_word(cls, given: str) -> str:
+        check_machine_id(given)
+        return given
+
+
+class MachineDevices(DeviceConfiguration):
+    """Drivers and their options, as in the settings."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        str_max_length=4096,
+        json_schema_extra={
+            "examples": [
+                {
+                    "tracker_driver": "streaming",
+                    "tracker_options": _TRACKER,
+                    "motion_driver": "modbus",
+                    "motion_options": {"host": "192.0.2.10", "port": 502},
+                }
+            ]
+        },
+    )
+
+
+class MachineVersionOut(BaseModel):
+    """One configuration of a machine."""
+
+    number: int = Field(examples=[1])
+    sha256: str = Field(description="Of machine file and devices.")
+    since: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+
+
+class MachineEntry(BaseModel):
+    """A machine: who it is, how it is configured, what holds it."""
+
+    id: str = Field(examples=["mill-3"])
+    origin: str = Field(
+        examples=["settings"],
+        description="Where it is configured: `settings`, or `catalogue` where it was "
+        "added over this interface.",
+    )
+    name: str = Field(examples=["VMC 400"])
+    maker: str
+    model: str
+    serial_number: str
+    control: str
+    customer: str
+    place: str
+    tolerance_um: float | None
+    reference_job: str | None = Field(examples=[JOB_ID])
+    created: str
+    cell: str = Field(
+        examples=["ready"],
+        description="State of its cell; `none` where the service does not drive it.",
+    )
+    connected: bool
+    current_job: str | None = Field(description="The job that holds it.")
+    version: int | None = Field(description="Of its configuration, the one in use.")
+
+
+class MachineDetail(MachineEntry):
+    """A machine with its configuration and those that it had."""
+
+    machine_file: dict[str, Any] = Field(description="The content of machine.json.")
+    devices: dict[str, Any] = Field(
+        description="Drivers and options, without passwords."
+    )
+    versions: list[MachineVersionOut] = Field(description="The newest first.")
+
+
+class MachineList(BaseModel):
+    """All machines, the first one first."""
+
+    items: list[MachineEntry]
+
+
+class TrialOut(BaseModel):
+    """What the tracker has sent in a moment."""
+
+    text: str = Field(examples=["42 samples, 0 lost, target 1.2 m away"])
+    samples: int
+    usable: int = Field(description="Samples that the tracker calls valid.")
+    lost_samples: int
+    distance_mm: float | None = Field(
+        description="Mean distance of the target; null where it sees none."
+    )

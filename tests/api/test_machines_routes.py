@@ -1,0 +1,115 @@
+"""Machines over REST: who they are, their configurations, their devices."""
+
+from __future__ import annotations
+
+import pytest
+
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.jobs.machine_registry import MachineRegistry
+from truepath.simulators.scenario import load_machine
+
+BASE = "/api/v1/machines"
+DEVICES = {
+    "tracker_options": {"port": "/dev/tracker-7"},
+    "motion_options": {"host": "192.0.2.7"},
+}
+
+
+def add(client, machine_id="mill-3", name="mill 3"):
+    content = load_machine("demo") | {"name": name}
+    body = {"id": machine_id, "machine_file": content, "identity": {"place": "hall 3"}}
+    return client.post(BASE, json=body)
+
+
+@pytest.fixture
+def chosen(client, service):
+    """A machine that was added, with devices chosen; its cell ends with the test."""
+    assert add(client).status_code == 201
+    answer = client.put(f"{BASE}/mill-3/devices", json=DEVICES)
+    assert answer.status_code == 200, answer.text
+    yield answer.json()
+    service.machines.get("mill-3").close()
+
+
+def test_the_only_machine_is_listed_with_its_version_and_its_cell(client):
+    (one,) = client.get(BASE).json()["items"]
+    assert (one["id"], one["name"], one["version"]) == ("default", "demo", 1)
+    assert (one["cell"], one["current_job"]) == ("disconnected", None)
+    detail = client.get(f"{BASE}/default").json()
+    assert detail["machine_file"]["kinematic_chain"]
+    assert detail["devices"] == {"simulated": True}
+    assert len(detail["versions"][0]["sha256"]) == 64
+
+
+def test_identity_is_asked_once_and_kept(client, is_problem):
+    body = {"serial_number": "4711", "customer": "Example Ltd", "tolerance_um": 15}
+    changed = client.patch(f"{BASE}/default", json=body).json()
+    assert (changed["serial_number"], changed["tolerance_um"]) == ("4711", 15.0)
+    again = client.patch(f"{BASE}/default", json={"tolerance_um": None}).json()
+    assert (again["customer"], again["tolerance_um"]) == ("Example Ltd", None)
+    is_problem(client.patch(f"{BASE}/press", json=body), 404, "not-found")
+    is_problem(client.patch(f"{BASE}/default", json={"id": "x"}), 422, "validation")
+
+
+def test_a_changed_machine_file_or_device_is_a_new_version(service):
+    registry = MachineRegistry(service.database)
+    content = machine_to_json(service.machines.first.machine)
+    note = registry.note
+    assert note("default", "settings", content, {"simulated": True}) == 1
+    longer = content | {"travel": "changed"}
+    assert note("default", "settings", longer, {"simulated": True}) == 2
+    assert note("default", "settings", longer, {"tracker_driver": "geocom"}) == 3
+    versions = registry.get("default").versions
+    assert [v.number for v in versions] == [3, 2, 1]
+    assert len({v.sha256 for v in versions}) == 3
+    assert versions[2].machine_file == content
+
+
+def test_a_job_states_the_machine_and_the_version_it_measures(finished):
+    assert (finished["machine"], finished["machine_version"]) == ("default", 1)
+
+
+def test_devices_are_chosen_for_a_machine_that_was_added(chosen, client):
+    assert [v["number"] for v in chosen["versions"]] == [2, 1]
+    assert chosen["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
+    listed = client.get(BASE).json()["items"]
+    assert [one["id"] for one in listed] == ["default", "mill-3"]
+    assert listed[1]["place"] == "hall 3"
+
+
+def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem):
+    is_problem(add(client), 409, "machine-known")
+    same_name = add(client, "mill-4", name="mill 3")
+    assert "both named" in is_problem(same_name, 409, "machine-known")["detail"]
+    assert add(client, "mill-4", name="mill 4").status_code == 201
+    shared = client.put(f"{BASE}/mill-4/devices", json=DEVICES)
+    assert "tracker-7" in is_problem(shared, 409, "machine-known")["detail"]
+    unknown = {**DEVICES, "tracker_options": {"prot": 3}}
+    wrong = client.put(f"{BASE}/mill-4/devices", json=unknown)
+    assert "did you mean port" in is_problem(wrong, 422, "bad-input")["detail"]
+    is_problem(add(client, "current", name="x"), 422, "validation")
+
+
+def test_a_machine_of_the_settings_is_changed_in_the_settings(client, is_problem):
+    answer = client.put(f"{BASE}/default/devices", json=DEVICES)
+    is_problem(answer, 409, "set-elsewhere")
+
+
+def test_a_trial_says_what_the_tracker_sends(client, make_cell):
+    answer = client.post(f"{BASE}/default/devices:try")
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["text"] == "42 samples, 0 lost, target 1.2 m away"
+    assert make_cell.cell.heard == ["connect", "try"]
+
+
+def test_no_device_is_tried_while_its_machine_measures(client, armed, is_problem):
+    answer = client.post(f"{BASE}/default/devices:try")
+    problem = is_problem(answer, 409, "busy")
+    assert problem["current_job"].endswith(armed["id"])
+
+
+def test_one_machine_is_stopped_by_its_name(client, armed, until, is_problem):
+    is_problem(client.post(f"{BASE}/press/stop"), 404, "not-found")
+    stopped = client.post(f"{BASE}/default/stop")
+    assert [job["id"] for job in stopped.json()["jobs"]] == [armed["id"]]
+    until(armed, "aborted")
