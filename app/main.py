@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
@@ -31,6 +32,7 @@ from truepath.app.files.machine_file import (
     machine_to_json,
     read_machine,
 )
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_setup import (
     CellSetup,
     configure_cell,
@@ -112,6 +114,11 @@ def open_service(settings: Settings) -> Iterator[Service]:
         reconciliation.start()
         for one in context.machines.list_all():
             one.start()
+        calibrations = context.calibrations
+        if calibrations is not None:
+            look = threading.Thread(target=calibrations.judge_all, name="standing")
+            look.start()
+            stack.callback(look.join)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         service = Service(
@@ -125,6 +132,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             event_bus=event_bus,
             machines=context.machines,
             setup=setup,
+            calibrations=calibrations,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
             access=access,
@@ -136,9 +144,16 @@ def open_service(settings: Settings) -> Iterator[Service]:
 def _make_context(
     settings: Settings, database: Database, event_bus: EventBus, stack: ExitStack
 ) -> tuple[JobContext, MachineSetup]:
+    reader = RunReader(ReadingLimits(settings.upload_memory_mb))
+    stack.callback(reader.close)
+    results = settings.data_dir / "results"
+    results.mkdir(exist_ok=True)
     store = Store(database, event_bus.publish)
-    cells = CellSetup(settings.data_dir, LEAST_FREE_BYTES)
-    setup = MachineSetup(MachineRegistry(database), store, cells)
+    runs = RunCatalogue(database, settings.data_dir / "runs", reader)
+    registry = MachineRegistry(database)
+    calibrations = Calibrations(registry, store, runs, results, event_bus.publish)
+    cells = CellSetup(settings.data_dir, LEAST_FREE_BYTES, calibrations)
+    setup = MachineSetup(registry, store, cells)
     setup.load(_load_machines(settings, stack))
     machines = setup.machines
     stack.callback(machines.close)
@@ -147,18 +162,15 @@ def _make_context(
     executor = ProcessExecutor(settings.analysis_workers, prepare)
     stack.callback(executor.close)
     executor.warm()
-    reader = RunReader(ReadingLimits(settings.upload_memory_mb))
-    stack.callback(reader.close)
-    results = settings.data_dir / "results"
-    results.mkdir(exist_ok=True)
     context = JobContext(
         store=store,
-        runs=RunCatalogue(database, settings.data_dir / "runs", reader),
+        runs=runs,
         results=results,
         executor=executor,
         science=analyse_recorded,
         workers=workers,
         machines=machines,
+        calibrations=calibrations,
         live=LiveEstimation,
     )
     return context, setup

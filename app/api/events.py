@@ -32,7 +32,7 @@ TICK_S = 1.0
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
-_LIVE = ("job", "progress", "live", "estimate", "plan", "notice")
+_LIVE = ("job", "progress", "live", "estimate", "plan", "notice", "machine")
 
 router = APIRouter(tags=["events"])
 
@@ -66,6 +66,8 @@ class Subscription:
     def put(self, job_event: JobEvent) -> None:
         """Accept an event. Never waits; the oldest live one is dropped if need be."""
         job_id = job_event.job_id
+        if job_event.type == "machine" and self._job_id is not None:
+            return
         if job_id is not None and self._job_id not in (None, job_id):
             return
         with self._lock:

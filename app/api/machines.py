@@ -112,6 +112,7 @@ def _change(machine_id: str, request: MachineIdentity, service: Service) -> None
     given = request.model_dump(exclude_unset=True)
     values = {k: "" if v is None and k in IDENTITY else v for k, v in given.items()}
     service.setup.registry.change(machine_id, **values)
+    service.calibrations.judge(machine_id)
 
 
 def _find_holders(service: Service) -> Mapping[str | None, str]:

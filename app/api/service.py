@@ -10,6 +10,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
@@ -28,6 +29,7 @@ class Service:
     """Everything behind the routes.
 
     machines : those that it drives; setup : adds and configures them
+    calibrations : theirs, and how they stand by them
     access : users, roles and audit log
     closing : set when the service is about to end; open streams then end
     """
@@ -42,6 +44,7 @@ class Service:
     event_bus: EventBus
     machines: Machines
     setup: MachineSetup
+    calibrations: Calibrations
     access: Access
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64

@@ -12,6 +12,7 @@ from typing import Any
 
 from truepath.app.device_options import DEVICES, list_options
 from truepath.app.errors import BadInput
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.conditions import ConditionBoard, Observed
 from truepath.app.jobs.machine_cells import MachineCell
@@ -105,11 +106,13 @@ class CellSetup:
     """What all machines of a service share.
 
     folder : on the disk of the Runs; least_bytes : that have to stay free there
+    calibrations : by which the machines stand
     begun_s : wall clock less monotonic clock when the service began
     """
 
     folder: Path
     least_bytes: int
+    calibrations: Calibrations | None = None
     begun_s: float = field(default_factory=_read_clock_difference_s)
 
     def make(
@@ -126,6 +129,8 @@ class CellSetup:
                 free_bytes=shutil.disk_usage(self.folder).free,
                 least_bytes=self.least_bytes,
                 clock_step_s=_read_clock_difference_s() - self.begun_s,
+                standing=self.calibrations
+                and self.calibrations.find_standing(machine_id),
             )
 
         board = ConditionBoard(observe)

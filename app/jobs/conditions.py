@@ -17,6 +17,7 @@ from enum import StrEnum
 
 import structlog
 
+from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import MOVING, CellStatus, ControllerLevels
 from truepath.app.jobs.job import format_utc_now
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
@@ -49,6 +50,8 @@ class ConditionType(StrEnum):
     WATCHDOG_THERE = "watchdog-there"
     DISK_HAS_ROOM = "disk-has-room"
     CLOCK_STEADY = "clock-steady"
+    WITHIN_TOLERANCE = "within-tolerance"
+    UNCHANGED = "unchanged"
 
 
 REQUIRED = frozenset(
@@ -102,6 +105,7 @@ class Observed:
     controller : its last reading at rest; None where there is none
     free_bytes, least_bytes : room on the disk, and how much has to stay
     clock_step_s : by how much the wall clock has left the monotonic one
+    standing : of the machine by its calibrations; None where nobody has looked
     """
 
     cell: CellStatus
@@ -110,6 +114,7 @@ class Observed:
     free_bytes: int
     least_bytes: int
     clock_step_s: float = 0.0
+    standing: Standing | None = None
 
 
 YES, UNTOLD = Finding(Level.TRUE), Finding(Level.UNKNOWN, "not-told")
@@ -127,6 +132,8 @@ def find_conditions(seen: Observed, now_s: float) -> Mapping[ConditionType, Find
         ConditionType.WATCHDOG_THERE: _find_watchdog(seen),
         ConditionType.DISK_HAS_ROOM: _find_room(seen),
         ConditionType.CLOCK_STEADY: _find_clock(seen.clock_step_s),
+        ConditionType.WITHIN_TOLERANCE: _find_tolerance(seen.standing),
+        ConditionType.UNCHANGED: _find_change(seen.standing),
     }
 
 
@@ -219,6 +226,24 @@ def _find_clock(step_s: float) -> Finding:
         "began; times of day before that are off, durations are not"
     )
     return Finding(Level.FALSE, "clock-set", text)
+
+
+def _find_tolerance(standing: Standing | None) -> Finding:
+    if standing is None or standing.tolerance is None:
+        return UNTOLD
+    tolerance = standing.tolerance
+    if tolerance.state == "within":
+        return YES
+    level = Level.FALSE if tolerance.state == "over" else Level.UNKNOWN
+    return Finding(level, f"tolerance-{tolerance.state}", tolerance.text)
+
+
+def _find_change(standing: Standing | None) -> Finding:
+    if standing is None or standing.has_changed is None:
+        return UNTOLD
+    if not standing.has_changed:
+        return YES
+    return Finding(Level.FALSE, "changed", standing.text)
 
 
 @dataclass(slots=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_measurement import CONFIRM_S
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.executor import ProcessExecutor, Task
@@ -40,6 +41,7 @@ class JobContext:
     resumer, closer : called as `find_committed_rows`, `check_closure`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
+    calibrations : of all machines; None where nobody asks how they stand
     confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
@@ -53,6 +55,7 @@ class JobContext:
     machines: Machines = field(default_factory=Machines)
     driven: MachineCell | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
+    calibrations: Calibrations | None = None
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded

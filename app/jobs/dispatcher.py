@@ -263,6 +263,8 @@ class Dispatcher:
             run_job(job, active, self._context)
             if job.kind.measures:
                 self._name_runs(job)
+            if job.kind.analyses and job.machine and self._context.calibrations:
+                self._context.calibrations.judge(job.machine)
         finally:
             with self._lock:  # acknowledged meanwhile, it has another thread
                 if self._active.get(job.id) is active:

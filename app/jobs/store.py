@@ -191,6 +191,12 @@ class Store:
         """Return the jobs that have not ended, the oldest first."""
         return self._read(_UNFINISHED)
 
+    def list_with_result(self, machine: str) -> list[Job]:
+        """Return the jobs of a machine whose error tables stand, the oldest first."""
+        own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
+        found = self._read(_JOBS.where(own).order_by(jobs.c.seq))
+        return [job for job in found if job.has_result]
+
     def list_without_run(self) -> list[Job]:
         """Return the measurements that have ended and name no Run, but have one."""
         has_run = exists().where(runs.c.id == jobs.c.id)

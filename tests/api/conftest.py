@@ -19,6 +19,7 @@ from truepath.app.api.application import create_application
 from truepath.app.api.service import Service
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_setup import CellSetup
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.context import JobContext
@@ -157,6 +158,9 @@ def service(
         MachineRegistry(database), context.store, CellSetup(tmp_path, 0)
     )
     setup.machines = machines
+    calibrations = Calibrations(
+        setup.registry, context.store, context.runs, results, event_bus.publish
+    )
     for one in machines.list_all():
         content = machine_to_json(one.machine)
         setup.registry.note(one.id, "settings", content, {"simulated": True})
@@ -172,6 +176,7 @@ def service(
         event_bus=event_bus,
         machines=machines,
         setup=setup,
+        calibrations=calibrations,
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,

@@ -1,0 +1,181 @@
+"""The calibrations of each machine, and how it stands by them.
+
+A calibration is a job with error tables. Where the same Runs were analysed again, the
+newest analysis stands for them. A machine stands over its tolerance, or has changed
+since its reference, as its newest usable calibration says.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from truepath.app.errors import NotFound, TruepathError
+from truepath.app.jobs.job import Job, JobEvent
+from truepath.app.jobs.machine_registry import MachineRecord, MachineRegistry
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.store import Store
+from truepath.app.results.machine_documents import (
+    Calibration,
+    ToleranceJudgement,
+    changes_json,
+    judge_tolerance,
+)
+from truepath.app.results.model_history import RESULT
+
+log = structlog.get_logger(__name__)
+
+NOT_USABLE = "not-usable"
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a machine stands by its newest usable calibration.
+
+    job_id : of that calibration; None where there is none
+    tolerance : None where none is stated
+    has_changed : since the reference; None where there is no reference to compare with
+    text : what has changed, or why that cannot be said
+    """
+
+    machine: str
+    job_id: str | None = None
+    tolerance: ToleranceJudgement | None = None
+    reference_job: str | None = None
+    has_changed: bool | None = None
+    text: str = ""
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether somebody has to look at the machine."""
+        is_over = self.tolerance is not None and self.tolerance.state == "over"
+        return is_over or bool(self.has_changed)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the body of its event."""
+        tolerance = self.tolerance
+        return {
+            "machine": self.machine,
+            "calibration": self.job_id,
+            "is_alarm": self.is_alarm,
+            "tolerance": None if tolerance is None else tolerance.state,
+            "tolerance_text": "" if tolerance is None else tolerance.text,
+            "reference_job": self.reference_job,
+            "has_changed": self.has_changed,
+            "change_text": self.text,
+        }
+
+
+class Calibrations:
+    """The calibrations of the machines in the catalogue; any thread may call it.
+
+    publish : receives the standing of a machine whenever that is another
+    """
+
+    def __init__(
+        self,
+        registry: MachineRegistry,
+        store: Store,
+        runs: RunCatalogue,
+        results: Path,
+        publish: Callable[[JobEvent], None],
+    ) -> None:
+        self._registry, self._store, self._runs = registry, store, runs
+        self._results, self._publish = results, publish
+        self._lock = threading.Lock()
+        self._standing: dict[str, Standing] = {}
+
+    def list_of(self, machine_id: str) -> list[Calibration]:
+        """Return the calibrations of a machine, the oldest measured first."""
+        newest: dict[tuple[str, ...], Calibration] = {}
+        for job in self._store.list_with_result(machine_id):
+            file = self._results / job.id / RESULT
+            if file.is_file():
+                newest[tuple(sorted(job.run_ids))] = self._describe(job, file)
+        return sorted(newest.values(), key=lambda one: (one.measured, one.job_id))
+
+    def list_usable(self, machine_id: str) -> list[Calibration]:
+        """Return those whose verdict lets them be used."""
+        return [c for c in self.list_of(machine_id) if c.verdict != NOT_USABLE]
+
+    def find(self, machine_id: str, job_id: str) -> Calibration:
+        """Return the calibration of a job. Raises NotFound."""
+        for job in self._store.list_with_result(machine_id):
+            file = self._results / job.id / RESULT
+            if job.id == job_id and file.is_file():
+                return self._describe(job, file)
+        raise NotFound(f"job {job_id} is no calibration of machine {machine_id}")
+
+    def find_standing(self, machine_id: str) -> Standing | None:
+        """Return how a machine stands, as it was found last."""
+        return self._standing.get(machine_id)
+
+    def judge(self, machine_id: str) -> None:
+        """Find anew how a machine stands, and tell if that is another.
+
+        Raises nothing: a measurement has ended well whatever its history says.
+        """
+        try:
+            now = self._find_standing(self._registry.get(machine_id))
+        except (TruepathError, OSError, ValueError, KeyError) as error:
+            log.warning("no standing", machine=machine_id, reason=str(error))
+            return
+        with self._lock:
+            before = self._standing.get(machine_id)
+            self._standing[machine_id] = now
+        if now != before:
+            level = log.warning if now.is_alarm else log.info
+            level("machine stands", **now.describe())
+            self._publish(JobEvent("machine", None, now.describe()))
+
+    def judge_all(self) -> None:
+        """Find how every machine stands."""
+        for record in self._registry.list_all():
+            self.judge(record.id)
+
+    def _describe(self, job: Job, file: Path) -> Calibration:
+        created = [self._runs.get(run_id).created for run_id in job.run_ids]
+        return Calibration(
+            str(job.machine),
+            job.id,
+            job.run_ids,
+            min(created, default=job.created),
+            job.machine_version,
+            job.verdict,
+            file,
+        )
+
+    def _find_standing(self, record: MachineRecord) -> Standing:
+        usable = self.list_usable(record.id)
+        if not usable:
+            return Standing(record.id)
+        *earlier, newest = usable
+        tolerance = None
+        if record.tolerance_um is not None:
+            tolerance = judge_tolerance(newest, record.tolerance_um)
+        if record.reference_job is not None:
+            earlier = [c for c in earlier if c.job_id == record.reference_job]
+        if not earlier:
+            text = "there is no earlier usable calibration to compare with"
+            return Standing(record.id, newest.job_id, tolerance, text=text)
+        found = _compare(earlier[-1], newest)
+        return Standing(
+            record.id,
+            newest.job_id,
+            tolerance,
+            earlier[-1].job_id,
+            found.get("has_changed"),
+            " ".join(found["text"]),
+        )
+
+
+def _compare(since: Calibration, until: Calibration) -> Mapping[str, Any]:
+    try:
+        return changes_json(since, until)
+    except TruepathError as error:  # other targets, another machine file
+        return {"text": [f"not comparable: {error}"]}

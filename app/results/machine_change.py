@@ -1,0 +1,282 @@
+"""What has changed in a machine between two of its calibrations, and how surely.
+
+Each calibration states θ̂ with its covariance C. Table entries and the volumetric error
+are linear in θ, so their difference R₂θ̂₂ − R₁θ̂₁ has the covariance
+R₂C₂R₂ᵀ + R₁C₁R₁ᵀ. That is on the safe side: what both took from the same prior would
+cancel. Tables are compared in their own gauge, the volumetric error after its best-fit
+rigid motion is removed from each: where the tracker stood is no change of the machine.
+
+Many entries are looked at, and some of them differ much by chance alone. An entry has
+changed only if its |difference| / uncertainty is more than the largest over all entries
+is with a chance of 2.5 %; the root mean square of the volumetric difference is held
+against its own such limit, so that an unchanged machine is said to have changed with a
+chance of 5 % at most. Both limits come from 4000 draws of the joint covariance: entries
+that go together count less than those that do not (the single-step maximum test of
+Westfall and Young, 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.errors import BadInput
+from truepath.app.files.one_machine import have_same_targets, one_machine
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.units import UM_PER_MM, scale_of
+from truepath.app.kinematics.estimated_model import EstimatedModel
+from truepath.app.kinematics.machine import position_unit
+from truepath.app.kinematics.symbols import find_unit
+from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.error_tables import choose_table_positions
+
+CHANCE = 0.05  # that an unchanged machine is said to have changed
+_DRAWS = 4000
+_FINE = 1e-9  # of the largest eigenvalue: shapes that no error over the travel shows
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedEntry:
+    """One number of the tables in both calibrations.
+
+    position : of the axis in `position_unit`; None of a number that has none
+    unit : "um" or "urad", of both values and of the uncertainty of their difference
+    chance : that so large a difference stands anywhere in the tables of a machine that
+        has not changed; 1/4001 at least
+    """
+
+    symbol: str
+    position: float | None
+    position_unit: str
+    unit: str
+    before: float
+    after: float
+    uncertainty: float
+    chance: float
+    is_significant: bool
+
+    @property
+    def difference(self) -> float:
+        """After less before."""
+        return self.after - self.before
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedVolume:
+    """The volumetric error of both calibrations, one less the other.
+
+    difference_um : root mean square of its length over the travel
+    by_chance_um : what that would be below with a chance of 97.5 % without a change
+    change_um : what is left of it when the part of chance is taken out; 0 if nothing is
+    """
+
+    difference_um: float
+    by_chance_um: float
+    change_um: float
+    chance: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the machine has changed in its volume."""
+        return self.difference_um > self.by_chance_um
+
+
+@dataclass(frozen=True, slots=True)
+class MachineChange:
+    """All that differs between two calibrations.
+
+    factor : how many standard uncertainties an entry has to differ by to count
+    not_compared : symbols that only one of both states
+    """
+
+    entries: tuple[ChangedEntry, ...]
+    volume: ChangedVolume
+    factor: float
+    not_compared: tuple[str, ...]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether anything has changed for sure."""
+        return self.volume.is_significant or any(e.is_significant for e in self.entries)
+
+
+def find_changes(before: CalibrationResult, after: CalibrationResult) -> MachineChange:
+    """Return what differs between two results of one machine.
+
+    Raises BadInput if they share a Run, or hold for other targets; BundleError if they
+    are of different machines.
+    """
+    _refuse_what_cannot_be_compared(before, after)
+    pair = _Pair(before.at_targets, after.at_targets)
+    places, rows = pair.list_rows()
+    values, drawn = rows.evaluate(before.at_targets, after.at_targets)
+    sigma = drawn.std(axis=1)
+    known = sigma > 0.0  # 0 by convention of the table
+    highest = np.max(np.abs(drawn[known]) / sigma[known, None], axis=0, initial=0.0)
+    factor = float(np.quantile(highest, 1.0 - CHANCE / 2.0))
+    excess = np.where(known, np.abs(values[1] - values[0]), 0.0)
+    excess = np.divide(excess, sigma, out=np.zeros_like(excess), where=known)
+    entries = tuple(
+        ChangedEntry(
+            *place,
+            float(values[0, k]),
+            float(values[1, k]),
+            float(sigma[k]),
+            _count_chance(highest, float(excess[k])),
+            bool(excess[k] > factor),
+        )
+        for k, place in enumerate(places)
+    )
+    volume = _compare_volume(before, after)
+    return MachineChange(entries, volume, factor, pair.not_compared)
+
+
+def _refuse_what_cannot_be_compared(
+    before: CalibrationResult, after: CalibrationResult
+) -> None:
+    one_machine([before.machine, after.machine], ["the earlier", "the later result"])
+    any_tool = before.model.knows_all_motions and after.model.knows_all_motions
+    if not (any_tool or have_same_targets(before.machine, after.machine)):
+        raise BadInput(
+            "the results hold for different targets, or another tool; compare two that "
+            "were measured with the same, or with three targets that tell all motions"
+        )
+    shared = _list_digests(before) & _list_digests(after)
+    if shared:
+        raise BadInput(
+            "both results come from one Run, so that they are not independent; "
+            "compare results of different measurements"
+        )
+
+
+def _list_digests(result: CalibrationResult) -> set[str]:
+    runs = result.provenance.get("runs") or ()
+    return {str(run["input_sha256"]) for run in runs}
+
+
+Place = tuple[str, float | None, str, str]
+"""Symbol, position, its unit, unit of the value."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Numbers that are linear in the parameters of two models, one row a number."""
+
+    before: Float64[np.ndarray, "n p"]
+    after: Float64[np.ndarray, "n q"]
+
+    def evaluate(
+        self, before: EstimatedModel, after: EstimatedModel
+    ) -> tuple[Float64[np.ndarray, "2 n"], Float64[np.ndarray, "n d"]]:
+        """Return the numbers of both, and draws of their difference by chance."""
+        values = np.stack([self.before @ before.theta, self.after @ after.theta])
+        drawn = self.before @ _draw(before, 1) + self.after @ _draw(after, 2)
+        return values, drawn
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """What two estimates of one machine both state."""
+
+    before: EstimatedModel
+    after: EstimatedModel
+
+    @property
+    def not_compared(self) -> tuple[str, ...]:
+        """Symbols that only one of both states."""
+        return tuple(sorted(_list_symbols(self.before) ^ _list_symbols(self.after)))
+
+    def list_rows(self) -> tuple[list[Place], _Rows]:
+        """Return the entries of the tables, and how they follow from parameters."""
+        symbols = _list_symbols(self.before) & _list_symbols(self.after)
+        if not symbols:
+            raise BadInput("the results state no error motion in common")
+        sides = [_find_rows(side, symbols) for side in (self.before, self.after)]
+        (places, rows), (_, other) = sides
+        return places, _Rows(rows, other)
+
+
+def _list_symbols(estimated: EstimatedModel) -> set[str]:
+    hidden = estimated.model.confounded
+    effects = [e for e in estimated.model.effects if e.name not in hidden]
+    return {e.iso_symbol for e in effects if e.iso_symbol}
+
+
+def _find_rows(
+    estimated: EstimatedModel, symbols: set[str]
+) -> tuple[list[Place], Float64[np.ndarray, "n p"]]:
+    model = estimated.model
+    places: list[Place] = []
+    blocks: list[Float64[np.ndarray, "k p"]] = []
+    effects = {e.iso_symbol: e for e in model.effects if e.name not in model.confounded}
+    for symbol in sorted(symbols):
+        effect, unit = effects[symbol], find_unit(symbol)
+        part = np.eye(1)
+        if motion := effect.motion:
+            at = choose_table_positions(motion.axis)
+            part = motion.rows(at)
+            measure = position_unit(motion.axis)
+            places += [(symbol, float(p), measure, unit) for p in at]
+        else:
+            places.append((symbol, None, "", unit))
+        block = np.zeros((len(part), model.size))
+        block[:, model.slices[effect.name]] = scale_of(unit) * part
+        blocks.append(block)
+    return places, np.concatenate(blocks)
+
+
+def _compare_volume(
+    before: CalibrationResult, after: CalibrationResult
+) -> ChangedVolume:
+    columns = np.concatenate([-_weigh(before), _weigh(after)], axis=1)
+    value, vector = np.linalg.eigh(columns.T @ columns)
+    kept = value > _FINE * value[-1]
+    root = (vector[:, kept] * np.sqrt(value[kept])).T
+    found = root @ np.concatenate([before.theta, after.theta])
+    drawn = root @ np.concatenate([_draw(before, 1), _draw(after, 2)])
+    length_um = np.linalg.norm(drawn, axis=0)
+    difference_um = float(np.linalg.norm(found))
+    left = difference_um**2 - float(np.mean(length_um**2))
+    return ChangedVolume(
+        difference_um,
+        float(np.quantile(length_um, 1.0 - CHANCE / 2.0)),
+        float(np.sqrt(max(left, 0.0))),
+        _count_chance(length_um, difference_um),
+    )
+
+
+def _weigh(estimated: EstimatedModel) -> Float64[np.ndarray, "m p"]:
+    """Return columns whose length is the root mean square over the travel, µm."""
+    volumetric = build_volumetric_map(estimated.model)
+    columns = volumetric.jacobian(volumetric.volume)
+    columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]
+    return columns.reshape(-1, estimated.model.size)
+
+
+def _draw(estimated: EstimatedModel, seed: int) -> Float64[np.ndarray, "p d"]:
+    """Return departures of the parameters by their covariance, always the same."""
+    value, vector = np.linalg.eigh(estimated.covariance)
+    unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
+    return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
+
+
+def _count_chance(drawn: Float64[np.ndarray, " d"], found: float) -> float:
+    """Return the share of draws that are as large; never none of them."""
+    return float((1 + np.count_nonzero(drawn >= found)) / (1 + len(drawn)))
+
+
+def list_significant(change: MachineChange) -> Iterator[ChangedEntry]:
+    """Yield of each symbol that has changed the entry that says so most surely."""
+    found: dict[str, ChangedEntry] = {}
+    for entry in change.entries:
+        known = found.get(entry.symbol)
+        if entry.is_significant and (known is None or _excess(entry) > _excess(known)):
+            found[entry.symbol] = entry
+    yield from sorted(found.values(), key=_excess, reverse=True)
+
+
+def _excess(entry: ChangedEntry) -> float:
+    return abs(entry.difference) / entry.uncertainty

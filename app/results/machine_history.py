@@ -1,0 +1,119 @@
+"""One number of a machine over all its calibrations, and of several machines.
+
+A quantity is the symbol of an error motion, at a position of its table or at all, of a
+squareness or of a location; or `volumetric`: the length of the volumetric error over
+the travel. It is taken from result files as they state it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.symbols import find_unit
+
+VOLUMETRIC = "volumetric"
+FIGURES = ("mean", "p95", "largest")
+CHANCE = 0.05  # that any two of several equal machines are said to differ
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One number of a result with its standard uncertainty (k = 1).
+
+    label : `mean`, `p95` or `largest` of `volumetric`, else empty
+    position : of the axis in `position_unit`; None where there is none
+    """
+
+    label: str
+    position: float | None
+    position_unit: str
+    value: float
+    uncertainty: float
+
+    @property
+    def key(self) -> tuple[str, float | None]:
+        """By which it is found in another result."""
+        return self.label, self.position
+
+
+def find_quantity_unit(quantity: str) -> str:
+    """Return `um` or `urad`. Raises BadInput for what is no quantity."""
+    if quantity == VOLUMETRIC:
+        return "um"
+    try:
+        return find_unit(quantity)
+    except (IndexError, KeyError) as error:
+        raise BadInput(
+            f"{quantity!r} is no quantity; give {VOLUMETRIC}, or a symbol such as EXX, "
+            "C0Y or XOC"
+        ) from error
+
+
+def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
+    """Return what a result states of a quantity; nothing where it does not tell it."""
+    if quantity == VOLUMETRIC:
+        stated = result["volumetric_error"]["before"]
+        return [
+            Entry(
+                name, None, "", stated[name]["value_um"], stated[name]["uncertainty_um"]
+            )
+            for name in FIGURES
+        ]
+    if single := result["squareness_urad"].get(quantity):
+        return [Entry("", None, "", single["value"], single["uncertainty"])]
+    unit = find_quantity_unit(quantity)
+    if place := result.get("axis_location", {}).get(quantity):
+        value, sigma = place[f"value_{unit}"], place[f"uncertainty_{unit}"]
+        return [Entry("", None, "", value, sigma)]
+    table = result["error_tables"].get(quantity)
+    if table is None:
+        return []
+    measure = "mm" if "position_mm" in table else "deg"
+    columns = (f"position_{measure}", f"value_{unit}", f"uncertainty_{unit}")
+    rows = zip(*(table[name] for name in columns), strict=True)
+    return [Entry("", p, measure, v, u) for p, v, u in rows]
+
+
+def choose_entries(
+    entries: Sequence[Entry], quantity: str, position: float | None
+) -> list[Entry]:
+    """Return the entry at a position, or all without one. Raises BadInput."""
+    if position is None or not entries:
+        return list(entries)
+    found = [
+        e
+        for e in entries
+        if e.position is not None and abs(e.position - position) < 0.5
+    ]
+    if not found:
+        known = ", ".join(f"{e.position:g}" for e in entries if e.position is not None)
+        raise BadInput(
+            f"{quantity} has no entry at {position:g}; it has them at {known or 'none'}"
+        )
+    return found[:1]
+
+
+def list_differing(entries: Sequence[Entry]) -> tuple[float, list[tuple[int, int]]]:
+    """Return pairs of machines whose numbers differ, the lower one first.
+
+    Each pair is held against the same factor of its combined standard uncertainty,
+    which is returned as well: with it any of equal machines are said to differ with a
+    chance of 5 % at most (Bonferroni over the pairs).
+    """
+    pairs = list(combinations(range(len(entries)), 2))
+    if not pairs:
+        return 0.0, []
+    factor = NormalDist().inv_cdf(1.0 - CHANCE / (2.0 * len(pairs)))
+    found: list[tuple[int, int]] = []
+    for one, other in pairs:
+        a, b = entries[one], entries[other]
+        if abs(a.value - b.value) > factor * np.hypot(a.uncertainty, b.uncertainty):
+            found.append((one, other) if a.value < b.value else (other, one))
+    return factor, found

@@ -1,0 +1,100 @@
+"""What has changed between two calibrations, on results of constructed truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.errors import BadInput
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.kinematics.machine import Target
+from truepath.app.results.machine_change import CHANCE, find_changes, list_significant
+
+SYMBOL = "EYX"
+
+
+def draw_result(estimate, seed, shift=0.0):
+    """A result whose parameters miss the truth as its covariance says.
+
+    shift : of all parameters of EYX, in their standard uncertainties
+    """
+    rng = np.random.default_rng(seed)
+    off = rng.multivariate_normal(np.zeros(estimate.model.size), estimate.covariance)
+    theta = estimate.theta + off
+    part = estimate.model.slices[SYMBOL]
+    sigma = np.sqrt(np.diag(estimate.covariance)[part])
+    signs = np.resize([1.0, -1.0], sigma.shape)
+    theta[part] += shift * sigma * signs
+    runs = [{"name": f"run {seed}", "input_sha256": f"{seed:064d}"}]
+    provenance = {"runs": runs}
+    return CalibrationResult(
+        estimate.model, theta, estimate.covariance, provenance=provenance
+    )
+
+
+def count_false(estimate, pairs):
+    """How many pairs of an unchanged machine are said to have changed."""
+    return sum(
+        find_changes(
+            draw_result(estimate, 2 * k), draw_result(estimate, 2 * k + 1)
+        ).is_significant
+        for k in range(pairs)
+    )
+
+
+@pytest.mark.timeout(120)
+def test_a_machine_that_has_not_changed_is_rarely_said_to_have(estimate):
+    # Of 20 pairs more than 4 would come with a chance of 0.3 % where 5 % are stated.
+    assert count_false(estimate, 20) <= 4
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_one_in_twenty_unchanged_machines_at_most_is_said_to_have_changed(estimate):
+    pairs = 300
+    allowed = CHANCE * pairs + 2.0 * np.sqrt(pairs * CHANCE * (1.0 - CHANCE))
+    assert count_false(estimate, pairs) <= allowed
+
+
+def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
+    change = find_changes(draw_result(estimate, 1), draw_result(estimate, 2, shift=8.0))
+    assert change.is_significant
+    named = list(list_significant(change))
+    assert named[0].symbol == SYMBOL
+    worst = named[0]
+    assert abs(worst.difference) > change.factor * worst.uncertainty
+    assert worst.chance < CHANCE / 2.0
+    quiet = {e.symbol for e in change.entries if not e.is_significant}
+    assert "EZZ" in quiet
+    assert {e.symbol for e in named} == {SYMBOL}
+
+
+def test_many_entries_are_held_against_more_than_one_number_would_be(estimate):
+    change = find_changes(draw_result(estimate, 1), draw_result(estimate, 2))
+    assert len(change.entries) > 100
+    assert 2.5 < change.factor < 4.5
+
+
+def test_results_that_share_a_run_are_not_held_against_each_other(estimate):
+    with pytest.raises(BadInput, match="come from one Run"):
+        find_changes(draw_result(estimate, 1), draw_result(estimate, 1))
+
+
+def test_results_of_different_targets_are_not_held_against_each_other(
+    estimate, construct
+):
+    other = construct((Target("", "tool", (20.0, 30.0, -250.0)),))
+    with pytest.raises(BadInput, match="different targets"):
+        find_changes(draw_result(estimate, 1), draw_result(other, 2))
+
+
+def test_where_the_tracker_stood_is_no_change(estimate):
+    """A rigid motion of the whole volume alone changes no entry and no volume."""
+    before = draw_result(estimate, 1)
+    digest = [{"name": "later", "input_sha256": "f" * 64}]
+    change = find_changes(before, replace(before, provenance={"runs": digest}))
+    assert not change.is_significant
+    assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
+    assert change.volume.change_um == 0.0
