@@ -96,7 +96,8 @@ class Calibrations:
         for job in self._store.list_with_result(machine_id):
             file = self._results / job.id / RESULT
             if file.is_file():
-                newest[tuple(sorted(job.run_ids))] = self._describe(job, file)
+                key = tuple(sorted(job.run_ids)) or (job.id,)
+                newest[key] = self._describe(job, file)
         return sorted(newest.values(), key=lambda one: (one.measured, one.job_id))
 
     def list_usable(self, machine_id: str) -> list[Calibration]:

@@ -132,8 +132,7 @@ def find_conditions(seen: Observed, now_s: float) -> Mapping[ConditionType, Find
         ConditionType.WATCHDOG_THERE: _find_watchdog(seen),
         ConditionType.DISK_HAS_ROOM: _find_room(seen),
         ConditionType.CLOCK_STEADY: _find_clock(seen.clock_step_s),
-        ConditionType.WITHIN_TOLERANCE: _find_tolerance(seen.standing),
-        ConditionType.UNCHANGED: _find_change(seen.standing),
+        **_find_standing(seen.standing),
     }
 
 
@@ -228,22 +227,20 @@ def _find_clock(step_s: float) -> Finding:
     return Finding(Level.FALSE, "clock-set", text)
 
 
-def _find_tolerance(standing: Standing | None) -> Finding:
-    if standing is None or standing.tolerance is None:
-        return UNTOLD
-    tolerance = standing.tolerance
-    if tolerance.state == "within":
-        return YES
-    level = Level.FALSE if tolerance.state == "over" else Level.UNKNOWN
-    return Finding(level, f"tolerance-{tolerance.state}", tolerance.text)
-
-
-def _find_change(standing: Standing | None) -> Finding:
-    if standing is None or standing.has_changed is None:
-        return UNTOLD
-    if not standing.has_changed:
-        return YES
-    return Finding(Level.FALSE, "changed", standing.text)
+def _find_standing(standing: Standing | None) -> Mapping[ConditionType, Finding]:
+    """Return what the calibrations say, where there is anything to be held against."""
+    found: dict[ConditionType, Finding] = {}
+    if standing is not None and standing.tolerance is not None:
+        tolerance = standing.tolerance
+        level = {"within": Level.TRUE, "over": Level.FALSE}.get(tolerance.state)
+        reason = "" if level is Level.TRUE else f"tolerance-{tolerance.state}"
+        found[ConditionType.WITHIN_TOLERANCE] = Finding(
+            level or Level.UNKNOWN, reason, tolerance.text if reason else ""
+        )
+    if standing is not None and standing.has_changed is not None:
+        changed = Finding(Level.FALSE, "changed", standing.text)
+        found[ConditionType.UNCHANGED] = changed if standing.has_changed else YES
+    return found
 
 
 @dataclass(slots=True)

@@ -16,11 +16,28 @@ from typing import Any
 import numpy as np
 
 from truepath.app.errors import BadInput
-from truepath.app.kinematics.symbols import find_unit
+from truepath.app.kinematics.symbols import (
+    LINEAR,
+    SQUARENESS,
+    TURNS,
+    find_unit,
+    list_error_motions,
+    list_locations,
+)
 
 VOLUMETRIC = "volumetric"
 FIGURES = ("mean", "p95", "largest")
+_SAME = 0.5  # mm or deg: a position as people write it
 CHANCE = 0.05  # that any two of several equal machines are said to differ
+
+
+_SYMBOLS = frozenset(
+    (
+        *SQUARENESS,
+        *(s for axis in (*LINEAR, *TURNS) for s in list_error_motions(axis)),
+        *(s for axis in TURNS for s in list_locations(axis)),
+    )
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +64,12 @@ def find_quantity_unit(quantity: str) -> str:
     """Return `um` or `urad`. Raises BadInput for what is no quantity."""
     if quantity == VOLUMETRIC:
         return "um"
-    try:
-        return find_unit(quantity)
-    except (IndexError, KeyError) as error:
+    if quantity not in _SYMBOLS:
         raise BadInput(
             f"{quantity!r} is no quantity; give {VOLUMETRIC}, or a symbol such as EXX, "
             "C0Y or XOC"
-        ) from error
+        )
+    return find_unit(quantity)
 
 
 def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
@@ -87,13 +103,10 @@ def choose_entries(
     """Return the entry at a position, or all without one. Raises BadInput."""
     if position is None or not entries:
         return list(entries)
-    found = [
-        e
-        for e in entries
-        if e.position is not None and abs(e.position - position) < 0.5
-    ]
+    placed = [e for e in entries if e.position is not None]
+    found = [e for e in placed if abs((e.position or 0.0) - position) < _SAME]
     if not found:
-        known = ", ".join(f"{e.position:g}" for e in entries if e.position is not None)
+        known = ", ".join(f"{e.position:g}" for e in placed)
         raise BadInput(
             f"{quantity} has no entry at {position:g}; it has them at {known or 'none'}"
         )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from scripted_cell import wait_until
 
+from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
 from truepath.app.jobs.conditions import (
     LATE_S,
@@ -17,6 +18,7 @@ from truepath.app.jobs.conditions import (
     Observed,
     find_conditions,
 )
+from truepath.app.results.machine_documents import ToleranceJudgement
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
 NOW_S = 1000.0
@@ -160,3 +162,17 @@ def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
     assert able[0].since == able[1].since
     assert able[2].since == able[3].since > able[1].since
     assert [one.is_obstacle for one in able] == [False, False, True, True]
+
+
+def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
+    tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
+    standing = Standing("mill", "job-2", tolerance, "job-1", True, "EXX has changed.")
+    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    over, changed = (
+        found[ConditionType.WITHIN_TOLERANCE],
+        found[ConditionType.UNCHANGED],
+    )
+    assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
+    assert "12.0 ± 1.0 µm" in over.message
+    assert (changed.level, changed.message) == (Level.FALSE, "EXX has changed.")
+    assert not REQUIRED & {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}

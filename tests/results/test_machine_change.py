@@ -53,7 +53,7 @@ def test_a_machine_that_has_not_changed_is_rarely_said_to_have(estimate):
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_one_in_twenty_unchanged_machines_at_most_is_said_to_have_changed(estimate):
-    pairs = 300
+    pairs = 100
     allowed = CHANCE * pairs + 2.0 * np.sqrt(pairs * CHANCE * (1.0 - CHANCE))
     assert count_false(estimate, pairs) <= allowed
 

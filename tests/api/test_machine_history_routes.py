@@ -1,0 +1,89 @@
+"""A machine over its calibrations, over REST, on the files of a real result."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.transitions import State
+
+BASE = "/api/v1/machines"
+
+
+@pytest.fixture
+def calibrated(service, analysed):
+    """Two calibrations of the machine; the second has EXX as the first, and p95 30."""
+    content = json.loads((analysed / "result.json").read_text())
+    for number in (1, 2):
+        job_id = f"job-{number}"
+        when = f"2026-01-0{number}T08:00:00.000Z"
+        job = Job(
+            JobKind.ANALYSE,
+            id=job_id,
+            state=State.SUCCEEDED,
+            desired_state="succeeded",
+            created=when,
+            verdict="usable",
+            machine="default",
+        )
+        service.store.add_recovered(job, None)
+        digest = [{"name": job_id, "input_sha256": f"{number:064d}"}]
+        content["provenance"]["runs"] = digest
+        figure = {"value_um": 10.0 * (number + 1), "uncertainty_um": 0.5}
+        content["volumetric_error"]["before"]["p95"] = figure
+        folder = service.results / job_id
+        folder.mkdir()
+        (folder / "result.json").write_text(json.dumps(content))
+    return "job-1", "job-2"
+
+
+def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(
+    client, calibrated, is_problem
+):
+    answer = client.get(f"{BASE}/default/history").json()
+    assert answer["schema"] == "machine-history/1"
+    assert [c["job_id"] for c in answer["calibrations"]] == list(calibrated)
+    assert [c["value"][1] for c in answer["calibrations"]] == [20.0, 30.0]
+    exx = client.get(f"{BASE}/default/history", params={"quantity": "EXX"}).json()
+    assert exx["unit"] == "um"
+    assert len(exx["entries"]) == len(exx["calibrations"][0]["uncertainty"]) > 4
+    at = {"quantity": "EXX", "position": 33.3}
+    is_problem(client.get(f"{BASE}/default/history", params=at), 422, "bad-input")
+    is_problem(client.get(f"{BASE}/press/history"), 404, "not-found")
+
+
+def test_what_has_changed_since_a_calibration_is_said_in_words(
+    client, calibrated, is_problem
+):
+    since = {"since": calibrated[0]}
+    answer = client.get(f"{BASE}/default/changes", params=since)
+    assert answer.status_code == 200, answer.text
+    change = answer.json()
+    assert change["until"]["job_id"] == calibrated[1]
+    assert (change["has_changed"], change["significant"]) == (False, [])
+    assert change["text"][0].startswith("No change is seen")
+    unknown = client.get(f"{BASE}/default/changes", params={"since": "job-9"})
+    is_problem(unknown, 404, "not-found")
+    same = client.get(f"{BASE}/default/changes", params={**since, "until": "job-1"})
+    assert "one Run" in is_problem(same, 422, "bad-input")["detail"]
+
+
+def test_a_machine_over_its_tolerance_raises_an_alarm(client, calibrated, service):
+    told = []
+    service.event_bus.subscribe(told.append)
+    client.patch(f"{BASE}/default", json={"tolerance_um": 25})
+    standing = client.get(f"{BASE}/default/standing").json()
+    assert (standing["is_alarm"], standing["tolerance"]) == (True, "over")
+    assert (standing["has_changed"], standing["reference_job"]) == (False, "job-1")
+    (event,) = [one for one in told if one.type == "machine"]
+    assert event.body["is_alarm"]
+    client.patch(f"{BASE}/default", json={"tolerance_um": 40})
+    assert client.get(f"{BASE}/default/standing").json()["tolerance"] == "within"
+
+
+def test_machines_are_compared_by_their_newest_calibration(client, calibrated):
+    found = client.get("/api/v1/machines:compare").json()
+    (one,) = found["machines"]
+    assert (one["machine"], one["job_id"], one["value"]) == ("default", "job-2", 30.0)
