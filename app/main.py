@@ -114,11 +114,10 @@ def open_service(settings: Settings) -> Iterator[Service]:
         reconciliation.start()
         for one in context.machines.list_all():
             one.start()
-        calibrations = context.calibrations
-        if calibrations is not None:
-            look = threading.Thread(target=calibrations.judge_all, name="standing")
-            look.start()
-            stack.callback(look.join)
+        calibrations = setup.calibrations
+        look = threading.Thread(target=calibrations.judge_all, name="standing")
+        look.start()
+        stack.callback(look.join)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         service = Service(
@@ -153,7 +152,7 @@ def _make_context(
     registry = MachineRegistry(database)
     calibrations = Calibrations(registry, store, runs, results, event_bus.publish)
     cells = CellSetup(settings.data_dir, LEAST_FREE_BYTES, calibrations)
-    setup = MachineSetup(registry, store, cells)
+    setup = MachineSetup(registry, store, cells, calibrations)
     setup.load(_load_machines(settings, stack))
     machines = setup.machines
     stack.callback(machines.close)

@@ -17,7 +17,7 @@ from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.conditions import ConditionBoard, Observed
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.kinematics.machine import Machine
-from truepath.app.machine_settings import MachineSettings
+from truepath.app.machine_settings import DeviceConfiguration
 from truepath.app.measurement.cell import Cell
 from truepath.app.measurement.messages import CellConfig, StreamTimeouts
 
@@ -26,7 +26,7 @@ def _read_clock_difference_s() -> float:
     return time.time() - time.monotonic()
 
 
-def configure_cell(stated: MachineSettings) -> CellConfig:
+def configure_cell(stated: DeviceConfiguration) -> CellConfig:
     """Return how the settings of a machine let its devices be reached."""
     patience = {f"{name}_s": s for name, s in stated.tracker_patience_s.items()}
     return CellConfig(

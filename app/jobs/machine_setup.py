@@ -15,6 +15,7 @@ import structlog
 from truepath.app.device_options import make_device
 from truepath.app.errors import BadInput, TruepathError
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
+from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_setup import (
     CellSetup,
     configure_cell,
@@ -58,9 +59,14 @@ class MachineSetup:
     """Keeps cells and catalogue of the machines together. Any thread may call it."""
 
     def __init__(
-        self, registry: MachineRegistry, store: Store, cell_setup: CellSetup
+        self,
+        registry: MachineRegistry,
+        store: Store,
+        cell_setup: CellSetup,
+        calibrations: Calibrations,
     ) -> None:
         self.registry, self.machines = registry, Machines()
+        self.calibrations = calibrations
         self._store, self._cell_setup = store, cell_setup
         self._configs: dict[str, CellConfig] = {}
 

@@ -154,13 +154,14 @@ def service(
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
+    registry = MachineRegistry(database)
+    calibrations = Calibrations(
+        registry, context.store, context.runs, results, event_bus.publish
+    )
     setup = MachineSetup(
-        MachineRegistry(database), context.store, CellSetup(tmp_path, 0)
+        registry, context.store, CellSetup(tmp_path, 0, calibrations), calibrations
     )
     setup.machines = machines
-    calibrations = Calibrations(
-        setup.registry, context.store, context.runs, results, event_bus.publish
-    )
     for one in machines.list_all():
         content = machine_to_json(one.machine)
         setup.registry.note(one.id, "settings", content, {"simulated": True})
