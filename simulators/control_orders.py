@@ -50,6 +50,7 @@ def _load_compensation(bench: Bench, order: Order) -> dict[str, Any]:
     rules = Rules(
         order.get("backlash_reading", Rules().backlash_reading),
         bool(order.get("reversed_sign", False)),
+        float(order.get("tool_length_mm", 0.0)),
     )
     bench.load_compensation(LoadedTables.from_paths(_take(order, "files"), rules))
     return {"files": list(bench.compensation.files)}

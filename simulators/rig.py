@@ -72,12 +72,12 @@ class Rig:
         self.order("move-tracker", place_mm=list(place_mm), number=number)
 
     def load_compensation(
-        self, files: Sequence[Path | str], **rules: str | bool
+        self, files: Sequence[Path | str], **rules: str | bool | float
     ) -> list[str]:
         """Give the controller these tables while its axes stand; return their names.
 
         files : none takes its tables away
-        rules : `backlash_reading`, `reversed_sign` of
+        rules : `backlash_reading`, `reversed_sign`, `tool_length_mm` of
             `truepath.simulators.compensation.rules.Rules`
         """
         paths = [str(Path(file).absolute()) for file in files]

@@ -63,7 +63,9 @@ def create_compensation(
     folder = _find_folder(service, job_id)
     source = find_model_file(service.results, service.store.get(job_id).id)
     choice = Unmeasured(request.unmeasured)
-    order = CompensationOrder(request.format, request.spacing_mm, choice)
+    order = CompensationOrder(
+        request.format, request.spacing_mm, choice, request.choices
+    )
     account = keep_files(source, folder, order, accept_verdict=request.accept_verdict)
     made = _describe(job_id, order.name, account)
     response.headers["Location"] = made.links.self

@@ -19,3 +19,5 @@ def formats(json: Json = False) -> None:
         print(f"{one['name']}: {one['control']}, {one['most_rows']} rows{tried}")
         print(f"  carries      {one['carries']}")
         print(f"  not carried  {one['not_carried']}")
+        for key, words in one["choices"].items():
+            print(f"  --{key.replace('_', '-')}  {', '.join(words)}")

@@ -76,6 +76,24 @@ def export(
             "refuse to write.",
         ),
     ] = "hold",
+    control: Annotated[
+        Literal["840d-sl", "828d", "808d"] | None,
+        typer.Option(help="Of Siemens: whose room for tables is used. [840d-sl]"),
+    ] = None,
+    backlash_reading: Annotated[
+        Literal["negative-value", "difference"] | None,
+        typer.Option(help="Of Heidenhain's column BACKLASH. [negative-value]"),
+    ] = None,
+    directions: Annotated[
+        Literal["both", "mean"] | None,
+        typer.Option(help="Of Fanuc: whether lost motion is in the tables. [both]"),
+    ] = None,
+    tool_length: Annotated[
+        Literal["fixed", "followed"] | None,
+        typer.Option(
+            help="Of ISG: of the measured tool, or of the one in use. [fixed]"
+        ),
+    ] = None,
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -90,6 +108,12 @@ def export(
     from truepath.app.compensation.export import export_files
     from truepath.app.compensation.unmeasured import Unmeasured
 
+    chosen = {
+        "control": control,
+        "backlash_reading": backlash_reading,
+        "directions": directions,
+        "tool_length": tool_length,
+    }
     try:
         account = export_files(
             result,
@@ -97,6 +121,7 @@ def export(
             output,
             spacing_mm=spacing,
             unmeasured=Unmeasured(unmeasured),
+            choices={key: word for key, word in chosen.items() if word},
             accept_verdict=accept_verdict,
         )
     except NotUsable as error:

@@ -66,6 +66,16 @@ class ErrorMap:
         position_mm, value_um = self.result.half_difference_um[axis]
         return np.interp(at_mm, position_mm, value_um / UM_PER_MM)
 
+    def half_difference_sigma_mm(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the standard uncertainty of that half, 0 where none is stated."""
+        if axis not in self.result.half_difference_u_um:
+            return np.zeros(len(at_mm))
+        position_mm, _ = self.result.half_difference_um[axis]
+        sigma_um = self.result.half_difference_u_um[axis]
+        return np.interp(at_mm, position_mm, sigma_um / UM_PER_MM)
+
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:

@@ -14,8 +14,8 @@ from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.format import AxisTable, CompensationFormat
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.remaining_error import (
+    EVEN,
     GRID,
-    RANDOM,
     RemainingError,
     evaluate_effects,
     find_remaining,
@@ -59,6 +59,7 @@ def export_files(
     *,
     spacing_mm: float = SPACING_MM,
     unmeasured: Unmeasured = Unmeasured.HOLD,
+    choices: Mapping[str, str] | None = None,
     accept_verdict: bool = False,
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
@@ -67,12 +68,13 @@ def export_files(
     stem of `output`. Returns the account, `files` as paths.
 
     unmeasured : what tables have where an axis was not measured
+    choices : of the format, by name
     accept_verdict : write the files of a result that is not to be used all the same
 
     Raises BundleError with the place in the result, BadInput as `export_result`,
     NotUsable where the result is not to be used.
     """
-    suffix, place = load_format(name).suffix, Path(output)
+    suffix, place = load_format(name, choices).suffix, Path(output)
     loaded = read_result(result)
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
@@ -80,7 +82,12 @@ def export_files(
     has_suffix = place.name.endswith(suffix)
     stem = place.name.removesuffix(suffix) if has_suffix else place.stem
     export = export_result(
-        errors, name, stem, spacing_mm=spacing_mm, unmeasured=unmeasured
+        errors,
+        name,
+        stem,
+        spacing_mm=spacing_mm,
+        unmeasured=unmeasured,
+        choices=choices,
     )
     place.parent.mkdir(parents=True, exist_ok=True)
     beside = place.parent / f"{stem}.json"
@@ -102,18 +109,20 @@ def export_result(
     *,
     spacing_mm: float = SPACING_MM,
     unmeasured: Unmeasured = Unmeasured.HOLD,
+    choices: Mapping[str, str] | None = None,
 ) -> Export:
     """Return the files of a format and their account.
 
     name : of an installed format; stem : of the file names
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
     unmeasured : what tables have where an axis was not measured
+    choices : of the format, by name
 
-    Raises BadInput for an unknown format, where a part of the travel was not measured
-    and is to be refused, or if the files, read back by the rule of the controller, do
-    not make the error smaller.
+    Raises BadInput for an unknown format or choice, where a part of the travel was not
+    measured and is to be refused, or if the files, read back by the rule of the
+    controller, do not make the error smaller.
     """
-    kind = load_format(name)
+    kind = load_format(name, choices)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     gaps = [one.describe() for one in measured.values() if one.missing]
     stamp = _write_stamp(errors, name, gaps)
@@ -129,6 +138,7 @@ def export_result(
         "schema": SCHEMA,
         "format": name,
         "control": kind.control,
+        "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
         "volumetric_error_um": _state_error(before, after),
@@ -144,8 +154,9 @@ def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any
         "before": before.state_map(),
         "after": after.state(),
         "after_where_measured": after.state(measured=True),
-        "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
-        "travel, coming up and coming down, without the rigid motion of the whole; "
+        "on": f"mean over {EVEN} positions that fill the travel evenly, the largest on "
+        f"a grid of {GRID} an axis too, coming up and coming down, without the rigid "
+        "motion of the whole; "
         "after: as the controller reads the files back, of errors that the "
         "measurement allows, drawn from its covariance; uncertainty k = 1",
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -96,17 +96,20 @@ class CompensationFormat(ABC):
     sign_is_verified : whether that rule is from the maker's manual or source; else one
         deliberate value has to settle it at the machine before first use
     note : what to do with the files
+    choices : what may be chosen, with its words, the first being usual: keywords of
+        the constructor
     """
 
-    control: ClassVar[str]
+    control: str
     suffix: ClassVar[str]
-    most_points: ClassVar[int]
+    most_points: int
     resolution_um: ClassVar[float] = 1e-3
     carries: ClassVar[str]
     not_carried: ClassVar[str]
     sign: ClassVar[str]
     sign_is_verified: ClassVar[bool]
-    note: ClassVar[str]
+    note: str
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     @abstractmethod
     def write(self, content: CompensationTables) -> dict[str, str]:
@@ -124,6 +127,8 @@ class InterpolatedTable:
     out : index of the axis that is corrected
     forward_mm, backward_mm : (n,) added in + and in − direction of the axis, in both
         the same where one is stated; end values hold beyond
+    times : what it is multiplied by, at positions of another axis
+    is_stepped : the value of the nearest row in place of a straight line
     """
 
     axis: str
@@ -131,6 +136,37 @@ class InterpolatedTable:
     position_mm: Float64[np.ndarray, " n"]
     forward_mm: Float64[np.ndarray, " n"]
     backward_mm: Float64[np.ndarray, " n"] | None = None
+    times: InterpolatedTable | None = None
+    is_stepped: bool = False
+
+    def multiply(self, times: InterpolatedTable | None, side: int) -> InterpolatedTable:
+        """Return the table as a product with another, its sign being that of this one.
+
+        side : 1 or −1 for a table of that direction alone, 0 for both
+        """
+        nothing = np.zeros_like(self.forward_mm)
+        if times is not None:
+            times = replace(times, forward_mm=-times.forward_mm)
+        return replace(
+            self,
+            forward_mm=nothing if side < 0 else self.forward_mm,
+            backward_mm=nothing if side > 0 else self.forward_mm,
+            times=times,
+        )
+
+    def read(
+        self, position: Mapping[str, Float64[np.ndarray, " n"]], direction: float
+    ) -> Float64[np.ndarray, " n"]:
+        """Return what it adds at positions by axis, in direction 1 or −1."""
+        at, value_mm = position[self.axis], self.forward_mm
+        if direction <= 0 and self.backward_mm is not None:
+            value_mm = self.backward_mm
+        if self.is_stepped:
+            between = 0.5 * (self.position_mm[1:] + self.position_mm[:-1])
+            added = value_mm[np.searchsorted(between, at, side="right")]
+        else:
+            added = np.interp(at, self.position_mm, value_mm)
+        return added if self.times is None else added * self.times.read(position, 1.0)
 
 
 class TableFormat(CompensationFormat):
@@ -150,12 +186,9 @@ class TableFormat(CompensationFormat):
             position_mm: Float64[np.ndarray, "n a"], direction: float
         ) -> Float64[np.ndarray, "n 3"]:
             added = np.zeros((len(position_mm), 3))
+            position = dict(zip(machine.axis_names, position_mm.T, strict=True))
             for table in tables:
-                at = position_mm[:, machine.axis_names.index(table.axis)]
-                value_mm = table.forward_mm
-                if direction <= 0 and table.backward_mm is not None:
-                    value_mm = table.backward_mm
-                added[:, table.out] += np.interp(at, table.position_mm, value_mm)
+                added[:, table.out] += table.read(position, direction)
             return added
 
         return correction

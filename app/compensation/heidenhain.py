@@ -1,15 +1,18 @@
 """Heidenhain TNC: a `.COM` table an axis and the `config.cma` that activates them.
 
-Columns `AXISPOS`, `BACKLASH` (added in negative travel) and one for each axis that is
-corrected: [axis of the column] = F(axis of the file). The sign is taken to be that of
-what is added to the command, and has to be tried at the machine; so have the bytes of
-the header, for which a file of that machine is the model. Source: MANUALplus 620
-technical manual (compensation tables).
+Columns `AXISPOS`, `BACKLASH` and one for each axis that is corrected: [axis of the
+column] = F(axis of the file). The manual has "the compensation values measured in the
+negative direction of traverse" in BACKLASH: whether that is the value in negative
+travel or what is added to the other there is a choice, and the column is left out where
+direction plays no part. The sign is taken to be that of what is added to the command,
+and has to be tried at the machine; so have the bytes of the header, for which a file of
+that machine is the model. Source: MANUALplus 620 Technical Manual, pages 716 to 718.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,8 +27,17 @@ from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
 _WIDTH = 12
-_NUMBERS = ("AXISPOS", "BACKLASH", *LINEAR)
+_READINGS = ("negative-value", "difference")
+_LEAST_MM = 5e-6  # of lost motion that has a column: half of the resolution
 _CONFIG = "config.cma"
+
+
+_WORDS = {
+    "negative-value": "the value in negative travel "
+    "(--backlash-reading negative-value)",
+    "difference": "what is added to the other column in negative travel "
+    "(--backlash-reading difference)",
+}
 
 
 class Heidenhain(TableFormat):
@@ -42,16 +54,29 @@ class Heidenhain(TableFormat):
     not_carried = "angular errors away from the middle (KinematicsComp has them)"
     sign = "the value is added to the commanded position: minus the error"
     sign_is_verified = False
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"backlash_reading": _READINGS}
     note = (
         "copy the header line and column widths from a table of this control before "
-        "first use; older controls want a spacing that is a power of two of 0.1 µm"
+        "first use; older controls want a spacing that is a power of two of 0.1 µm. "
     )
+
+    def __init__(self, backlash_reading: str = _READINGS[0]) -> None:
+        self._reading = backlash_reading
+        self.note = Heidenhain.note + (
+            f"BACKLASH is written as {_WORDS[backlash_reading]}. Two minutes decide it "
+            "and the sign: enter 0.100 in every row of the axis' own column and of "
+            "BACKLASH, activate, and come to one position from both sides under a dial "
+            "gauge. No difference between the sides: negative-value; 0.1 mm of it: "
+            "difference. Away from where it stood without the table: the sign"
+        )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return `STEM-X.com` for each axis, and `config.cma`."""
         names = {t.axis.name: f"{content.stem}-{t.axis.name}" for t in content.tables}
         files = {
-            f"{names[t.axis.name]}{self.suffix}": _write_table(names[t.axis.name], t)
+            f"{names[t.axis.name]}{self.suffix}": _write_table(
+                names[t.axis.name], t, self._reading
+            )
             for t in content.tables
         }
         return {**files, _CONFIG: _write_config(names, self.suffix)}
@@ -65,19 +90,22 @@ class Heidenhain(TableFormat):
             raise BadInput(f"{_CONFIG}: no line is active")
         for axis, name in row.items():
             if axis in LINEAR:
-                yield from _read_columns(axis, _read_rows(files[name]))
+                yield from _read_columns(axis, _read_rows(files[name]), self._reading)
 
 
-def _write_table(name: str, table: AxisTable) -> str:
-    columns = ("NR", *_NUMBERS)
-    lines = [f"BEGIN {name} .COM MM", _format_line(columns)]
+def _write_table(name: str, table: AxisTable, reading: str) -> str:
     values = -table.forward_mm
-    lost = (table.forward_mm - table.backward_mm)[:, table.own]
-    for number, (at, back, row) in enumerate(
-        zip(table.position_mm, lost, values, strict=True)
-    ):
-        numbers = (f"{at:+.4f}", f"{back:+z.5f}", *(f"{v:+z.5f}" for v in row))
-        lines.append(_format_line((str(number), *numbers)))
+    back = -table.backward_mm[:, table.own]
+    lost = back - values[:, table.own]
+    columns = ["NR", "AXISPOS", *LINEAR]
+    numbers = [table.position_mm, *values.T]
+    if np.abs(lost).max() > _LEAST_MM:
+        columns.insert(2, "BACKLASH")
+        numbers.insert(1, lost if reading == "difference" else back)
+    lines = [f"BEGIN {name} .COM MM", _format_line(columns)]
+    for number, (at, *row) in enumerate(zip(*numbers, strict=True)):
+        cells = (str(number), f"{at:+.4f}", *(f"{value:+z.5f}" for value in row))
+        lines.append(_format_line(cells))
     return "\n".join([*lines, "[END]", ""])
 
 
@@ -90,7 +118,7 @@ def _write_config(names: Mapping[str, str], suffix: str) -> str:
     )
 
 
-def _format_line(cells: tuple[str, ...], width: int = _WIDTH) -> str:
+def _format_line(cells: Sequence[str], width: int = _WIDTH) -> str:
     return "".join(cell.ljust(width) for cell in cells).rstrip()
 
 
@@ -103,11 +131,21 @@ def _read_rows(text: str) -> list[dict[str, str]]:
     return [dict(zip(head, line.split(), strict=True)) for line in lines[2:-1]]
 
 
-def _read_columns(axis: str, rows: list[dict[str, str]]) -> Iterator[InterpolatedTable]:
-    """Yield the columns of an axis: both directions alike, then the backlash."""
-    columns = {n: np.array([float(row[n]) for row in rows]) for n in _NUMBERS}
-    at = columns["AXISPOS"]
+def _read_columns(
+    axis: str, rows: list[dict[str, str]], reading: str
+) -> Iterator[InterpolatedTable]:
+    """Yield the columns of an axis, its own by direction where BACKLASH stands."""
+    columns = {
+        n: np.array([float(row[n]) for row in rows])
+        for n in rows[0]
+        if n in (*LINEAR, "AXISPOS", "BACKLASH")
+    }
+    at, back = columns["AXISPOS"], columns.get("BACKLASH")
     for out, name in enumerate(LINEAR):
-        yield InterpolatedTable(axis, out, at, columns[name])
-    own, zero = LINEAR.index(axis), np.zeros(len(at))
-    yield InterpolatedTable(axis, own, at, zero, columns["BACKLASH"])
+        value = columns[name]
+        if name != axis or back is None:
+            yield InterpolatedTable(axis, out, at, value)
+        elif reading == "difference":
+            yield InterpolatedTable(axis, out, at, value, value + back)
+        else:
+            yield InterpolatedTable(axis, out, at, value, back)

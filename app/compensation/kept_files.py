@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +24,19 @@ class CompensationOrder:
 
     format : name of an installed one; spacing_mm : of the rows
     unmeasured : what tables have where an axis was not measured
+    choices : of the format, by name
     """
 
     format: str
     spacing_mm: float = SPACING_MM
     unmeasured: Unmeasured = Unmeasured.HOLD
+    choices: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def name(self) -> str:
         """Names them among those of a result: the same order makes the same files."""
-        return f"{self.format}-{self.spacing_mm:g}-{self.unmeasured.value}"
+        chosen = "".join(f"-{self.choices[key]}" for key in sorted(self.choices))
+        return f"{self.format}-{self.spacing_mm:g}-{self.unmeasured.value}{chosen}"
 
 
 def keep_files(
@@ -51,6 +54,7 @@ def keep_files(
         folder / order.name / _STEM,
         spacing_mm=order.spacing_mm,
         unmeasured=order.unmeasured,
+        choices=order.choices,
         accept_verdict=accept_verdict,
     )
     return read_account(folder, order.name)

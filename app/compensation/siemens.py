@@ -2,69 +2,112 @@
 
 `$AA_ENC_COMP` holds a table an axis; a positive value moves the axis in the negative
 direction, so that the file has the error itself. `$AN_CEC` corrects one axis by the
-position of another; its sign is assumed to be the same and has to be tried at the
-machine. Both interpolate straight, hold their end values beyond the table, and are
-equidistant. Source: SINUMERIK function manual, compensations.
+position of another, or by a product of two tables; its sign is assumed to be the same
+and has to be tried at the machine. Both interpolate straight, hold their end values
+beyond the table, and are equidistant. Source: SINUMERIK Function Manual Extended
+Functions 03/2013, K3, pages 238 to 264.
 """
 
 from __future__ import annotations
 
-import re
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
-    AxisTable,
     CompensationFormat,
     CompensationTables,
     Correction,
     InterpolatedTable,
     TableFormat,
 )
-from truepath.app.errors import BadInput
+from truepath.app.compensation.siemens_cross import (
+    FACTOR_MM,
+    CrossTable,
+    choose_cross_tables,
+    find_factor,
+    list_factors,
+)
+from truepath.app.compensation.siemens_reading import read_tables
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """What a control has room for.
+
+    note : where the numbers are from
+    """
+
+    title: str
+    leadscrew_points: int
+    cross_points: int
+    cross_tables: int
+    note: str
+
+
+CONTROLS = {
+    "840d-sl": Control("840D sl", 1000, 500, 62, "MD38000 and MD18342 size the tables"),
+    "828d": Control(
+        "828D", 200, 200, 8, "8 cross tables of 200 points, fixed; MD38000 the others"
+    ),
+    "808d": Control(
+        "808D",
+        200,
+        200,
+        8,
+        "no public text at hand states its limits: those of the 828D are taken; "
+        "compare MD38000 and MD18342 before loading",
+    ),
+}
+DEFAULT_CONTROL = "840d-sl"
+_CONTROLS = tuple(CONTROLS)
 
 
 class Siemens(TableFormat):
     """One INI file of tables that hold the error.
 
     area : that the file loads; variable : of the control, a table or a setting of it
+    control : which has room for how much
     """
 
     suffix = ".ini"
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
     area: ClassVar[str]
     variable: ClassVar[str]
 
+    def __init__(self, control: str = DEFAULT_CONTROL) -> None:
+        self.room = CONTROLS[control]
+
     @abstractmethod
-    def write_tables(self, tables: Sequence[AxisTable]) -> Iterable[str]:
+    def write_tables(self, content: CompensationTables) -> Iterable[str]:
         """Return the lines of all tables."""
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file for all axes."""
         lines = [f"%_N_{self.area}_INI", *(f"; {s}" for s in content.stamp)]
-        lines += ["CHANDATA(1)", *self.write_tables(content.tables), "M17", ""]
+        lines += ["CHANDATA(1)", *self.write_tables(content), "M17", ""]
         return {f"{content.stem}{self.suffix}": "\n".join(lines)}
 
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Yield the negative of the tables."""
-        for table in _read_settings(files, self.variable):
-            yield _make_table(*table)
+        return read_tables(files, self.variable)
 
 
 class SiemensLec(Siemens):
-    """Positioning of each axis."""
+    """Positioning of each axis.
 
-    control = "Siemens 840D, leadscrew error compensation"
+    forward : axes whose tables are those of positive travel; else the mean
+    """
+
     area, variable = "AX_EEC", "ENC_COMP"
-    most_points = 1000
     carries = "positioning of each axis, mean of both directions"
     not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
     sign = (
@@ -72,16 +115,27 @@ class SiemensLec(Siemens):
         "direction"
     )
     sign_is_verified = True
-    note = (
-        "rename X1, Y1, Z1 to the machine axes; MD38000 must hold the points; load "
-        "with MD32700 = 0, set it to 1, reference the axes"
-    )
 
-    def write_tables(self, tables: Sequence[AxisTable]) -> Iterator[str]:
+    def __init__(
+        self, control: str = DEFAULT_CONTROL, forward: Collection[str] = ()
+    ) -> None:
+        super().__init__(control)
+        self._forward = forward
+        self.most_points = self.room.leadscrew_points
+        self.control = f"Siemens {self.room.title}, leadscrew error compensation"
+        self.note = (
+            "rename X1, Y1, Z1 to the machine axes; MD38000 must hold the points; load "
+            f"with MD32700 = 0, set it to 1, reference the axes ({self.room.note})"
+        )
+
+    def write_tables(self, content: CompensationTables) -> Iterator[str]:
         """Yield a table an axis."""
-        for table in tables:
+        for table in content.tables:
             axis = f"{table.axis.name}1"
-            for index, value in enumerate(table.mean_mm[:, table.own]):
+            values = table.mean_mm
+            if table.axis.name in self._forward:
+                values = table.forward_mm
+            for index, value in enumerate(values[:, table.own]):
                 yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
             yield f"$AA_ENC_COMP_STEP[0,{axis}]={table.spacing_mm:.9g}"
             yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
@@ -90,63 +144,100 @@ class SiemensLec(Siemens):
 
 
 class SiemensCec(Siemens):
-    """What each axis does across itself: cross tables."""
+    """What each axis does across itself, and with another one: cross tables.
 
-    control = "Siemens 840D, cross error compensation"
+    backlash : whether lost motion is among them, the leadscrew tables being those of
+        positive travel
+    """
+
     area, variable = "NC_CEC", "CEC"
-    most_points = 500
-    carries = "straightness and squareness, along the middle of the travel"
+    carries = (
+        "straightness and squareness along the middle of the travel; as products of "
+        "two tables what the angular errors of an axis do at the positions of another, "
+        "and sag"
+    )
     not_carried = (
-        "positioning (siemens-lec has it), angular errors away from the middle"
+        "positioning (siemens-lec has it); what is beyond the tables of the control"
     )
     sign = "the value is the error of the output axis, as in leadscrew tables"
     sign_is_verified = False
-    note = (
-        "AX1, AX2, AX3 are X, Y, Z; MD18342 sizes the tables, MD32710 enables them; a "
-        "licensed option; verify by a probe move that the tables act at all"
-    )
 
-    def write_tables(self, tables: Sequence[AxisTable]) -> Iterator[str]:
-        """Yield two tables an axis."""
-        pairs = [(t, out) for t in tables for out in range(3) if out != t.own]
-        for number, (table, out) in enumerate(pairs):
-            for index, value in enumerate(table.mean_mm[:, out]):
-                yield f"$AN_CEC[{number},{index}]={value:z.6f}"
-            yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{table.own + 1})"
-            yield f"$AN_CEC_OUTPUT_AXIS[{number}]=(AX{out + 1})"
-            yield f"$AN_CEC_STEP[{number}]={table.spacing_mm:.9g}"
-            yield f"$AN_CEC_MIN[{number}]={table.position_mm[0]:.6f}"
-            yield f"$AN_CEC_MAX[{number}]={table.position_mm[-1]:.6f}"
-            yield f"$AN_CEC_DIRECTION[{number}]=0"
-            yield f"$AN_CEC_MULT_BY_TABLE[{number}]=0"
-            yield f"$AN_CEC_IS_MODULO[{number}]=0"
+    def __init__(
+        self, control: str = DEFAULT_CONTROL, *, backlash: bool = False
+    ) -> None:
+        super().__init__(control)
+        self._backlash = backlash
+        self.most_points = self.room.cross_points
+        self.control = f"Siemens {self.room.title}, cross error compensation"
+        self.note = (
+            "AX1, AX2, AX3 are X, Y, Z; MD32710 enables the tables, SD41300 each of "
+            "them; a licensed option; verify by a probe move that they act at all. A "
+            "table with MULT_BY_TABLE is taken to act by the product alone, as in the "
+            "manual's foundation that sags, and the table that it names by nothing "
+            f"else: values of that are {FACTOR_MM} mm at most, should the control add "
+            f"it by itself ({self.room.note})"
+        )
+
+    def choose(self, content: CompensationTables) -> list[CrossTable]:
+        """Return the tables that correct most, as many as the control has."""
+        return choose_cross_tables(
+            content.machine,
+            content.tables,
+            self.room.cross_tables,
+            backlash=self._backlash,
+        )
+
+    def write_tables(self, content: CompensationTables) -> Iterator[str]:
+        """Yield the chosen tables, then the second ones of their products."""
+        chosen = self.choose(content)
+        factors = list_factors(chosen)
+        for number, one in enumerate(chosen):
+            times = 0
+            if one.factor:  # named by its number, which is its index + 1
+                times = len(chosen) + find_factor(one, factors) + 1
+            yield from _write_cross(number, one, times)
+        for k, (out, factor) in enumerate(factors):
+            one = CrossTable(factor.axis, out, factor.position_mm, factor.value_mm, 0.0)
+            yield from _write_cross(len(chosen) + k, one, 0)
 
 
 class SiemensOrder(CompensationFormat):
     """Both kinds of tables, as one order: what each lacks the other has."""
 
-    control = "Siemens 840D sl, leadscrew and cross error compensation"
     suffix = ".ini"
-    most_points = SiemensCec.most_points
-    carries = "positioning (mean of both directions), straightness and squareness"
-    not_carried = "backlash (MD32450 has it), angular errors away from the middle"
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
+    carries = f"positioning in both directions, {SiemensCec.carries}"
+    not_carried = "what is beyond the tables of the control"
     sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
     sign_is_verified = False
-    note = f"STEM-lec: {SiemensLec.note}. STEM-cec: {SiemensCec.note}"
-    parts: ClassVar[Mapping[str, Siemens]] = {"lec": SiemensLec(), "cec": SiemensCec()}
+
+    def __init__(self, control: str = DEFAULT_CONTROL) -> None:
+        self._name = control
+        self._cross = SiemensCec(control, backlash=True)
+        leadscrew = SiemensLec(control)
+        self.most_points = min(self._cross.most_points, leadscrew.most_points)
+        room = CONTROLS[control]
+        self.control = f"Siemens {room.title}, leadscrew and cross error compensation"
+        self.note = (
+            f"STEM-lec: {leadscrew.note}. STEM-cec: {self._cross.note}. Lost motion is "
+            "in a cross table of negative travel; MD32450 is to be 0 for that axis"
+        )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return `STEM-lec.ini` and `STEM-cec.ini`."""
+        lost = {one.axis for one in self._cross.choose(content) if one.direction}
+        parts = {"lec": SiemensLec(self._name, lost), "cec": self._cross}
         files: dict[str, str] = {}
-        for word, part in self.parts.items():
+        for word, part in parts.items():
             files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
         return files
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the sum of both."""
+        parts: dict[str, Siemens] = {"lec": SiemensLec(), "cec": self._cross}
         corrections = [
             part.read(_select(files, f"-{word}{self.suffix}"), machine)
-            for word, part in self.parts.items()
+            for word, part in parts.items()
         ]
 
         def correction(
@@ -158,57 +249,19 @@ class SiemensOrder(CompensationFormat):
         return correction
 
 
+def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
+    for index, value in enumerate(one.value_mm):
+        yield f"$AN_CEC[{number},{index}]={value:z.6f}"
+    at = one.position_mm
+    yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{LINEAR.index(one.axis) + 1})"
+    yield f"$AN_CEC_OUTPUT_AXIS[{number}]=(AX{one.out + 1})"
+    yield f"$AN_CEC_STEP[{number}]={at[1] - at[0]:.9g}"
+    yield f"$AN_CEC_MIN[{number}]={at[0]:.6f}"
+    yield f"$AN_CEC_MAX[{number}]={at[-1]:.6f}"
+    yield f"$AN_CEC_DIRECTION[{number}]={one.direction}"
+    yield f"$AN_CEC_MULT_BY_TABLE[{number}]={times}"
+    yield f"$AN_CEC_IS_MODULO[{number}]=0"
+
+
 def _select(files: Mapping[str, str], end: str) -> dict[str, str]:
     return {name: text for name, text in files.items() if name.endswith(end)}
-
-
-_SETTING = re.compile(
-    r"\$A[AN]_(ENC_COMP|CEC)(\w*)\[([\w,]+)\]="
-    r"\(?(AX\d|[-+]?\d+\.?\d*(?:e[-+]\d+)?)\)?$"
-)
-
-
-def _read_settings(
-    files: Mapping[str, str], kind: str
-) -> list[tuple[str, dict[str, str], dict[int, float]]]:
-    """Return (table, settings, values by index) of every table of the files."""
-    names: dict[str, dict[str, str]] = {}
-    values: dict[str, dict[int, float]] = {}
-    for name, text in files.items():
-        for number, line in enumerate(text.splitlines(), 1):
-            block = line.partition(";")[0].strip()
-            if not block.startswith("$"):
-                continue
-            setting = _SETTING.fullmatch(block)
-            if setting is None or setting.group(1) != kind:
-                raise BadInput(f"{name}, row {number}: {block!r} cannot be read")
-            _, word, place, value = setting.groups()
-            places = place.split(",")
-            # A leadscrew table is named by its axis, a cross table by its number.
-            table = places[-1] if kind == "ENC_COMP" else places[0]
-            if word:
-                names.setdefault(table, {})[word] = value
-            else:
-                values.setdefault(table, {})[int(places[1])] = float(value)
-    return [(table, names[table], values[table]) for table in values]
-
-
-def _make_table(
-    name: str, settings: dict[str, str], values: dict[int, float]
-) -> InterpolatedTable:
-    """Return a table with the sign of what is added: minus the error.
-
-    name : a leadscrew table has that of its axis, a cross table a number
-    """
-    if "_INPUT_AXIS" in settings:
-        words = settings["_INPUT_AXIS"], settings["_OUTPUT_AXIS"]
-        own, out = (int(word.removeprefix("AX")) - 1 for word in words)
-    else:
-        own = out = LINEAR.index(name.rstrip("0123456789"))
-    step, low = float(settings["_STEP"]), float(settings["_MIN"])
-    count = round((float(settings["_MAX"]) - low) / step) + 1
-    if sorted(values) != list(range(count)):
-        raise BadInput(f"the table of {LINEAR[own]} lacks points between MIN and MAX")
-    added = -np.array([values[index] for index in range(count)])
-    at = low + step * np.arange(count)
-    return InterpolatedTable(LINEAR[own], out, at, added)

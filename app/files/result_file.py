@@ -38,6 +38,7 @@ class CalibrationResult(EstimatedModel):
     half_difference_um : half the difference of both directions of an axis' own
         positioning, as (position mm, value µm), by axis; none where direction plays no
         part
+    half_difference_u_um : standard uncertainty of its values, where the file states it
     version : of the model; that of a result, which has no parent, is 1
     verdict : what the result says of itself; of a file that says nothing, usable
     """
@@ -49,6 +50,9 @@ class CalibrationResult(EstimatedModel):
         default_factory=dict[str, tuple[float, float]]
     )
     half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
     version: int = 1
     verdict: Verdict = field(default_factory=Verdict)
 
@@ -84,6 +88,7 @@ class _Ranges(FileModel):
 class _HalfDifference(FileModel):
     position_mm: list[float]
     value_um: list[float]
+    uncertainty_um: list[float] = Field(default_factory=list[float])
 
 
 def _keep_positioning(content: object) -> object:
@@ -155,6 +160,16 @@ class _Document(FileModel):
             for symbol, half in self.direction.half_difference.items()
         }
 
+    def half_difference_uncertainties_um(self) -> dict[str, Any]:
+        """Return the standard uncertainty of half differences that have one."""
+        if self.direction is None:
+            return {}
+        return {
+            symbol[1]: np.array(half.uncertainty_um, float)
+            for symbol, half in self.direction.half_difference.items()
+            if len(half.uncertainty_um) == len(half.position_mm)
+        }
+
 
 class ResultDocument(_Document):
     """A result file, with the keys that the contract asks for."""
@@ -208,6 +223,7 @@ def result_from_json(
         document.provenance,
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
         document.half_differences_um(),
+        document.half_difference_uncertainties_um(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
     )

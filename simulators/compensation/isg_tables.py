@@ -2,8 +2,9 @@
 
 Blocks split by `#`: constants (squareness, location), or one or two arguments and error
 motions, mm and rad. The controller composes the chain with them, finds where the tool
-would be, and takes what it is off by away with the straight axes. The tool point is at
-N0X, N0Y, N0Z where they stand. Source: ISG kernel manual, volumetric compensation.
+would be, and takes what it is off by away with the straight axes. The tool has length
+0, or points along the unit vector N0X, N0Y, N0Z with the length that the control knows.
+Source: ISG kernel manual, volumetric compensation.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truepath.simulators.compensation.correction import Correction
+from truepath.simulators.compensation.rules import Rules
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import DIRECTIONS, MachineFile, Reflector
 from truepath.simulators.truth_machine import SQUARENESS, TruthMachine, perfect
@@ -43,12 +45,15 @@ class VolumetricCorrection(Correction):
     nominal: TruthMachine
     blocks: tuple[Block, ...]
     constants: dict[str, float]
+    tool_length_mm: float
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
         """Return mm to add; nothing to rotary axes."""
         del heading
         machine = self.nominal.machine
-        x, y, z = (self.constants.get(name, 0.0) for name in _TOOL)
+        x, y, z = (
+            self.tool_length_mm * self.constants.get(name, 0.0) for name in _TOOL
+        )
         tool = Reflector("", "tool", (x, y, z))
         carry = {
             axis: self._find_motions(axis, position) for axis in machine.axis_names
@@ -88,7 +93,9 @@ class VolumetricCorrection(Correction):
         return turn
 
 
-def read_isg(name: str, text: str, machine: MachineFile) -> VolumetricCorrection:
+def read_isg(
+    name: str, text: str, machine: MachineFile, rules: Rules
+) -> VolumetricCorrection:
     """Return what the controller makes of the file."""
     blocks: list[Block] = []
     constants: dict[str, float] = {}
@@ -102,7 +109,9 @@ def read_isg(name: str, text: str, machine: MachineFile) -> VolumetricCorrection
     for constant in constants:
         if constant not in known:
             raise SimulatorError(f"{name}: the constant {constant} is not simulated")
-    return VolumetricCorrection(perfect(machine), tuple(blocks), constants)
+    return VolumetricCorrection(
+        perfect(machine), tuple(blocks), constants, rules.tool_length_mm
+    )
 
 
 def _split_blocks(name: str, text: str) -> Iterator[tuple[list[str], np.ndarray]]:

@@ -80,7 +80,7 @@ class LoadedTables:
             if len(self.files) > 1:
                 raise SimulatorError("an ISG controller is given one file here")
             ((name, text),) = self.files.items()
-            right: Correction = read_isg(name, text, machine)
+            right: Correction = read_isg(name, text, machine, self.rules)
         else:
             terms = tuple(_read_terms(form, self.files, machine, self.rules))
             right = TableCorrection(terms)

@@ -17,8 +17,13 @@ from truepath.app.compensation.heidenhain import Heidenhain
 from truepath.app.compensation.installed import list_formats
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.compensation.siemens import SiemensCec, SiemensLec
+from truepath.app.compensation.siemens import SiemensCec, SiemensLec, SiemensOrder
 from truepath.app.errors import BadInput
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.app.kinematics.model import MachineModel, restore_effect
+from truepath.simulators.scenario import load_machine
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
@@ -39,6 +44,16 @@ def with_backlash(source):
     half_um = np.array([axis.low, axis.high]), np.full(2, 4.0)
     result = replace(source.result, half_difference_um={"X": half_um})
     return replace(source, result=result)
+
+
+@pytest.fixture(scope="module")
+def sagging():
+    """A machine that does nothing but sag: X under Y."""
+    machine = machine_from_json(load_machine("demo"), file="machine.json")
+    keys = {"axis": "X", "by": "Y", "direction": "Z"}
+    effect = restore_effect(ElasticSagFamily(), machine, keys, {})
+    model = MachineModel(machine, (effect,))
+    return map_errors(CalibrationResult(model, np.array([0.02]), 1e-12 * np.eye(1)))
 
 
 def along(source, axis, at):
@@ -72,6 +87,47 @@ def test_what_is_left_is_stated_and_less_than_before(source, name):
     assert held["confounded"] == sorted(source.result.model.confounded)
 
 
+def test_products_of_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(
+    source,
+):
+    left = {
+        control: export_result(
+            source, "siemens", "c", choices={"control": control}
+        ).account["left_um"]["map"]
+        for control in ("840d-sl", "828d")
+    }
+    before = export_result(source, "siemens", "c").account["volumetric_error_um"]
+    assert left["840d-sl"] < 0.01 * before["before"]["mean"]
+    assert left["840d-sl"] < left["828d"] < 0.6 * before["before"]["mean"]
+
+
+@pytest.mark.parametrize("control", ["828d", "808d"])
+def test_a_small_control_gets_no_more_tables_and_points_than_it_has(source, control):
+    files = export_result(
+        source, "siemens", "c", spacing_mm=0.5, choices={"control": control}
+    ).files
+    cross = [line for line in files["c-cec.ini"].splitlines() if "$AN_CEC[" in line]
+    places = [line.partition("]")[0].partition("[")[2].split(",") for line in cross]
+    assert max(int(table) for table, _ in places) == 7
+    assert max(int(index) for _, index in places) == 199
+    factors = [line for line in cross if line.startswith("$AN_CEC[7,")]
+    assert max(abs(float(line.partition("=")[2])) for line in factors) <= 0.1
+
+
+def test_sag_is_a_product_of_two_cross_tables(sagging):
+    account = export_result(sagging, "siemens-cec", "c").account
+    (effect,) = account["effects"]
+    assert effect["name"] == "elastic-sag"
+    assert effect["rms_um"]["after"] < 0.02 * effect["rms_um"]["before"]
+
+
+def test_a_choice_that_a_format_does_not_have_is_answered_with_those_it_has(source):
+    with pytest.raises(BadInput, match="control of siemens: '802d' is none of 840d"):
+        export_result(source, "siemens", "c", choices={"control": "802d"})
+    with pytest.raises(BadInput, match="no choice of control; it has nothing"):
+        export_result(source, "linuxcnc", "c", choices={"control": "828d"})
+
+
 def test_only_formats_with_all_motions_correct_the_whole_volume(source):
     accounts = {name: export_result(source, name, "c").account for name in OURS}
     share = {
@@ -99,7 +155,7 @@ def test_positioning_along_the_middle_is_gone_between_the_rows_too(source, name,
     error = flat(source.error_mm(place))[:, own]
     left = error + flat(correction(place, 1.0))[:, own]
     assert np.abs(error).max() > 0.002
-    assert np.abs(left).max() < (0.0011 if name == "fanuc" else 0.0003)
+    assert np.abs(left).max() < (0.0025 if name == "fanuc" else 0.0003)
 
 
 def test_tables_are_zero_at_the_reference_point(source):
@@ -125,6 +181,7 @@ def test_both_siemens_tables_in_one_order_leave_less_than_either(source):
     [
         ("linuxcnc", LinuxCnc),
         ("heidenhain", Heidenhain),
+        ("siemens", SiemensOrder),
         ("csv", GenericCsv),
         ("json", GenericJson),
     ],
@@ -259,8 +316,9 @@ def test_fanuc_points_count_intervals_from_the_reference_point(source):
         "c-parameters.txt": "\n".join(["%", *parameters, "%", ""]),
     }
     correction = Fanuc().read(files, machine)
-    added = 1e3 * correction(at_x(0, 50, 100, 800, 25, -50, -350, -400), 1.0)[:, 0]
-    np.testing.assert_allclose(added, [0, 2, 3, 3, 1, -3, -3, -2], atol=1e-9)
+    # The value of a section comes out in its middle, as a step.
+    added = 1e3 * correction(at_x(0, 50, 100, 800, 24, 26, -50, -350, -400), 1.0)[:, 0]
+    np.testing.assert_allclose(added, [0, 2, 3, 3, 0, 2, -3, -3, -2], atol=1e-9)
     place = np.array([[0.0, 0.0, 50.0]])
     assert correction(place, 1.0)[0, 2] == pytest.approx(0.004)  # magnification 2
 
@@ -277,6 +335,34 @@ def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(source):
     account = export_result(map_errors(larger), "fanuc", "comp").account
     after = account["volumetric_error_um"]
     assert after["after"]["mean"] < after["before"]["mean"]
+
+
+def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
+    with_backlash,
+):
+    export = export_result(with_backlash, "fanuc", "comp")
+    correction = Fanuc().read(export.files, with_backlash.machine)
+    place = along(with_backlash, "X", np.linspace(-200.0, 300.0, 51))
+    lost = [correction(place, d)[:, 0] for d in (1.0, -1.0)]
+    np.testing.assert_allclose(lost[1] - lost[0], 0.008, atol=0.0011)
+    words = export.files["comp-parameters.txt"].split()
+    assert words[1] == "N03605A1P00000001A2P00000000A3P00000000"
+    assert next(w for w in words if w.startswith("N03624A1P10.000A2P10.000"))
+    mean = export_result(with_backlash, "fanuc", "c", choices={"directions": "mean"})
+    assert "N03605A1P00000000" in mean.files["c-parameters.txt"]
+
+
+def test_an_isg_file_that_follows_the_tool_is_the_same_for_the_measured_one(source):
+    choices = {"tool_length": "followed"}
+    followed = export_result(source, "isg-csv", "c", choices=choices).files
+    fixed = export_result(source, "isg-csv", "c").files
+    place = np.array([[100.0, 30.0, 200.0], [-150.0, 380.0, 20.0]])
+    added = [
+        IsgCsv(**one).read(files, source.machine)(place, 1.0)
+        for one, files in ((choices, followed), ({}, fixed))
+    ]
+    np.testing.assert_allclose(added[0], added[1], atol=2e-6)
+    assert "N0X  N0Y  N0Z\n0  0  -1\n#" in followed["c.csv"]
 
 
 def test_isg_takes_the_errors_of_the_chain_away(source):
@@ -329,7 +415,10 @@ def test_csv_and_json_say_the_same(source):
         np.testing.assert_allclose([float(n) for n in numbers], row[2:], atol=1e-6)
 
 
-def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(source, tmp_path):
+def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(
+    with_backlash, tmp_path
+):
+    source = with_backlash
     files = export_result(source, "heidenhain", "comp").files
     for name, text in files.items():
         (tmp_path / name).write_text(text)
@@ -337,7 +426,8 @@ def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(source, tmp_pat
     assert config["ACTIVE"] == "*"
     for axis in source.axes:
         table = NCTable.parse_table(tmp_path / config[axis.name])
-        assert table.column_names == ["NR", "AXISPOS", "BACKLASH", "X", "Y", "Z"]
+        lost = ["BACKLASH"] if axis.name == "X" else []  # no column without need
+        assert table.column_names == ["NR", "AXISPOS", *lost, "X", "Y", "Z"]
         at = np.array([float(row["AXISPOS"]) for row in table.rows])
         value = np.array([float(row[axis.name]) for row in table.rows])
         error = source.error_mm(along(source, axis.name, at))

@@ -33,6 +33,10 @@ class FormatOut(BaseModel):
     resolution_um: float
     sign: SignOut
     note: str = Field(description="What to do with the files at the control.")
+    choices: dict[str, list[str]] = Field(
+        description="What may be chosen, by name; the first word is usual.",
+        examples=[{"control": ["840d-sl", "828d", "808d"]}],
+    )
 
 
 class FormatList(BaseModel):
@@ -58,6 +62,11 @@ class CompensationRequest(RequestBody):
     )
     unmeasured: Literal["hold", "fade", "refuse"] = Field(
         "hold", description="What tables have where an axis was not measured."
+    )
+    choices: dict[str, str] = Field(
+        default_factory=dict,
+        max_length=8,
+        description="Of the format's choices, by name; the usual for the others.",
     )
     accept_verdict: bool = Field(
         False, description="Make files of a result that is not to be used."
@@ -147,6 +156,9 @@ class CompensationOut(BaseModel):
     id: str = Field(examples=["linuxcnc-10-hold"])
     format: str = Field(examples=["linuxcnc"])
     control: str
+    choices: dict[str, str] = Field(
+        default_factory=dict, description="Of the format, as they were taken."
+    )
     files: list[str] = Field(examples=[["compensation-X.tbl", "compensation-Y.tbl"]])
     machine: str
     verdict: VerdictState = Field(description="Of the result they were made of.")

@@ -1,0 +1,168 @@
+"""What compensation files leave: as stated, as it is, and with the wrong sign.
+
+Twenty machines that no writer was made on are calibrated through the whole product;
+their files are read by simulated controllers, which share no code with the writers, and
+the exact machine stands where they send it. Every second machine loses motion on
+reversal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from calibrated_machines import CalibratedMachine, calibrate
+from document import table, write_section
+from scipy.stats import qmc
+
+from truepath.app.compensation.error_map import ErrorMap, map_errors
+from truepath.app.compensation.export import export_result
+from truepath.app.files.result_file import read_result
+from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.rules import Rules
+
+DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "compensation.md"
+MACHINES, FIRST_SEED = 20, 901
+POSITIONS = 4096
+_COVERAGE_FACTOR = 2.0
+
+ORDERS: Mapping[str, tuple[str, dict[str, str]]] = {
+    "linuxcnc": ("linuxcnc", {}),
+    "siemens-lec": ("siemens-lec", {}),
+    "siemens-cec": ("siemens-cec", {}),
+    "siemens": ("siemens", {}),
+    "siemens, 828D": ("siemens", {"control": "828d"}),
+    "heidenhain": ("heidenhain", {}),
+    "fanuc": ("fanuc", {}),
+    "isg-csv": ("isg-csv", {}),
+    "isg-csv, tool followed": ("isg-csv", {"tool_length": "followed"}),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One machine with the files of one format; mean lengths of the error in µm.
+
+    stated, expanded : after, as the account has it, and its expanded uncertainty, k = 2
+    true, wrong : after, by the exact machine, and with the sign of the files reversed
+    """
+
+    order: str
+    seed: int
+    before: float
+    stated: float
+    expanded: float
+    true: float
+    wrong: float
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the true one is within the stated interval."""
+        return abs(self.true - self.stated) <= self.expanded
+
+
+def judge(machine: CalibratedMachine, errors: ErrorMap) -> Iterator[Outcome]:
+    """Yield what the files of each format leave of a machine."""
+    before = _measure_um(machine, LoadedTables())
+    for order, (name, choices) in ORDERS.items():
+        export = export_result(errors, name, "comp", choices=choices)
+        stated = export.account["volumetric_error_um"]["after"]
+        tool = machine.truth.machine.reflector().offset_mm
+        right = Rules(tool_length_mm=abs(tool[2]))
+        wrong = replace(right, reversed_sign=True)
+        yield Outcome(
+            order,
+            machine.seed,
+            before,
+            stated["mean"],
+            _COVERAGE_FACTOR * stated["mean_uncertainty"],
+            _measure_um(machine, LoadedTables(export.files, right)),
+            _measure_um(machine, LoadedTables(export.files, wrong)),
+        )
+
+
+def main() -> None:
+    """Judge the machines and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--machines", type=int, default=MACHINES)
+    parser.add_argument(
+        "--keep", type=Path, help="folder of the results, to go on from"
+    )
+    options, _ = parser.parse_known_args()
+    with tempfile.TemporaryDirectory() as folder:
+        outcomes = [
+            outcome
+            for seed in range(FIRST_SEED, FIRST_SEED + options.machines)
+            for outcome in _judge_seed(seed, options.keep or Path(folder))
+        ]
+    write_section("compensation-tables", _describe(outcomes), DOCUMENT)
+
+
+def _judge_seed(seed: int, folder: Path) -> Iterator[Outcome]:
+    machine = calibrate(seed, folder)
+    yield from judge(machine, map_errors(read_result(machine.result)))
+
+
+def _measure_um(machine: CalibratedMachine, tables: LoadedTables) -> float:
+    """Return the mean length over the travel, both directions, without rigid motion."""
+    truth, nominal = machine.truth, machine.truth.machine
+    unit = qmc.Sobol(3, rng=np.random.default_rng(machine.seed)).random(POSITIONS)
+    position = nominal.low + unit * (nominal.high - nominal.low)
+    correction, reflector = tables.correct(nominal), nominal.reflector()
+    errors: list[np.ndarray] = []
+    for side in (1.0, -1.0):
+        heading = np.full_like(position, side)
+        driven = position
+        if correction is not None:
+            driven = position + correction.added(position, heading)
+        carry: dict[str, np.ndarray] = {}
+        if machine.backlash:
+            own = nominal.axis_names.index(machine.backlash.axis)
+            lost = np.zeros((POSITIONS, 6))
+            lost[:, own] = -0.5e-3 * side * machine.backlash.width_um
+            carry = {machine.backlash.axis: lost}
+        actual = truth.point_mm(driven, reflector, "workpiece", carry)
+        errors.append(actual - truth.nominal_point_mm(position, reflector))
+    left = _remove_rigid_motion(np.vstack([position] * 2), np.vstack(errors))
+    return 1e3 * float(np.linalg.norm(left, axis=1).mean())
+
+
+def _remove_rigid_motion(point: np.ndarray, error: np.ndarray) -> np.ndarray:
+    centred = point - point.mean(axis=0)
+    columns = np.zeros((len(point), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        columns[:, :, 3 + k] = np.cross(axis, centred)
+    flat = columns.reshape(-1, 6)
+    fit = np.linalg.lstsq(flat, error.reshape(-1), rcond=None)[0]
+    return error - columns @ fit
+
+
+def _describe(outcomes: list[Outcome]) -> str:
+    rows: list[list[str]] = []
+    for order in ORDERS:
+        mine = [o for o in outcomes if o.order == order]
+        covered = sum(o.is_covered for o in mine)
+        words = [
+            f"{np.mean([getattr(o, key) for o in mine]):.2f}"
+            for key in ("before", "stated", "expanded", "true", "wrong")
+        ]
+        rows.append([f"`{order}`", *words, f"{covered} of {len(mine)}"])
+    head = (
+        "format",
+        "before",
+        "stated after",
+        "U (k = 2)",
+        "true after",
+        "wrong sign",
+        "within U",
+    )
+    return table(head, rows)
+
+
+if __name__ == "__main__":
+    main()
