@@ -68,6 +68,10 @@ reliability: setup ## runs every test of a fault; writes the table of docs/relia
 bench: setup ## the numbers that count, as ratios
 	$(BIN)/python benchmarks/run.py
 
+.PHONY: compensation-tables
+compensation-tables: setup ## what compensation files leave, by simulated controllers; writes docs/compensation.md
+	$(SINGLE) $(BIN)/python validation/run.py compensation_tables
+
 .PHONY: validation
 validation: setup ## both papers reproduced and random machines; writes docs/validation.md
 	$(SINGLE) $(BIN)/python validation/run.py

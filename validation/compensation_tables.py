@@ -26,7 +26,7 @@ from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.compensation.rules import Rules
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "compensation.md"
-MACHINES, FIRST_SEED = 20, 901
+MACHINES, FIRST_SEED = 20, 951  # which nothing was made or mended on
 POSITIONS = 4096
 _COVERAGE_FACTOR = 2.0
 

@@ -17,6 +17,7 @@ SCRIPTS = (
     "paper_2023_feeds",
     "paper_2023_direct_measurement",
     "random_machines",
+    "compensation_tables",
     "large_machines",
     "along_the_path",
     "forecasts",
