@@ -46,7 +46,8 @@ def test_formats_are_listed_with_what_each_carries(capsys, summary):
     assert run(["formats"]) == 0
     said = capsys.readouterr().out
     assert (
-        "siemens-lec: Siemens 840D sl, leadscrew error compensation, 1000 rows\n" in said
+        "siemens-lec: Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
+        in said
     )
     assert "isg-csv: ISG kernel, Beckhoff TF5280, 1000 rows; the sign is to be" in said
     assert "carries      positioning of each axis, forward and reverse" in said
