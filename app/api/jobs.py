@@ -22,6 +22,7 @@ from truepath.app.api.models.job import (
     ResultLinks,
     Stopped,
     TrendLinks,
+    VerificationLinks,
 )
 from truepath.app.api.models.job_request import JobRequest
 from truepath.app.api.models.plan import PlanOut
@@ -218,6 +219,7 @@ def describe_job(job: Job) -> JobOut:
         discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
         trend=TrendLinks.of(id=job.id) if job.has_trend else None,
         reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
+        verification=VerificationLinks.of(id=job.id) if job.has_verification else None,
         error=Problem(**describe_failure(failure)) if failure else None,
         links=links,
     )

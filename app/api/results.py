@@ -16,6 +16,7 @@ from truepath.app.api.models.reanalysis import ReanalysisOut
 from truepath.app.api.models.result import ErrorTablesOut, ResultOut
 from truepath.app.api.models.tables import TablesOut
 from truepath.app.api.models.trend import TrendOut
+from truepath.app.api.models.verification import VerificationOut
 from truepath.app.api.models.volumetric_error import (
     SpreadOut,
     VolumetricErrorOfResult,
@@ -237,6 +238,28 @@ def get_reanalysed_run(
     return FileResponse(file)
 
 
+@router.get(
+    "/{job_id}/verification",
+    response_model=VerificationOut,
+    responses=declare_problems(404),
+)
+def get_verification(job_id: JobId, service: ServiceDep) -> FileResponse:
+    """Return `verification.json`: what a measurement says of the result it proves."""
+    return FileResponse(
+        _find_file(service, job_id, "verification.json", of="verification")
+    )
+
+
+@_serve_file("/{job_id}/verification/report.html", "text/html", "string")
+def get_verification_report(job_id: JobId, service: ServiceDep) -> FileResponse:
+    """Return the report of a verification, one page that needs nothing else."""
+    return _send_page(_find_file(service, job_id, "report.html", of="verification"))
+
+
+def _send_page(report: Path) -> FileResponse:
+    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
+
+
 def _read_result(service: Service, job_id: str) -> dict[str, Any]:
     file = _find_file(service, job_id, "result.json")
     return json.loads(file.read_text(encoding="utf-8"))
@@ -265,6 +288,7 @@ def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> 
         "discovery": job.has_discovery,
         "trend": job.has_trend,
         "reanalysis": job.has_reanalysis,
+        "verification": job.has_verification,
     }
     if not made[of] or not file.is_file():
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")

@@ -62,6 +62,8 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /jobs/{job_id}/trend/report.html": _VIEWER,
     "GET /jobs/{job_id}/reanalysis": _VIEWER,
     "GET /jobs/{job_id}/reanalysis/runs/{run_id}": _VIEWER,
+    "GET /jobs/{job_id}/verification": _VIEWER,
+    "GET /jobs/{job_id}/verification/report.html": _VIEWER,
     "GET /jobs/{job_id}/plan/grade": _VIEWER,
     "GET /jobs/{job_id}/nc-program": _VIEWER,
     "GET /jobs/{job_id}/compensations": _VIEWER,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +23,7 @@ from truepath.app.cli.terminal import (
     show_progress,
 )
 from truepath.app.errors import BadInput
+from truepath.app.motion.verification_kinds import VerificationKind
 
 
 def grade(
@@ -113,10 +114,20 @@ def plan(
         int,
         typer.Option(min=1, help="Places of the tracker, which share the minutes."),
     ] = 1,
+    verify: Annotated[
+        list[VerificationKind] | None,
+        typer.Option(
+            help="Points that prove a result instead, of this kind; several times for "
+            "several kinds.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
     collect_seldom()
+    if verify:
+        _plan_verification(machine, output, verify, seed, json=json)
+        return
     from truepath.app.estimation.prior_model import read_prior_model
     from truepath.app.files.machine_file import read_machine
     from truepath.app.files.workspace_file import read_workspace
@@ -152,6 +163,30 @@ def plan(
     else:
         _print_plan(document)
         print_files(files)
+
+
+def _plan_verification(
+    machine: Path,
+    output: Path,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    *,
+    json: bool,
+) -> None:
+    from truepath.app.files.machine_file import read_machine
+    from truepath.app.reporting.verification_plan import write_verification_plan
+
+    require_folder(output, "the plan")
+    document = write_verification_plan(read_machine(machine), kinds, seed, output)
+    files = [output / name for name in document["files"]]
+    if json:
+        print_json({**document, "files": files})
+        return
+    print(
+        f"{document['rows']} points, {document['duration_s'] / 60.0:.1f} min, drawn "
+        f"from seed {seed}: measure them, then `truepath verify RESULT.json BUNDLE`"
+    )
+    print_files(files)
 
 
 def _print_grade(found: Mapping[str, Any]) -> None:

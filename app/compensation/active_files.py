@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.installed import load_format
+from truepath.app.compensation.kept_files import read_account
 from truepath.app.errors import BadInput
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.conditions import Conditions
@@ -36,6 +37,15 @@ def read_active_files(
         )
     content = {file.name: read_whole(file).decode("utf-8", "replace") for file in files}
     return follow_approach(load_format(name).read(content, machine), machine)
+
+
+def read_kept_files(folder: Path, machine: Machine) -> AddedMotion:
+    """Return what files that are kept with a result add. Raises NotFound."""
+    account = read_account(folder.parent, folder.name)
+    files = [folder / name for name in account["files"]]
+    added = read_active_files(files, account["format"], machine)
+    assert added is not None  # noqa: S101 (an account names its files)
+    return added
 
 
 def follow_approach(correction: Correction, machine: Machine) -> AddedMotion:

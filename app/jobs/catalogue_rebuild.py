@@ -35,14 +35,16 @@ from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.results.model_history import DISCOVERY, MODEL, RESULT
 
-TREND = "trend.json"
+TREND, VERIFICATION = "trend.json", "verification.json"
 _KNOWN_POINTS = ", known points, "  # in the names of Runs that check a station
 _KINDS = {
     RESULT: JobKind.ANALYSE,
     DISCOVERY: JobKind.DISCOVER,
     TREND: JobKind.TREND,
     SUMMARY: JobKind.REANALYSE,
+    VERIFICATION: JobKind.VERIFY,
 }
+_OF_MEASUREMENT = {DISCOVERY: JobKind.MEASURE_EXTRA, VERIFICATION: JobKind.VERIFY}
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +213,7 @@ def _job_of_result(
         verdict = (content.get("verdict") or {}).get("state")
         run_ids = tuple(names[n] for n in _name_runs(content) if n in names)
         if measured is not None:
-            kind = JobKind.MEASURE_EXTRA if name == DISCOVERY else measured.kind
+            kind = _OF_MEASUREMENT.get(name, measured.kind)
             own = measured.run_id
             further = tuple(i for i in run_ids if i != own)
         else:

@@ -22,6 +22,7 @@ from truepath.app.jobs.science import (
     find_committed_rows,
     follow_recorded,
     reanalyse_run,
+    verify_recorded,
 )
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
@@ -35,9 +36,9 @@ class JobContext:
 
     machines : those that the service drives
     driven : that of the job; None of a job that drives and plans for none
-    planner, science, discoverer, follower, checker, reanalyser : called as
+    planner, science, discoverer, follower, checker, reanalyser, verifier : called as
         `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
-        `check_station`, `reanalyse_run`
+        `check_station`, `reanalyse_run`, `verify_recorded`
     resumer, closer : called as `find_committed_rows`, `check_closure`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
@@ -60,6 +61,7 @@ class JobContext:
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded
     follower: Task = follow_recorded
+    verifier: Task = verify_recorded
     checker: Task = check_station
     reanalyser: Task = reanalyse_run
     resumer: Task = find_committed_rows

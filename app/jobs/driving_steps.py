@@ -119,9 +119,12 @@ class DrivingSteps:
     ) -> LiveEstimation | None:
         """Start the live estimate; a few extra lines alone would say too little.
 
+        A verification has none: what it measures is held against a result, not fitted.
+
         rows : that are planned in all
         """
-        if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
+        without = JobKind.MEASURE_EXTRA, JobKind.VERIFY
+        if self.context.live is None or self.job.kind in without:
             return None
         order = LiveEstimateOrder(
             self.context.require_machine(),

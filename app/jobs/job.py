@@ -27,7 +27,8 @@ class JobKind(StrEnum):
 
     `PLAN` chooses what a measuring job may drive. `MEASURE_EXTRA` drives the lines that
     a discovery asks for and ends with a discovery in all their Runs. `TREND` follows a
-    machine over Runs. `REANALYSE` analyses many Runs again, each for itself.
+    machine over Runs. `REANALYSE` analyses many Runs again, each for itself. `VERIFY`
+    drives points that a result was not made from, and holds it against them.
     """
 
     MEASURE_OTF = "measure-otf"
@@ -38,16 +39,19 @@ class JobKind(StrEnum):
     DISCOVER = "discover"
     TREND = "trend"
     REANALYSE = "reanalyse"
+    VERIFY = "verify"
     PLAN = "plan"
 
     @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
-        return self.value.startswith("measure-")
+        return self.value.startswith("measure-") or self is JobKind.VERIFY
 
     @property
     def analyses(self) -> bool:
         """Whether the job ends with error tables."""
+        if self is JobKind.VERIFY:
+            return False
         return self is JobKind.ANALYSE or (self.measures and not self.discovers)
 
     @property
@@ -256,6 +260,11 @@ class Job:
     def has_reanalysis(self) -> bool:
         """Whether it has analysed its Runs again, or said why not."""
         return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
+
+    @property
+    def has_verification(self) -> bool:
+        """Whether it has held a result against what it measured."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.VERIFY
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ from truepath.app.jobs.station_steps import count_measured
 from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.travel import check_travel
+from truepath.app.motion.verification_kinds import VerificationKind
+from truepath.app.motion.verification_points import make_verification_points
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.app.results.model_history import find_model_file
 
@@ -45,7 +47,8 @@ class RequestedJob:
     continues : job whose stations are measured that it has left out
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
-        reanalysis `since`, where it names no Runs
+        reanalysis `since`, where it names no Runs; of a verification
+        `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`
     on_notice : what is done where the live estimate notices a change
     machine : that is measured or planned for; without it the only one, or that of
         the plan, job or discovery that is named
@@ -96,6 +99,8 @@ def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
 def _make_driving_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     if request.kind is JobKind.MEASURE_EXTRA:
         return _make_extra_job(request, context)
+    if request.kind is JobKind.VERIFY:
+        return _make_verifying_job(request, context)
     if request.continues is not None:
         return _continue_job(request.continues, request, context)
     job = Job(
@@ -236,6 +241,27 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Js
     rows = plan_extra_lines(machine, context.results / job.id, job.id)
     extra = Job(JobKind.MEASURE_EXTRA, further_run_ids=job.run_ids)
     return extra, {**rows, "request": {"model_id": model_id}}
+
+
+def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
+    """Return the job that drives points of verification and holds a result to them."""
+    machine, order = context.require_machine(), dict(request.plan_request or {})
+    context.require_cell()
+    job = context.store.get(order["result_id"])
+    find_model_file(context.results, job.id)
+    if not (job.has_result or job.has_discovery):
+        raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
+    if order.get("compensation_id") is not None:
+        folder = context.results / job.id / "compensations"
+        if not (folder / order["compensation_id"] / "compensation.json").is_file():
+            raise NotFound(
+                f"job {job.id} keeps no compensation {order['compensation_id']}"
+            )
+    kinds = [VerificationKind(kind) for kind in order["what"]]
+    points = make_verification_points(machine, kinds, order["seed"])
+    check_travel(machine, points)
+    new = Job(JobKind.VERIFY)
+    return new, {**encode_commanded_json(points), "request": order}
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:

@@ -157,6 +157,43 @@ def follow_recorded(
     return found.verdict.state
 
 
+def verify_recorded(
+    run_file: str,
+    folder: str,
+    result_file: str,
+    compensation: str | None,
+    asked: Json,
+    *,
+    on_progress: Progress,
+) -> State:
+    """Hold a result against a Run and write the answer, whole or not at all.
+
+    Returns the state of the result's verdict.
+
+    compensation : folder of the files that the controller applied, if it did
+    asked : `tolerance_um`, and what the answer is to repeat of the request
+    """
+    # Imported where it computes: the service itself carries no science and no plots.
+    from truepath.app.compensation.active_files import read_kept_files
+    from truepath.app.files.result_file import read_result
+    from truepath.app.reporting.verification_report import write_verification
+    from truepath.app.results.verification import verify
+
+    result = read_result(result_file)
+    added = None
+    if compensation is not None:
+        added = read_kept_files(Path(compensation), result.machine)
+    found = verify(
+        result,
+        open_recorded(Path(run_file)),
+        tolerance_um=asked.get("tolerance_um"),
+        correction=added,
+        on_progress=on_progress,
+    )
+    _replace(Path(folder), lambda part: write_verification(found, part, asked))
+    return result.verdict.state
+
+
 def check_station(
     file: str,
     before: str | None,

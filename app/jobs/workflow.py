@@ -155,6 +155,8 @@ class _JobSteps:
             self._follow()
         if job.kind is JobKind.REANALYSE:
             self._reanalyse()
+        if job.kind is JobKind.VERIFY:
+            self._verify()
 
     def _plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
@@ -255,6 +257,22 @@ class _JobSteps:
         # Where all was done before the service ended, no task has begun.
         self.active.enter(State.RUNNING, Stage.ESTIMATING)
         write_summary(folder, outcomes)
+
+    def _verify(self) -> None:
+        """Let a task hold the result that was named against the job's own Run."""
+        context, job = self.context, self.job
+        asked = context.store.read_plan_request(job.id)
+        result_id, files = asked["result_id"], asked.get("compensation_id")
+        kept = context.results / result_id / "compensations"
+        told = (
+            str(context.runs.file(job.id)),
+            str(context.results / job.id),
+            str(find_model_file(context.results, result_id)),
+            None if files is None else str(kept / files),
+            asked,
+        )
+        verdict = self._compute(State.RUNNING, Stage.ALIGNING, context.verifier, *told)
+        self.active.store_values(verdict=verdict)
 
     def _find_model(self) -> tuple[str | None, str | None]:
         """Return file and identifier of the model that the job builds on, if any."""

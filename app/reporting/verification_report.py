@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,14 @@ _STATISTICS = (
 )
 
 
-def write_verification(found: Verification, folder: str | Path) -> dict[str, Any]:
-    """Write `verification.json` and `report.html`; return the content of the first."""
-    content = verification_json(found)
+def write_verification(
+    found: Verification, folder: str | Path, asked: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Write `verification.json` and `report.html`; return the content of the first.
+
+    asked : what was asked for, to be repeated there
+    """
+    content = {**verification_json(found), "asked": dict(asked or {})}
     page = render_verification_report(found).encode()
     write_files(Path(folder), {REPORT: page, VERIFICATION: encode_json(content)})
     return content

@@ -45,6 +45,7 @@ from scripted_cell import (
     Inline,
     Science,
     ScriptedLive,
+    Verifier,
     wait_until,
 )
 
@@ -88,6 +89,11 @@ def follower():
 
 
 @pytest.fixture
+def verifier():
+    return Verifier()
+
+
+@pytest.fixture
 def has_machine():
     """Whether the service drives a machine; overridden by tests without one."""
     return True
@@ -118,6 +124,7 @@ def service(
     science,
     explorer,
     follower,
+    verifier,
     planner,
     has_machine,
     catalogue_url,
@@ -149,6 +156,7 @@ def service(
         planner=planner,
         discoverer=explorer,
         follower=follower,
+        verifier=verifier,
     )
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:

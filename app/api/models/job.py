@@ -63,6 +63,13 @@ class ReanalysisLinks(Links):
     reanalysis: Annotated[str, "/jobs/{id}/reanalysis"]
 
 
+class VerificationLinks(Links):
+    """Where a verification is."""
+
+    verification: Annotated[str, "/jobs/{id}/verification"]
+    report_html: Annotated[str, "/jobs/{id}/verification/report.html"]
+
+
 class JobLinks(Links):
     """Where else to look."""
 
@@ -211,6 +218,9 @@ class JobOut(BaseModel):
     )
     reanalysis: ReanalysisLinks | None = Field(
         None, description="Of a job of kind reanalyse that has succeeded."
+    )
+    verification: VerificationLinks | None = Field(
+        None, description="Of a job of kind verify that has succeeded."
     )
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from typing import Any, Literal, Self
 
 from pydantic import AwareDatetime, ConfigDict, Field, model_validator
@@ -23,12 +24,15 @@ from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.motion.commanded_rows import MAX_ROWS
+from truepath.app.motion.verification_kinds import VerificationKind
 from truepath.app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS, MAX_REANALYSED = 50, 10_000
 ADAPTIVE_MINUTES = 10.0
 _MEASURED = {"machine", "plan_id", "target_um", "model_id", "continues", "on_notice"}
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
+_USUAL_POINTS = ("diagonals", "random-points")
+_OF_VERIFICATION = {"result_id", "what", "seed", "tolerance_um", "compensation_id"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
@@ -38,6 +42,7 @@ _ALLOWED = {
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
     "reanalyse": {"run_ids", "machine", "since"},
+    "verify": {"machine", *_OF_VERIFICATION},
 }
 
 
@@ -79,6 +84,12 @@ class JobRequest(RequestBody):
                     "since": "2026-01-31T08:00:00Z",
                 },
                 {
+                    "kind": "verify",
+                    "result_id": JOB_ID,
+                    "what": ["diagonals", "random-points"],
+                    "tolerance_um": 5,
+                },
+                {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
                     "path": [
@@ -99,6 +110,7 @@ class JobRequest(RequestBody):
         "discover",
         "trend",
         "reanalyse",
+        "verify",
     ]
     machine: MachineId | None = Field(
         None,
@@ -171,6 +183,32 @@ class JobRequest(RequestBody):
         description="Job whose discovery asks for extra lines: they are driven, then "
         "discovery goes on in its Runs and the new one.",
     )
+    result_id: Identifier | None = Field(
+        None, description="Of a verification: the job whose result is to be proved."
+    )
+    what: list[VerificationKind] | None = Field(
+        None,
+        min_length=1,
+        max_length=len(VerificationKind),
+        description="Of a verification: the points to drive. Diagonals and random "
+        "points without it; each kind once.",
+    )
+    seed: int | None = Field(
+        None,
+        ge=0,
+        le=2**53 - 1,
+        description="Of a verification: from which points are drawn; another each "
+        "time without it. It stands in the answer.",
+    )
+    tolerance_um: TargetUm | None = Field(
+        None,
+        description="Of a verification: the largest volumetric error that a place may "
+        "have, decided by ISO 14253-1.",
+    )
+    compensation_id: Identifier | None = Field(
+        None,
+        description="Of a verification: the kept files that the controller applies.",
+    )
     plan_id: Identifier | None = Field(
         None,
         description="A plan whose rows are driven, in place of rows sent in; one of "
@@ -226,6 +264,10 @@ class JobRequest(RequestBody):
             raise ValueError(f"run_ids names more than {MAX_RUNS} Runs")
         if self.kind == "measure-extra" and self.discovery_id is None:
             raise ValueError("a job of kind measure-extra needs a discovery_id")
+        if self.kind == "verify" and self.result_id is None:
+            raise ValueError("a job of kind verify needs a result_id")
+        if len(set(self.what or ())) < len(self.what or ()):
+            raise ValueError("what names a kind of points twice; give each once")
         again = self.on_notice in (OnNotice.CHECK, OnNotice.REPLAN)
         if again and self.kind == "measure-adaptive":
             raise ValueError("an adaptive measurement plans lost lines anew by itself")
@@ -272,6 +314,11 @@ class JobRequest(RequestBody):
             order = self.model_dump(include=_OF_TREND)
         if self.kind == "reanalyse":
             order = {"since": self.since}
+        if self.kind == "verify":
+            order = self.model_dump(include=_OF_VERIFICATION, mode="json")
+            order["what"] = order["what"] or list(_USUAL_POINTS)
+            if self.seed is None:
+                order["seed"] = secrets.randbelow(2**31)
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id", "continues", "machine")
         return RequestedJob(

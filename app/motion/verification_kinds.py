@@ -1,0 +1,14 @@
+"""What the points of a verification lie on."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class VerificationKind(StrEnum):
+    """What points of a verification lie on."""
+
+    DIAGONALS = "diagonals"
+    RANDOM_POINTS = "random-points"
+    BIDIRECTIONAL = "bidirectional"
+    CIRCLES = "circles"

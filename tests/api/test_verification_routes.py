@@ -1,0 +1,169 @@
+"""A result proved over REST: points, arming, answer; and the circle on a bench."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from scripted_cell import wait_until
+from service_process import SPEED, arm, follow
+from starlette.testclient import TestClient
+
+from truepath.app.api.application import create_application
+from truepath.app.files.result_file import read_result
+from truepath.app.main import open_service
+from truepath.app.results.verification import verify
+from truepath.app.results.verification_json import verification_json
+from truepath.app.settings import load_settings
+from truepath.simulators import synthetic
+
+JOBS = "/api/v1/jobs"
+
+
+@pytest.fixture
+def result(service, finished, analysed):
+    """A job with a real result."""
+    target = service.results / finished["id"]
+    shutil.copytree(analysed, target, dirs_exist_ok=True)
+    return finished["id"]
+
+
+@pytest.fixture
+def ask(client, result):
+    def asked(**more):
+        order = {"kind": "verify", "result_id": result, **more}
+        return client.post(JOBS, json=order)
+
+    return asked
+
+
+def test_points_of_verification_wait_to_be_armed(client, ask):
+    answer = ask(what=["random-points", "circles"], seed=4, tolerance_um=5)
+    assert answer.status_code == 202, answer.text
+    at = answer.headers["Location"]
+    wait_until(lambda: client.get(at).json()["state"] == "ready")
+    plan = client.get(f"{at}/plan").json()
+    assert plan["kind"] == "points"
+    assert len(plan["position"]) == 30 + 3 * 49
+    job = client.get(at).json()
+    assert (job["result"], job["verification"]) == (None, None)
+    client.post(f"{at}/abort")
+
+
+def test_the_same_seed_drives_the_same_points(client, ask):
+    plans = []
+    for _ in range(2):
+        at = ask(what=["random-points"], seed=4).headers["Location"]
+        wait_until(lambda at=at: client.get(at).json()["state"] == "ready")
+        plans.append(client.get(f"{at}/plan").json()["position"])
+        client.post(f"{at}/abort")
+        wait_until(lambda at=at: client.get(at).json()["state"] == "aborted")
+    assert plans[0] == plans[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "kind"),
+    [
+        ({"what": ["spirals"]}, 422, "validation"),
+        ({"what": ["circles", "circles"]}, 422, "validation"),
+        ({"run_id": "0" * 8}, 422, "validation"),
+        ({"result_id": None}, 422, "validation"),
+        ({"result_id": "0190a4a1-0000-7000-8000-000000000000"}, 404, "not-found"),
+        ({"compensation_id": "siemens-10-hold"}, 404, "not-found"),
+    ],
+)
+def test_what_cannot_be_verified_is_refused(ask, is_problem, change, status, kind):
+    is_problem(ask(**change), status, kind)
+
+
+def test_a_verification_links_to_its_answer_and_report(
+    client, service, ask, result, make_cell, verifier, record
+):
+    """What the task of science writes is what the routes give out."""
+    again, _ = record(
+        101,
+        "standstill",
+        rows=30,
+        feed=6000.0,
+        setting=synthetic.Setting(machine_seed=1),
+    )
+    found = verify(read_result(service.results / result / "result.json"), again)
+    content = {**verification_json(found), "asked": {"seed": 4}}
+    verifier.content = content
+    at = ask(what=["random-points"], seed=4, tolerance_um=3).headers["Location"]
+    wait_until(lambda: client.get(at).json()["state"] == "ready")
+    make_cell.cell.begun.clear()
+    arm(client, client.get(at).json())
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    wait_until(lambda: client.get(at).json()["state"] == "succeeded")
+    job = client.get(at).json()
+    ((run_file, result_file, files, told),) = verifier.calls
+    assert run_file.split("/")[-1].startswith(job["run_id"])
+    assert result_file.split("/")[-2:] == [result, "result.json"]
+    assert (files, told["seed"], told["tolerance_um"]) == (None, 4, 3.0)
+    answer = client.get(job["verification"]["verification"])
+    assert answer.status_code == 200
+    assert answer.json()["agreement"]["consistent"]
+    report = client.get(job["verification"]["report_html"])
+    assert "sandbox" in report.headers["content-security-policy"]
+    described = client.get("/api/v1/openapi.json").json()
+    schema = described["components"]["schemas"]["VerificationOut"]
+    assert set(schema["properties"]) == set(content)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_as_found_compensated_and_as_left_by_one_sequence_of_requests(tmp_path):
+    def settings(**more):
+        return load_settings(
+            data_dir=tmp_path / "data",
+            simulated=True,
+            simulated_speed=SPEED,
+            port=0,
+            **more,
+        )
+
+    def drive(client, **order):
+        made = client.post(JOBS, json=order)
+        assert made.status_code == 202, made.text
+        arm(client, follow(client, made.json()["id"], "ready"))
+        return follow(client, made.json()["id"], "succeeded")
+
+    def proof(client, **order):
+        job = drive(client, kind="verify", what=["random-points"], **order)
+        return client.get(job["verification"]["verification"]).json()
+
+    with (
+        open_service(settings()) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        job = drive(client, kind="measure-otf")
+        made = client.post(
+            f"{JOBS}/{job['id']}/compensations", json={"format": "isg-csv"}
+        )
+        assert made.status_code == 201, made.text
+        kept = made.json()["id"]
+        before = proof(client, result_id=job["id"], seed=1, tolerance_um=6)
+        folder = service.results / job["id"] / "compensations" / kept
+        files = tuple(folder / name for name in made.json()["files"])
+    with (
+        open_service(settings(simulated_compensation=files)) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        after = proof(
+            client,
+            result_id=job["id"],
+            compensation_id=kept,
+            seed=2,
+            tolerance_um=6,
+        )
+    assert before["conformity"]["measured"]["conformity"] == "outside"
+    assert abs(before["map_scale"]["value"] - 1.0) < 0.05
+    assert after["compensated"]
+    assert abs(after["map_scale"]["value"]) < 0.05
+    left, found = (
+        one["volumetric_error_um"]["measured"]["mean"] for one in (after, before)
+    )
+    assert left < 0.15 * found
+    assert after["agreement"]["chance"] > 0.001

@@ -1,0 +1,52 @@
+"""Points of verification: inside the travel, of their standard, and drawn again."""
+
+import numpy as np
+import pytest
+
+from truepath.app.motion.motion_times import row_times_s
+from truepath.app.motion.travel import check_travel
+from truepath.app.motion.verification_kinds import VerificationKind
+from truepath.app.motion.verification_points import (
+    RANDOM_POINTS,
+    make_verification_points,
+)
+
+
+@pytest.mark.parametrize("kind", VerificationKind)
+def test_points_stay_in_the_travel(mill, kind):
+    points = make_verification_points(mill, [kind], 3)
+    check_travel(mill, points)
+    minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
+    assert minutes < 8.0
+
+
+def test_a_seed_draws_the_same_points_again_and_another_one_others(mill):
+    drawn = [
+        make_verification_points(mill, [VerificationKind.RANDOM_POINTS], seed).position
+        for seed in (1, 1, 2)
+    ]
+    assert drawn[0].shape == (RANDOM_POINTS, 3)
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    assert np.abs(drawn[0] - drawn[2]).max() > 1.0
+
+
+def test_every_target_of_an_axis_is_come_to_five_times_from_both_sides(mill):
+    points = make_verification_points(mill, [VerificationKind.BIDIRECTIONAL], 1)
+    step = np.diff(points.position, axis=0)
+    for column in range(3):
+        alone = (np.abs(np.delete(step, column, axis=1)) < 1e-9).all(axis=1)
+        moves = alone & (np.abs(step[:, column]) > 0.0)
+        target = points.position[1:][moves, column]
+        up = step[moves, column] > 0.0
+        both = [
+            (int((up & (target == one)).sum()), int((~up & (target == one)).sum()))
+            for one in np.unique(target)
+        ]
+        assert len([pair for pair in both if pair == (5, 5)]) >= 5
+
+
+def test_four_body_diagonals_are_driven_from_corner_to_corner(mill):
+    points = make_verification_points(mill, [VerificationKind.DIAGONALS], 1)
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    at_corner = ((points.position == low) | (points.position == high)).all(axis=1)
+    assert len(np.unique(points.position[at_corner], axis=0)) == 8
