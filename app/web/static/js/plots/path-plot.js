@@ -45,7 +45,7 @@ export async function drawPath(element, plan, machine) {
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
   const standing = !plan.feed_mm_min?.length;
-  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), OPTIONS);
+  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), { ...OPTIONS, scrollZoom: true });
 
   const name = element.getAttribute("aria-label");
   let wanted = null;

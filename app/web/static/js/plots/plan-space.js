@@ -6,11 +6,16 @@ const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
 
 /** Draw a plan; answers {choose(rows), view, close}.
  *
- * rows_mm: X, Y and Z of each row; travel: of X, Y and Z; tracker_mm: its place; offset_mm: of the reflector on the tool
+ * rows: [{at_mm, tracker_mm}, …], X, Y and Z of the axes and where the tracker stands
+ * travel: of X, Y and Z; offset_mm: of the reflector on the tool
  */
-export async function drawPlanSpace(element, { rows_mm, travel, tracker_mm, offset_mm }, chosen) {
+export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen) {
   const Plotly = await plotly();
-  const around = travel.map(([low, high], i) => [Math.min(low, tracker_mm[i], low + offset_mm[i]), Math.max(high, tracker_mm[i], high + offset_mm[i])]);
+  const stands = rows.filter((row, i) => row.tracker_mm !== rows[i - 1]?.tracker_mm).map((row) => row.tracker_mm);
+  const around = travel.map(([low, high], i) => {
+    const all = [low, high, low + offset_mm[i], high + offset_mm[i], ...stands.map((place) => place[i])];
+    return [Math.min(...all), Math.max(...all)];
+  });
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
   const line = (name, width, dash) => ({ color: colour(name), width, dash });
   const parts = cut(chosen);
@@ -20,15 +25,17 @@ export async function drawPlanSpace(element, { rows_mm, travel, tracker_mm, offs
     { ...base, mode: "lines", line: line("accent", 4), ...parts[1] },
     { ...base, mode: "lines", opacity: 0.55, line: line("trace-y", 1), ...parts[2] },
     { ...base, mode: "lines+markers", line: line("text", 6), marker: { size: [1, 5], color: colour("text") }, ...parts[3] },
-    { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates([tracker_mm]) },
+    { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates(stands) },
   ], layout(around, element), OPTIONS);
 
   /** What is left out, what is driven, the beams to its stops, the tool at its end. */
   function cut(count) {
-    const reflector = (row) => row.map((v, i) => v + offset_mm[i]);
-    const driven = rows_mm.slice(0, count);
+    const reflector = ({ at_mm }) => at_mm.map((v, i) => v + offset_mm[i]);
+    const driven = rows.slice(0, count);
     const end = driven.at(-1);
-    return [rows_mm.slice(count - 1), driven, driven.flatMap((row) => [tracker_mm, reflector(row), null]), [end, reflector(end)]].map(coordinates);
+    const places = (some) => some.map((row) => row.at_mm);
+    return [places(rows.slice(count - 1)), places(driven), driven.flatMap((row) => [row.tracker_mm, reflector(row), null]),
+      [end.at_mm, reflector(end)]].map(coordinates);
   }
 
   return {

@@ -14,9 +14,11 @@ const CAMERAS = {
 /** Names of the views that a camera can take. */
 export const VIEWS = Object.keys(CAMERAS);
 
-export const OPTIONS = { displayModeBar: false, responsive: true, scrollZoom: true };
+/** The wheel scrolls the page unless a picture has most of it for itself. */
+export const OPTIONS = { displayModeBar: false, responsive: true };
 
 let loading = null;
+let space = null;
 
 /** plotly.js, once it is there. */
 export function plotly() {
@@ -30,13 +32,10 @@ export function plotly() {
   return loading;
 }
 
-/** Whether this browser draws in space at all. */
+/** Whether this browser draws in space at all; asked once, as contexts are few. */
 export function hasWebGL() {
-  try {
-    return Boolean(document.createElement("canvas").getContext("webgl"));
-  } catch {
-    return false;
-  }
+  space ??= Boolean(document.createElement("canvas").getContext("webgl"));
+  return space;
 }
 
 /** The camera of a view. */

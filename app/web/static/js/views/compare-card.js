@@ -8,8 +8,8 @@ import { dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { showTable } from "./table-sheet.js";
 
-/** The card; null where there is no other result. */
-export function compareCard(job, result, jobs) {
+/** The card; null where there is no other result. `onOther(job, result)` hears of one that can be compared. */
+export function compareCard(job, result, jobs, onOther) {
   const others = jobs.filter((other) => other.id !== job.id && other.result && other.state === "succeeded");
   if (!others.length) return null;
   const content = h("div", { class: "stack", "aria-live": "polite" });
@@ -24,7 +24,9 @@ export function compareCard(job, result, jobs) {
     if (!id) return;
     let shown;
     try {
-      shown = describe(result, await api.result(id));
+      const found = await api.result(id);
+      shown = describe(result, found);
+      if (!difference(result, found)) onOther(others.find((other) => other.id === id), found);
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
       shown = notice("fault", error.title || t("problem.refused"), error.detail, error.action);

@@ -169,10 +169,12 @@ function more(plan, unobservable) {
   return h("div", { class: "stack" }, advice, blind);
 }
 
+/** Rows with where the tracker stands for each, the travel, and the reflector on the tool. */
 function place(plan, machine) {
-  const { axes, position } = plan.commanded;
+  const { axes, position, stations } = plan.commanded;
   const columns = ["X", "Y", "Z"].map((name) => axes.indexOf(name));
-  const first = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
-  return { rows_mm: position.map((row) => columns.map((c) => row[c])), tracker_mm: plan.curve.tracker_mm, offset_mm: first,
-    travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
+  const parts = stations ?? [{ position, position_mm: plan.curve.tracker_mm }];
+  const rows = parts.flatMap((part) => part.position.map((row) => ({ at_mm: columns.map((c) => row[c]), tracker_mm: part.position_mm })));
+  const offset_mm = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
+  return { rows, offset_mm, travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
 }

@@ -8,7 +8,7 @@ import { drawSlice, PLANES } from "../plots/map-slice.js";
 import { drawVolume } from "../plots/map-volume.js";
 import { hasWebGL, VIEWS } from "../plots/scene.js";
 import { prefer, preference } from "../preferences.js";
-import { number, t } from "../texts.js";
+import { dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { mapTable } from "./map-table.js";
 
@@ -40,11 +40,12 @@ export function readMap(found, result) {
 
 const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
 
-/** The card; `addFiles(made)` offers what files leave, `close` ends it. */
+/** The card; `addFiles(made)` offers what files leave, `addOther(job, result)` another calibration, `close` ends it. */
 export function mapCard(job, result) {
   const space = hasWebGL();
   const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, first: null, scale: null };
   const maps = new Map();
+  const others = new Map();
   const parts = build(space);
   let volume = null;
   let slice = null;
@@ -74,15 +75,30 @@ export function mapCard(job, result) {
   // Without the list there are two states: they stand all the same.
   api.compensations(job.id).then((kept) => kept.forEach(addFiles), () => {});
 
+  function add(state, text) {
+    if (!states.querySelector(`[data-value="${CSS.escape(state)}"]`)) states.add(state, text);
+  }
+
   function addFiles({ id, control }) {
-    if (!states.querySelector(`[data-value="${CSS.escape(id)}"]`)) states.add(id, t("map.with_files", { control }));
+    add(id, t("map.with_files", { control }));
+  }
+
+  /** Offer what another calibration has measured, such as the one after the tables were loaded. */
+  function addOther(other, found) {
+    others.set(other.id, found);
+    add(other.id, t("map.other", { when: dateTime(other.ended ?? other.created) }));
+  }
+
+  async function load(state) {
+    const other = others.get(state);
+    return other ? readMap(await api.volumetricMap(state, "before"), other) : readMap(await api.volumetricMap(job.id, state), result);
   }
 
   /** Fetch a state once, then draw it; a later choice makes an earlier one void. */
   async function show(state) {
     shown.state = state;
     try {
-      if (!maps.has(state)) maps.set(state, readMap(await api.volumetricMap(job.id, state), result));
+      if (!maps.has(state)) maps.set(state, await load(state));
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
       if (shown.state === state && !closed) fail(error);
@@ -177,7 +193,7 @@ export function mapCard(job, result) {
 
   return {
     element: parts.element,
-    addFiles,
+    addFiles, addOther,
     close() {
       closed = true;
       slice?.close();

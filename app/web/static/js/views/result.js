@@ -53,7 +53,7 @@ export function mount(root, { actions, go }) {
     top.append(h("div", { class: "stack" }, headline(job, result), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
-    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
