@@ -11,6 +11,8 @@ from scripted_service import ScriptedService
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
+SLOW_MS = 60_000.0  # without a graphics card
+
 POINTS = plan_curve()["points"]
 
 
@@ -88,7 +90,9 @@ def test_a_curve_of_other_choices_is_said_to_be_one(panel, service):
 
 def test_the_chosen_part_stands_in_space_with_tracker_and_beams(panel, service):
     page, card = show(panel, service, space=True)
-    expect(card.locator(".curve-space")).to_have_attribute("data-drawn", "")
+    expect(card.locator(".curve-space")).to_have_attribute(
+        "data-drawn", "", timeout=SLOW_MS
+    )
     chosen = "() => document.querySelector('.curve-space').data[2].x.length"
     assert page.evaluate(chosen) == POINTS[-1]["row"]
     card.locator(".handle").press("Home")

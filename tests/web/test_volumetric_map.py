@@ -11,6 +11,8 @@ from scripted_service import ScriptedService
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
+SLOW_MS = 60_000.0  # without a graphics card
+
 MEAN_AND_LARGEST = re.compile(r"mean \d+\.\d+ µm, largest 13\.46 µm at X 0 mm, Y 0 mm")
 
 
@@ -49,7 +51,7 @@ def test_a_tolerance_is_kept_and_an_undecided_one_is_said(panel, service):
 def test_arrows_in_space_follow_the_slider(panel, service):
     page = show(panel, service, space=True)
     picture = page.locator(".map-picture.is-volume")
-    expect(picture).to_have_attribute("data-drawn", "")
+    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
     expect(picture).to_have_attribute("aria-label", MEAN_AND_LARGEST)
     slider = page.get_by_label("Exaggeration")
     before = slider.get_attribute("aria-valuetext")

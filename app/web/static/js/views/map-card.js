@@ -49,6 +49,7 @@ export function mapCard(job, result) {
   const parts = build(space);
   let volume = null;
   let slice = null;
+  let due = null;
   let closed = false;
 
   const states = choose(t("map.state"), [["before", t("map.before")], ["after", t("map.after")]], shown.state, show);
@@ -65,11 +66,11 @@ export function mapCard(job, result) {
   }));
   parts.factor.addEventListener("input", () => {
     shown.factor = factorAt(Number(parts.factor.value));
-    draw();
+    drawSoon();
   });
   parts.level.addEventListener("input", () => {
     shown.level = Number(parts.level.value);
-    draw();
+    drawSoon();
   });
   show(shown.state);
   // Without the list there are two states: they stand all the same.
@@ -121,6 +122,14 @@ export function mapCard(job, result) {
 
   function fail({ title, detail, action }) {
     parts.picture.replaceChildren(notice("fault", title || t("problem.refused"), detail, action));
+  }
+
+  /** A slider tells more often than there are frames. */
+  function drawSoon() {
+    due ??= requestAnimationFrame(() => {
+      due = null;
+      if (!closed) draw();
+    });
   }
 
   function draw(isOther = false) {
