@@ -108,8 +108,8 @@ function drawAhead(body, byPlace, machine, choice, pick) {
   }, true);
   byPlace.replaceChildren(h("span", { class: "label" }, t("curve.by")), by);
   body.replaceChildren(...[stale,
-    h("div", { class: "curve-pictures" }, chart, h("div", {}, space, key)),
-    h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)), weak, more(plan, unobservable)].filter(Boolean));
+    h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)),
+    h("div", { class: "curve-pictures" }, chart, h("div", {}, space, key)), weak, more(plan, unobservable)].filter(Boolean));
   const curve = drawPlanCurve(chart, points, put);
   let path = null;
   let closed = false;
