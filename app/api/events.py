@@ -12,7 +12,7 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
@@ -22,10 +22,12 @@ from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
+from truepath.app.api.access_control import read_token
 from truepath.app.api.jobs import describe_job
 from truepath.app.api.models.base import JobId
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobEvent, decode_job, format_utc_now
 
 TICK_S = 1.0
@@ -53,10 +55,15 @@ _STREAM: dict[int | str, dict[str, Any]] = {
 
 
 class Subscription:
-    """Accepts events from any thread and makes one stream of them."""
+    """Accepts events from any thread and makes one stream of them.
 
-    def __init__(self, service: Service, job_id: str | None) -> None:
-        self.service, self._job_id = service, job_id
+    is_let_in : asked once a second; the stream ends when it may not be read any more
+    """
+
+    def __init__(
+        self, service: Service, job_id: str | None, is_let_in: Callable[[], bool]
+    ) -> None:
+        self.service, self._job_id, self._is_let_in = service, job_id, is_let_in
         self._lock = threading.Lock()
         self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
         self._loop = asyncio.get_running_loop()
@@ -101,6 +108,8 @@ class Subscription:
             for job_event in live:
                 yield _describe_live(job_event)
             if time.monotonic() >= next_tick:
+                if not await run_sync(self._is_let_in):
+                    return
                 next_tick = time.monotonic() + TICK_S
                 tick = {"time": format_utc_now(), "last_event_id": known}
                 yield ServerSentEvent(data=tick, event="tick")
@@ -142,7 +151,8 @@ async def _subscribe(
         await run_sync(service.store.get, job_id)
     if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
-    subscription = Subscription(service, job_id)
+    token = read_token(request.scope)
+    subscription = Subscription(service, job_id, partial(_is_let_in, service, token))
     unsubscribe = service.event_bus.subscribe(subscription.put)
     open_streams.add(subscription)
     try:
@@ -150,6 +160,14 @@ async def _subscribe(
     finally:
         open_streams.remove(subscription)
         unsubscribe()
+
+
+def _is_let_in(service: Service, token: str) -> bool:
+    """Tell whether the session of a stream, and its user, are still there."""
+    try:
+        return service.access.identify(token) is not None
+    except StorageUnavailable:  # a disk is no reason to close anybody's eyes
+        return True
 
 
 SubscriptionDep = Annotated[Subscription, Depends(_subscribe)]

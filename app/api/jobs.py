@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
+from truepath.app.api.access_control import note_change
 from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
 from truepath.app.api.models.job import (
     DiscoveryLinks,
@@ -117,10 +118,18 @@ def get_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/arm", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def arm_job(
-    job_id: JobId, version: Version, response: Response, service: ServiceDep
+    job_id: JobId,
+    version: Version,
+    response: Response,
+    service: ServiceDep,
+    actor: ActorDep,
 ) -> JobOut:
-    """Let a job move the machine that is ready, or has had its tracker moved."""
-    return _describe(service.dispatcher.arm(job_id, version), response)
+    """Let a job move the machine that is ready, or has had its tracker moved.
+
+    Only who asked for the job, or has taken control of it.
+    """
+    job = service.dispatcher.arm(job_id, version, by=owner_of(actor))
+    return _describe(job, response)
 
 
 @router.post("/{job_id}/pause", status_code=202, responses=declare_problems(404, 409))
@@ -137,13 +146,15 @@ def resume_job(
     version: Version,
     response: Response,
     service: ServiceDep,
+    actor: ActorDep,
     then: Annotated[
         Literal["note", "check", "replan"],
         Query(description="What to do first about the newest notice; see on_notice."),
     ] = "note",
 ) -> JobOut:
-    """Go on after a hold. The machine moves again."""
-    job = service.dispatcher.resume(job_id, version, OnNotice(then))
+    """Go on after a hold. The machine moves again. Only who has control of the job."""
+    by = owner_of(actor)
+    job = service.dispatcher.resume(job_id, version, OnNotice(then), by=by)
     return _describe(job, response)
 
 
@@ -159,13 +170,33 @@ def cancel_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut
 @router.post(
     "/{job_id}/acknowledge", status_code=202, responses=declare_problems(404, 409)
 )
-def acknowledge_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+def acknowledge_job(
+    job_id: JobId, response: Response, service: ServiceDep, actor: ActorDep
+) -> JobOut:
     """Prepare a `faulted` or `interrupted` measurement to go on. Moves nothing.
 
     It is `ready` then, to be armed as any other. Armed, the machine first stands again
     where it stood last; only where the target is seen where it was does it go on.
     """
-    return _describe(service.dispatcher.acknowledge(job_id), response)
+    job = service.dispatcher.acknowledge(job_id, by=owner_of(actor))
+    return _describe(job, response)
+
+
+@router.post(
+    "/{job_id}/take-control", status_code=202, responses=declare_problems(404, 409)
+)
+def take_control(
+    job_id: JobId,
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+    actor: ActorDep,
+) -> JobOut:
+    """Take over who may arm and resume a job. Moves nothing; the audit log says it."""
+    now = owner_of(actor)
+    job, before = service.dispatcher.take_control(job_id, now)
+    note_change(request, old={"controller": before}, new={"controller": now})
+    return _describe(job, response)
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))

@@ -86,6 +86,8 @@ def describe_error(error: Exception) -> dict[str, Any]:
     extra: dict[str, Any] = {}
     if isinstance(error, job_errors.CellBusy):
         extra["current_job"] = f"/api/v1/jobs/{error.job_id}"
+    if isinstance(error, job_errors.NotInControl):
+        extra["controller"] = error.controller
     if isinstance(error, job_errors.NotInOrder):
         extra["conditions"] = [one.type for one in error.obstacles]
     if isinstance(error, job_errors.StaleVersion):

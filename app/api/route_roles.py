@@ -28,9 +28,13 @@ NEVER_LIMITED = STOPS | {ABORT}
 """Whatever the rate, and before the audit log is written."""
 
 MOVES = frozenset(
-    {f"POST {PREFIX}/jobs/{{job_id}}/arm", f"POST {PREFIX}/jobs/{{job_id}}/resume"}
+    {
+        f"POST {PREFIX}/jobs/{{job_id}}/arm",
+        f"POST {PREFIX}/jobs/{{job_id}}/resume",
+        f"POST {PREFIX}/jobs/{{job_id}}/take-control",
+    }
 )
-"""Sets the machine in motion: by a person."""
+"""Sets the machine in motion, or decides who may: by a person."""
 
 _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /stop": ANYBODY,
@@ -47,6 +51,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /jobs/{job_id}/resume": _OPERATOR,
     "POST /jobs/{job_id}/cancel": _OPERATOR,
     "POST /jobs/{job_id}/acknowledge": _OPERATOR,
+    "POST /jobs/{job_id}/take-control": _OPERATOR,
     "POST /jobs/{job_id}/abort": _VIEWER,
     "GET /jobs/{job_id}/plan": _VIEWER,
     "GET /jobs/{job_id}/estimate": _VIEWER,

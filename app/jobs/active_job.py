@@ -56,6 +56,7 @@ class ActiveJob:
 
     job, state : stored last
     wants_pause : whether a user has asked for a pause and for nothing since
+    controller : name of who may let the machine move; None where nobody logs in
     wants_cancel : whether it is to end in order, after the line or point under way
     """
 
@@ -67,6 +68,7 @@ class ActiveJob:
         self.wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
         self.wants_cancel = False
+        self.controller = job.owner
         self._wish: OnNotice | None = None
         self._computation: Computing | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health

@@ -15,6 +15,7 @@ from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import (
     CellDown,
     Interrupted,
+    NotInControl,
     NotInOrder,
     QueueFull,
     StorageUnavailable,
@@ -101,12 +102,15 @@ class Dispatcher:
             self._begin(job)
         return job, is_new
 
-    def arm(self, job_id: str, version: int) -> Job:
+    def arm(self, job_id: str, version: int, *, by: str | None = None) -> Job:
         """Let a ready job move the machine.
 
-        Raises StaleVersion, IllegalTransition, NotInOrder.
+        by : name of the user who asks; None where nobody logs in
+
+        Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
         active = self._find_active(job_id, Verb.ARM)
+        _require_control(active, by)
         apply_verb(Verb.ARM, self._context.store.get(job_id).state)
         self._require_order(active)
         job = active.apply_verb(Verb.ARM, version)
@@ -129,12 +133,37 @@ class Dispatcher:
             self._command_cell(job, CellVerb.PAUSE)
         return job
 
-    def resume(self, job_id: str, version: int, then: OnNotice = OnNotice.NOTE) -> Job:
-        """Go on after a hold. Raises StaleVersion, IllegalTransition, NotInOrder.
+    def take_control(self, job_id: str, by: str | None) -> tuple[Job, str | None]:
+        """Let only this user arm and resume a job; also return who could before.
 
-        then : what to do first about the newest notice
+        Raises IllegalTransition where the job is not under way.
+        """
+        active = self._active.get(job_id)
+        job = self._context.store.get(job_id)
+        if active is None or not job.kind.measures:
+            raise IllegalTransition(
+                f"job {job_id} ({job.kind}, {job.state}) moves nothing"
+            )
+        before, active.controller = active.controller, by
+        log.info("control taken over", job_id=job_id, before=before, now=by)
+        return job, before
+
+    def resume(
+        self,
+        job_id: str,
+        version: int,
+        then: OnNotice = OnNotice.NOTE,
+        *,
+        by: str | None = None,
+    ) -> Job:
+        """Go on after a hold.
+
+        then : what to do first about the newest notice; by : as in `arm`
+
+        Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
         active = self._find_active(job_id, Verb.RESUME)
+        _require_control(active, by)
         if self._context.store.get(job_id).state is State.PAUSED:
             self._require_order(active)
         job = active.apply_verb(Verb.RESUME, version)
@@ -159,11 +188,11 @@ class Dispatcher:
             active.cancel()
         return job
 
-    def acknowledge(self, job_id: str) -> Job:
+    def acknowledge(self, job_id: str, *, by: str | None = None) -> Job:
         """Prepare a measurement that was cut short to go on.
 
-        It then waits to be armed; nothing moves. Raises IllegalTransition,
-        NotResumable, CellBusy, NotFound.
+        It then waits to be armed, by whoever has acknowledged it; nothing moves.
+        Raises IllegalTransition, NotResumable, CellBusy, NotFound.
         """
         job = self._context.store.get(job_id)
         if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
@@ -174,6 +203,9 @@ class Dispatcher:
             raise CellDown("the service is ending")
         job = self._context.store.change(job_id, leave_end, version=job.version)
         self._begin(job)
+        active = self._active.get(job_id)
+        if active is not None and by is not None:
+            active.controller = by
         return job
 
     def abort(self, job_id: str) -> Job:
@@ -318,3 +350,9 @@ class Dispatcher:
 
     def _command_cell(self, job: Job, verb: CellVerb) -> None:
         self._context.machines.choose(job.machine).cell.send(verb)
+
+
+def _require_control(active: ActiveJob, by: str | None) -> None:
+    """Raise NotInControl if another user has the job under control."""
+    if by is not None and active.controller not in (None, by):
+        raise NotInControl(active.controller or "")

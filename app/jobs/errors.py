@@ -81,6 +81,16 @@ class NotResumable(JobError):
     """A measurement that ended before its time and cannot go on; the text says why."""
 
 
+class NotInControl(JobError):
+    """Somebody else has the job under control; `controller` is who."""
+
+    def __init__(self, controller: str) -> None:
+        super().__init__(
+            f"{controller} has this job under control; ask, or take the control over"
+        )
+        self.controller = controller
+
+
 class NotInOrder(JobError):
     """Something that is known to be wrong keeps the machine from being let move."""
 

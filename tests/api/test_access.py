@@ -290,6 +290,37 @@ def test_a_job_has_its_owner(client, tokens, order):
     assert shown.json()["owner"] == "operator"
 
 
+@pytest.mark.fault_row(33)
+def test_the_first_controller_keeps_control_until_another_takes_it(
+    client, access, tokens, armed_by_hand, make_cell, is_problem
+):
+    access.accounts.add("berta", Role.OPERATOR, PASSWORD)
+    anna = bearer(tokens[Role.OPERATOR])
+    berta = bearer(access.tokens.open_session("berta"))
+    path = f"{API}/jobs/{armed_by_hand}"
+
+    def resume(who):
+        version = client.get(path, headers=anna).headers["etag"]
+        return client.post(f"{path}/resume", headers={**who, "If-Match": version})
+
+    assert client.post(f"{path}/take-control", headers=anna).status_code == 202
+    assert client.post(f"{path}/pause", headers=berta).status_code == 202
+    wait_until(lambda: client.get(path, headers=anna).json()["state"] == "paused")
+    refused = is_problem(resume(berta), 409, "not-in-control")
+    assert refused["controller"] == "operator"
+    assert "operator" in refused["detail"]
+    assert "resume" not in make_cell.cell.heard
+    taken = client.post(f"{path}/take-control", headers=berta)
+    assert taken.status_code == 202
+    is_problem(resume(anna), 409, "not-in-control")
+    assert resume(berta).status_code == 202
+    administrator = bearer(tokens[Role.ADMINISTRATOR])
+    kept = client.get(f"{API}/audit", headers=administrator).json()["items"]
+    took = next(row for row in kept if row["what"].endswith("/take-control"))
+    assert (took["who"], took["old"]) == ("berta", {"controller": "operator"})
+    assert client.post(f"{path}/abort", headers=anna).status_code == 202
+
+
 @pytest.mark.parametrize("allowed", [False, True])
 def test_a_program_arms_only_where_that_is_set(reached, tokens, access, allowed):
     access.rules = replace(access.rules, arming_by_key=allowed)

@@ -13,7 +13,7 @@ import pytest
 from scripted_cell import wait_until
 
 from truepath.app.api import events
-from truepath.app.jobs.errors import StorageFull
+from truepath.app.jobs.errors import StorageFull, StorageUnavailable
 from truepath.app.jobs.job import Job, JobEvent, JobKind
 from truepath.app.jobs.transitions import State
 
@@ -246,6 +246,25 @@ def test_an_open_stream_ends_when_the_service_does(live, service):
     assert time.monotonic() - begun < 1.0
 
 
+def test_an_open_stream_ends_with_its_session(live, service, monkeypatch):
+    with stream(live) as found:
+        read(found, 1, ("tick",))
+        monkeypatch.setattr(service.access, "identify", lambda _: None)
+        assert read(found, 99, ("never",)) == []
+    assert not service.closing.is_set()
+
+
+def test_a_catalogue_that_is_away_ends_no_stream(live, service, monkeypatch):
+    def away(_):
+        raise StorageUnavailable("the catalogue is away")
+
+    with stream(live) as found:
+        read(found, 1, ("tick",))
+        monkeypatch.setattr(service.access, "identify", away)
+        assert len(read(found, 2, ("tick",))) == 2
+        monkeypatch.undo()
+
+
 def test_a_client_that_goes_away_is_forgotten(live, service):
     with stream(live) as found:
         read(found, 1, ("tick",))
@@ -255,7 +274,7 @@ def test_a_client_that_goes_away_is_forgotten(live, service):
 
 def test_notices_after_the_loop_has_ended_are_harmless(service):
     async def subscribe():
-        return events.Subscription(service, None)
+        return events.Subscription(service, None, lambda: True)
 
     subscription = asyncio.run(subscribe())
     thread = threading.Thread(
