@@ -25,9 +25,10 @@ import numpy as np
 import psutil
 
 from truepath.app.child_process import BACKGROUND_NICENESS
-from truepath.app.cli.client import Client
+from truepath.app.cli.calibration import follow
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.planning.default_path import default_path
+from truepath.client import Client
 from truepath.simulators.scenario import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
@@ -92,23 +93,21 @@ def feed_for(duration_s: float) -> float:
 
 def measure(client: Client, feed_mm_min: float) -> str:
     """Begin a measurement on the fly and return its job."""
-    client.post("/machines/current:connect")
-    order = {"kind": "measure-otf", "feed_mm_min": feed_mm_min}
-    job_id = client.post("/jobs", order)["id"]
-    job = client.wait_for(job_id, lambda j: j["state"] == "ready", 60.0)
-    client.post(f"/jobs/{job_id}/arm", version=job["version"])
+    client.connect()
+    job_id = client.create_job(kind="measure-otf", feed_mm_min=feed_mm_min)["id"]
+    client.arm(client.wait_for(job_id, "ready", timeout_s=60.0))
     return job_id
 
 
 def follow_measurement(client: Client, job_id: str, pid: int, rate_hz: int) -> Outcome:
     """Follow a measurement to its end, asking the API for this and that."""
     share, loads = 0.0, [os.getloadavg()[0]]
-    for job in client.follow(job_id, period_s=0.2):
+    for job in follow(client, job_id, period_s=0.2):
         if job["stage"] == "measuring" and job["state"] == "running":
             share = cell_share(pid)
             loads.append(os.getloadavg()[0])
             for address in SEEN:
-                client.get(address)
+                client.download(f"/api/v1{address}")
         elif job["state"] in ENDED or job["stage"] != "measuring":
             health = job["health"]
             lost, load = health["lost_samples"], float(np.mean(loads))

@@ -16,7 +16,7 @@ from truepath.app.cli.terminal import (
     say,
     show_progress,
 )
-from truepath.app.errors import BadInput
+from truepath.app.errors import BadInput, JobError
 
 
 def reanalyse(
@@ -40,7 +40,8 @@ def reanalyse(
     json: Json = False,
 ) -> None:
     """Analyse Runs again and say what has changed; Ctrl-C leaves the job running."""
-    from truepath.app.cli.client import Client, follow_to_the_end
+    from truepath.app.cli.calibration import follow_to_the_end
+    from truepath.client import Client, ClientError
 
     if not address.startswith("http://"):
         raise BadInput(f"--address {address}: is no http:// address")
@@ -51,12 +52,15 @@ def reanalyse(
         order["machine"] = machine
     if since is not None:
         order["since"] = since.astimezone().isoformat()
-    token = key_file.read_text(encoding="utf-8").strip() if key_file else ""
-    client = Client(address, token)
-    job_id = client.post("/jobs", order)["id"]
-    with show_progress("reanalyse") as on_progress:
-        follow_to_the_end(client, job_id, _show_share(on_progress))
-    summary = client.get(f"/jobs/{job_id}/reanalysis")
+    token = key_file.read_text(encoding="utf-8").strip() if key_file else None
+    try:
+        with Client(address, token=token) as client:
+            job_id = client.create_job(**order)["id"]
+            with show_progress("reanalyse") as on_progress:
+                follow_to_the_end(client, job_id, _show_share(on_progress))
+            summary = client.get_reanalysis(job_id)
+    except ClientError as error:
+        raise JobError(str(error)) from error
     if json:
         print_json(summary)
     else:

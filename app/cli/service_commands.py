@@ -54,7 +54,7 @@ def serve(
     ] = False,
 ) -> None:
     """REST API and operator page."""
-    from truepath.app.cli.client import calibrate
+    from truepath.app.cli.calibration import calibrate
     from truepath.app.main import serve
     from truepath.app.settings import load_settings
 

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.cli.client import (
-    Client,
+from truepath.app.cli.calibration import (
     calibrate,
     follow_to_the_end,
     measure_on_the_fly,
 )
 from truepath.app.cli.command import run
-from truepath.app.errors import JobError, MeasurementFailed
+from truepath.app.errors import MeasurementFailed
+from truepath.client import Client
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 TABLES_STAND_S = 120.0
@@ -135,7 +135,8 @@ def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
             progress.wait_for(re.escape(f"watch it at {address}/"), 30.0)
             stands = f"error tables with uncertainties stand at {address}/"
             progress.wait_for(re.escape(stands), TABLES_STAND_S)
-            (job,) = Client(address).get("/jobs")["items"]
+            with Client(address) as client:
+                (job,) = client.list_jobs()
         finally:
             service.send_signal(signal.SIGTERM)
     assert service.returncode == 0
@@ -174,7 +175,8 @@ def scripted(answers):
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     try:
-        yield Client(f"http://127.0.0.1:{server.server_port}"), asked
+        with Client(f"http://127.0.0.1:{server.server_port}") as client:
+            yield client, asked
     finally:
         server.shutdown()
         thread.join()
@@ -189,6 +191,7 @@ def job(state, **more):
         "stage": "measuring",
         "progress": {"done": 1, "total": 4},
         "health": {"samples": 10, "lost_samples": 0},
+        "verdict": None,
         "error": None,
         **more,
     }
@@ -222,7 +225,11 @@ def test_a_job_that_fails_before_it_is_ready_is_never_armed():
 
 def test_progress_is_told_until_the_end():
     told = []
-    states = [job("running"), job("running", progress=None), job("succeeded")]
+    states = [
+        job("running"),
+        job("running", progress={"done": 0, "total": 0}),
+        job("succeeded"),
+    ]
     with scripted({"/api/v1/jobs/7": (200, states)}) as (client, _):
         follow_to_the_end(client, "7", lambda *words: told.append(words))
     assert told[0] == (0.25, "measuring", "10 samples, 0 lost")
@@ -245,25 +252,3 @@ def test_a_refusal_is_told_in_the_words_of_its_problem(capsys):
         calibrate(client.address)
     said = capsys.readouterr().err
     assert said == "the main job ended early: the machine is in use; wait for it\n"
-
-
-def test_a_refusal_without_words_names_status_and_path():
-    with (
-        scripted({"/api/v1/jobs/7": (500, ["?"])}) as (client, _),
-        pytest.raises(JobError, match="500 at /api/v1/jobs/7"),
-    ):
-        client.get("/jobs/7")
-
-
-def test_nobody_at_the_address_is_a_job_error(free_port):
-    client = Client(f"http://127.0.0.1:{free_port}")
-    with pytest.raises(JobError, match="does not answer"):
-        client.get("/jobs/7")
-
-
-def test_a_job_that_never_gets_ready_is_given_up():
-    with (
-        scripted({"/api/v1/jobs/7": (200, [job("preparing")])}) as (client, _),
-        pytest.raises(JobError, match="did not get ready in 0 s"),
-    ):
-        client.wait_for("7", lambda job: False, 0.3)

@@ -58,6 +58,10 @@ def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):
         f"truepath/{path.relative_to(root)}"
         for path in project_files
         if path.relative_to(root).parts[0] in rooms
+    } | {
+        str(path.relative_to(root))
+        for path in project_files
+        if path.relative_to(root).parts[:2] == ("truepath", "client")
     }
     assert wanted <= packed, f"left out: {sorted(wanted - packed)}"
 

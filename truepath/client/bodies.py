@@ -1,0 +1,194 @@
+"""What the interface answers, in its own keys; `docs/openapi.json` describes them.
+
+Keys name their units. States, kinds and verdicts are open: keep to what you know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NotRequired, TypedDict
+
+Json = dict[str, Any]
+
+FINAL_STATES = frozenset(
+    {"succeeded", "cancelled", "aborted", "failed", "faulted", "interrupted"}
+)
+
+
+class Problem(TypedDict):
+    """What went wrong and the way out (RFC 9457)."""
+
+    type: str
+    title: str
+    detail: str
+    code: str
+    action: str
+    status: NotRequired[int | None]
+    instance: NotRequired[str | None]
+    request_id: NotRequired[str | None]
+
+
+class Progress(TypedDict):
+    """How far the stage is; positions in mm and deg."""
+
+    done: float
+    total: float
+    unit: str
+    eta_s: float | None
+    stage: str
+    elapsed_s: float
+    position: list[float]
+
+
+class Health(TypedDict):
+    """What the tracker's link has seen."""
+
+    samples: int
+    lost_samples: int
+    crc_errors: int
+
+
+class JobLinks(TypedDict):
+    """Where else to look; `verbs` is what may be asked of the job as it is."""
+
+    self: str
+    events: str
+    plan: str
+    run: str | None
+    verbs: dict[str, str]
+
+
+class ResultLinks(TypedDict):
+    """Where the result is."""
+
+    result: str
+    error_tables_json: str
+    error_tables_csv: str
+    report_html: str
+
+
+class Job(TypedDict):
+    """A job. Further keys are in it; these are what most programs need."""
+
+    id: str
+    kind: str
+    state: str
+    desired_state: str
+    version: int
+    stage: str
+    progress: Progress
+    health: Health
+    verdict: str | None
+    notices: list[Json]
+    station: Json | None
+    owner: str | None
+    created: str
+    started: str | None
+    ended: str | None
+    run_id: str | None
+    run_ids: list[str]
+    result: ResultLinks | None
+    error: Problem | None
+    links: JobLinks
+
+
+class Run(TypedDict):
+    """A recorded measurement."""
+
+    id: str
+    name: str
+    origin: str
+    mode: str
+    machine: str
+    samples: int
+    lost_samples: int
+    complete: bool
+    bytes: int
+    sha256: str
+    created: str
+
+
+class Plan(TypedDict):
+    """A plan; `commanded` and `document` are None until it has succeeded."""
+
+    id: str
+    state: str
+    created: str
+    progress: float
+    request: Json
+    commanded: Json | None
+    document: Json | None
+    error: Problem | None
+
+
+class ErrorTable(TypedDict, total=False):
+    """One error motion; standard uncertainties (k = 1)."""
+
+    position_mm: list[float]
+    position_deg: list[float]
+    value_um: list[float]
+    value_urad: list[float]
+    uncertainty_um: list[float]
+    uncertainty_urad: list[float]
+    extrapolated: list[bool]
+
+
+class Squareness(TypedDict):
+    """One squareness in µrad (k = 1)."""
+
+    value: float
+    uncertainty: float
+
+
+class Verdict(TypedDict):
+    """Whether something may be used, and why not."""
+
+    state: str
+    reasons: list[str]
+    details: list[Json]
+
+
+class ErrorTables(TypedDict):
+    """Error tables by ISO 230-1 symbol, with the verdict on them."""
+
+    machine: Json
+    verdict: Verdict
+    error_tables: dict[str, ErrorTable]
+    squareness_urad: dict[str, Squareness]
+    axis_location: NotRequired[dict[str, Mapping[str, float]]]
+
+
+class Estimate(TypedDict):
+    """The newest estimate of a measurement under way."""
+
+    job_id: str
+    verdict: Verdict
+    volumetric_uncertainty_um: float
+    done: int
+    total: int
+    elapsed_s: float
+    is_last: bool
+    error_tables: dict[str, ErrorTable]
+    squareness_urad: dict[str, Squareness]
+
+
+class Condition(TypedDict):
+    """Something that has to be so before the machine moves."""
+
+    type: str
+    level: str
+    reason: str
+    message: str
+    is_required: bool
+    since: str
+
+
+class System(TypedDict):
+    """The service."""
+
+    version: str
+    simulated: bool
+    machine: Json | None
+    cell: Json
+    current_job: str | None
+    time: str

@@ -1,0 +1,256 @@
+"""One request and what its answer means, for each address of the interface."""
+
+from __future__ import annotations
+
+import json
+import ssl
+import uuid
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Generic, TypeVar, cast
+
+from truepath.client.bodies import (
+    Condition,
+    ErrorTables,
+    Estimate,
+    Job,
+    Json,
+    Plan,
+    Run,
+    System,
+)
+from truepath.client.problems import make_problem
+
+PREFIX = "/api/v1"
+T = TypeVar("T")
+Filters = Mapping[str, "str | int | bool | list[str] | list[float] | None"]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Request(Generic[T]):
+    """What is sent, and how its answer is read.
+
+    may_repeat : again does no harm, so a request whose answer was lost is sent again
+    upload : file that is sent as `bundle`
+    """
+
+    method: str
+    path: str
+    read: Callable[[Answer], T]
+    body: Json | None = None
+    query: Filters = field(default_factory=dict[str, Any])
+    headers: Mapping[str, str] = field(default_factory=dict[str, str])
+    may_repeat: bool = True
+    upload: Path | None = None
+
+    def decode(self, answer: Answer) -> T:
+        """Return what the answer means. Raises a Problem where it is a refusal."""
+        if answer.status >= 400:
+            after = answer.headers.get("retry-after")
+            raise make_problem(answer.status, parse_json(answer.body), after)
+        return self.read(answer)
+
+    def open_upload(self, files: ExitStack) -> dict[str, IO[bytes]] | None:
+        """Open the file that is sent, to be closed with the others."""
+        if self.upload is None:
+            return None
+        return {"bundle": files.enter_context(self.upload.open("rb"))}
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The query, without what is None."""
+        return {name: v for name, v in self.query.items() if v is not None}
+
+
+def make_tls_context(certificates: Path | None) -> ssl.SSLContext | bool:
+    """Return how HTTPS is verified: by the system, and by certificates of a file."""
+    if certificates is None:
+        return True
+    context = ssl.create_default_context()
+    context.load_verify_locations(certificates)
+    return context
+
+
+def parse_json(body: bytes) -> Any:
+    """Return the JSON of an answer; None where it is none."""
+    try:
+        return json.loads(body)
+    except ValueError:
+        return None
+
+
+def _json(answer: Answer) -> Any:
+    return parse_json(answer.body)
+
+
+def _items(answer: Answer) -> Any:
+    return parse_json(answer.body)["items"]
+
+
+def _bytes(answer: Answer) -> bytes:
+    return answer.body
+
+
+def _nothing(answer: Answer) -> None:
+    return None
+
+
+def _get(path: str, read: Callable[[Answer], T], **query: Any) -> Request[T]:
+    return Request("GET", f"{PREFIX}{path}", read, query=query)
+
+
+def _verb(job_id: str, verb: str, version: int | None = None) -> Request[Job]:
+    """Ask something of a job. What moves the machine is never sent twice."""
+    headers = {} if version is None else {"If-Match": f'"{version}"'}
+    path, again = f"{PREFIX}/jobs/{job_id}/{verb}", version is None
+    return Request("POST", path, _json, headers=headers, may_repeat=again)
+
+
+def _create(path: str, body: Json, key: str | None) -> Request[Any]:
+    """Make something once, however often the request is sent."""
+    headers = {"Idempotency-Key": key or str(uuid.uuid4())}
+    return Request("POST", f"{PREFIX}{path}", _json, body=body, headers=headers)
+
+
+def get_system() -> Request[System]:
+    """Ask what the service is and what holds the machine."""
+    return cast(Request[System], _get("/system", _json))
+
+
+def connect() -> Request[Json]:
+    """Open the ports; moves nothing."""
+    return Request("POST", f"{PREFIX}/machines/current:connect", _json)
+
+
+def get_machine() -> Request[Json]:
+    """Ask for the machine file and who has answered."""
+    return _get("/machines/current", _json)
+
+
+def list_conditions() -> Request[list[Condition]]:
+    """Ask what has to be so before the machine moves."""
+    return cast(Request[list[Condition]], _get("/machines/current/conditions", _items))
+
+
+def create_job(body: Json, key: str | None = None) -> Request[Job]:
+    """Ask for a job."""
+    return _create("/jobs", body, key)
+
+
+def get_job(job_id: str) -> Request[Job]:
+    """Ask for a job."""
+    return _get(f"/jobs/{job_id}", _json)
+
+
+def list_jobs(filters: Filters) -> Request[Json]:
+    """Ask for a page of jobs."""
+    return Request("GET", f"{PREFIX}/jobs", _json, query=filters)
+
+
+def arm(job: Job) -> Request[Job]:
+    """Let a job move the machine, as it was read."""
+    return _verb(job["id"], "arm", job["version"])
+
+
+def resume(job: Job) -> Request[Job]:
+    """Go on after a hold, as the job was read."""
+    return _verb(job["id"], "resume", job["version"])
+
+
+def pause(job_id: str) -> Request[Job]:
+    """Hold the feed."""
+    return _verb(job_id, "pause")
+
+
+def cancel(job_id: str) -> Request[Job]:
+    """End a job in order."""
+    return _verb(job_id, "cancel")
+
+
+def abort(job_id: str) -> Request[Job]:
+    """End a job now."""
+    return _verb(job_id, "abort")
+
+
+def stop() -> Request[Json]:
+    """Stop all motion."""
+    return Request("POST", f"{PREFIX}/stop", _json)
+
+
+def get_job_plan(job_id: str) -> Request[Json]:
+    """Ask what a job commands."""
+    return _get(f"/jobs/{job_id}/plan", _json)
+
+
+def get_estimate(job_id: str) -> Request[Estimate | None]:
+    """Ask for the newest estimate of a measurement under way."""
+    return cast(Request["Estimate | None"], _get(f"/jobs/{job_id}/estimate", _json))
+
+
+def get_document(job_id: str, name: str) -> Request[Json]:
+    """Ask for `result`, `discovery` or `trend` of a job."""
+    return _get(f"/jobs/{job_id}/{name}", _json)
+
+
+def get_error_tables(job_id: str) -> Request[ErrorTables]:
+    """Ask for the error tables of a job."""
+    path = f"/jobs/{job_id}/result/error-tables.json"
+    return cast(Request[ErrorTables], _get(path, _json))
+
+
+def download(path: str) -> Request[bytes]:
+    """Ask for a file by its address, as `links` of the interface state it."""
+    return Request("GET", path, _bytes)
+
+
+def create_plan(body: Json, key: str | None = None) -> Request[Plan]:
+    """Ask for a plan."""
+    return _create("/plans", body, key)
+
+
+def get_plan(plan_id: str) -> Request[Plan]:
+    """Ask for a plan."""
+    return _get(f"/plans/{plan_id}", _json)
+
+
+def upload_bundle(bundle: Path) -> Request[Run]:
+    """Send a zipped bundle in. Twice would make two Runs."""
+    path = f"{PREFIX}/runs"
+    return Request("POST", path, _json, upload=bundle, may_repeat=False)
+
+
+def get_run(run_id: str) -> Request[Run]:
+    """Ask for a Run."""
+    return _get(f"/runs/{run_id}", _json)
+
+
+def list_runs(filters: Filters) -> Request[Json]:
+    """Ask for a page of Runs."""
+    return Request("GET", f"{PREFIX}/runs", _json, query=filters)
+
+
+def make_compensation(job_id: str, body: Json) -> Request[Json]:
+    """Ask for the files of a controller; the same request makes the same ones."""
+    return Request("POST", f"{PREFIX}/jobs/{job_id}/compensations", _json, body=body)
+
+
+def log_in(name: str, password: str) -> Request[Json]:
+    """Ask for a token."""
+    body = {"name": name, "password": password}
+    return Request("POST", f"{PREFIX}/session", _json, body=body, may_repeat=False)
+
+
+def log_out() -> Request[None]:
+    """End the session."""
+    return Request("DELETE", f"{PREFIX}/session", _nothing)
