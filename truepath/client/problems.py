@@ -149,7 +149,9 @@ def make_problem(
 
     content : JSON of the answer, or whatever came in its place
     """
-    members = cast(Content, content) if isinstance(content, Mapping) else {}
+    members: Content = {}
+    if isinstance(content, Mapping):
+        members = cast(Content, content)
     family = _BY_CODE.get(str(members.get("code"))) or _BY_STATUS.get(status)
     if family is None:
         family = Refused if status < 500 else ServiceProblem
