@@ -4,19 +4,22 @@
     B = largest |reversal value|,                 Bᵢ = x̄ᵢ↑ − x̄ᵢ↓ = 2 hᵢ
     E = range of the means of both directions,    x̄ᵢ ± hᵢ
 
-Their uncertainties are the spreads over errors drawn from the covariance (JCGM 101).
-Repeatability and accuracy need repeated approaches of target positions: they are not
-here.
+Their uncertainties are the spreads over errors drawn from the covariance (JCGM 101);
+the half differences hᵢ, which a result states apart from its model, are drawn as wholly
+correlated along their axis. Repeatability and accuracy need repeated approaches of
+target positions: they are not here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.files.units import scale_of
+from truepath.app.kinematics.effects.error_motion import ErrorMotion
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.symbols import find_unit, is_positioning
 from truepath.app.results.error_tables import choose_table_positions
@@ -35,7 +38,7 @@ class Stated:
 class PositioningFigures:
     """Of one axis, in `unit`: "um" or "urad".
 
-    reversal : None where the estimate has no dependence on direction
+    reversal : None where the result has no dependence on direction
     """
 
     symbol: str
@@ -45,44 +48,62 @@ class PositioningFigures:
     systematic_range: Stated
 
 
+@dataclass(frozen=True, slots=True)
+class HalfDifference:
+    """Half the difference of both directions at the positions of a table.
+
+    value, uncertainty : (n,), standard uncertainty (k = 1), in the unit of the table
+    """
+
+    value: Float64[np.ndarray, " n"]
+    uncertainty: Float64[np.ndarray, " n"]
+
+
 def compute_positioning_figures(
-    estimated: EstimatedModel,
+    estimated: EstimatedModel, halves: Mapping[str, HalfDifference]
 ) -> tuple[PositioningFigures, ...]:
-    """Return the figures of every axis whose positioning is known."""
+    """Return the figures of every axis whose positioning is known.
+
+    halves : by the symbol, of those that depend on the direction
+    """
     at = estimated.at_targets
-    drawn = at.theta[:, None] + draw_parameters(at.covariance)
-    theta = np.column_stack([at.theta, drawn])
+    theta = at.theta[:, None] + draw_parameters(at.covariance)
+    theta = np.column_stack([at.theta, theta])
     return tuple(
-        _compute(at, motion.symbol, theta)
+        _compute(at, motion, theta, halves.get(motion.symbol))
         for motion in at.model.error_motions
         if is_positioning(motion.symbol) and motion.name not in at.model.confounded
     )
 
 
 def _compute(
-    at: EstimatedModel, symbol: str, theta: Float64[np.ndarray, "p d"]
+    at: EstimatedModel,
+    motion: ErrorMotion,
+    theta: Float64[np.ndarray, "p d"],
+    half: HalfDifference | None,
 ) -> PositioningFigures:
     """Return the figures of one axis; the first column of theta is the estimate."""
-    model = at.model
-    motion = next(m for m in model.error_motions if m.symbol == symbol)
-    place = choose_table_positions(motion.axis)
-    scale = scale_of(find_unit(symbol))
-    mean = scale * motion.rows(place) @ theta[model.slices[motion.name]]
-    half = np.zeros_like(mean)
-    has_direction = False
-    for effect in model.effects:
-        curve = effect.half_difference
-        if curve and curve.symbol == symbol:
-            half += scale * curve.rows(place) @ theta[model.slices[effect.name]]
-            has_direction = True
-    both = np.concatenate([mean + half, mean - half])
+    unit = find_unit(motion.symbol)
+    rows = motion.rows(choose_table_positions(motion.axis))
+    mean = scale_of(unit) * rows @ theta[at.model.slices[motion.name]]
+    spread = _draw_half(half, theta.shape[1])
+    both = np.concatenate([mean + spread, mean - spread])
     return PositioningFigures(
-        symbol,
-        find_unit(symbol),
+        motion.symbol,
+        unit,
         _state(np.ptp(mean, axis=0)),
-        _state(2.0 * np.abs(half).max(axis=0)) if has_direction else None,
+        None if half is None else _state(2.0 * np.abs(spread).max(axis=0)),
         _state(np.ptp(both, axis=0)),
     )
+
+
+def _draw_half(half: HalfDifference | None, count: int) -> Float64[np.ndarray, "n d"]:
+    """Return half differences: as stated, then as they may be."""
+    if half is None:
+        return np.zeros((1, count))
+    departure = np.random.default_rng(0).standard_normal(count)
+    departure[0] = 0.0
+    return half.value[:, None] + half.uncertainty[:, None] * departure
 
 
 def _state(values: Float64[np.ndarray, " d"]) -> Stated:

@@ -149,6 +149,26 @@ def test_squareness_volume_and_budget_are_those_of_the_result(issue, result):
     assert numbers(expanded[4])[0] == pytest.approx(2.0 * stated, abs=6e-4)
 
 
+def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
+    issue, result, tmp_path
+):
+    position = result["error_tables"]["EYY"]["position_mm"]
+    half = {
+        "position_mm": position,
+        "value_um": [-3.0] * len(position),
+        "uncertainty_um": [0.05] * len(position),
+    }
+    direction = {"model": "constant", "half_difference": {"EYY": half}}
+    file = tmp_path / "both.json"
+    file.write_text(json.dumps({**result, "direction": direction}))
+    page = read_page(issue("c.html", result=file)[1])
+    rows = {row[0][0]: row for row in page.tables["iso"][0][1:]}
+    assert numbers(rows["Y"][2])[0] == pytest.approx(6.0, abs=0.01)
+    wider = numbers(rows["Y"][3])[0] - numbers(rows["Y"][1])[0]
+    assert wider == pytest.approx(6.0, abs=0.11)
+    assert rows["X"][2] == "–"
+
+
 def test_what_nobody_has_stated_is_shown_as_not_stated(issue, capsys):
     _, file = issue("c.html", "--state", "operator=Jörg Weiß")
     identity = dict(read_page(file).tables["identity"][0])

@@ -20,6 +20,7 @@ from truepath.app.reporting.certificate.map_figures import (
 from truepath.app.reporting.templating import View
 from truepath.app.results.number_format import SIGN
 from truepath.app.results.positioning_figures import (
+    HalfDifference,
     PositioningFigures,
     Stated,
     compute_positioning_figures,
@@ -164,7 +165,8 @@ def describe_limits(certificate: Certificate, language: Language) -> View:
 
 def describe_positioning(certificate: Certificate, language: Language) -> View:
     """Return the figures of ISO 230-2 that an estimate can give."""
-    every = compute_positioning_figures(certificate.found.result)
+    halves = _read_halves(certificate.found.content)
+    every = compute_positioning_figures(certificate.found.result, halves)
     return {"rows": [_state_positioning(one, language) for one in every]}
 
 
@@ -253,6 +255,18 @@ def _list_values(
         "head": head,
         "names": names,
         "rows": list(zip(places, *columns, strict=True)),
+    }
+
+
+def _read_halves(content: Content) -> dict[str, HalfDifference]:
+    halves: Mapping[str, Any] = content.get("direction", {}).get("half_difference", {})
+    return {
+        symbol: HalfDifference(
+            np.array(table[f"value_{unit}"], float),
+            np.array(table[f"uncertainty_{unit}"], float),
+        )
+        for symbol, table in halves.items()
+        for unit in (_unit_of(table, "value"),)
     }
 
 
