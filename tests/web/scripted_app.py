@@ -169,6 +169,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def compensations(job_id: str) -> Any:
         return {"items": []}
 
+    @app.get(f"{API}/jobs/{{job_id}}/verification")
+    def verification(job_id: str) -> Any:
+        return service.verifications[job_id]
+
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))

@@ -54,6 +54,7 @@ class ScriptedService:
         self.grade: dict[str, Any] = GRADE
         self.machine: dict[str, Any] = MACHINE
         self.result = result()
+        self.verifications: dict[str, dict[str, Any]] = {}
         self.conformity: dict[str, Any] = {
             "before": {"conformity": "outside"},
             "after_expected": {"conformity": "within"},

@@ -41,7 +41,7 @@ BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.
 BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
 BUILT_KEYS += ("export.unmeasured_", "condition.", "session.", "budget.")
 BUILT_KEYS += ("headline.within", "headline.outside", "headline.undecided")
-BUILT_KEYS += ("headline.now_", "residual.")
+BUILT_KEYS += ("headline.now_", "headline.proof_", "residual.")
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
 # Told by the service in English, and so translated into the other languages only.
 TOLD = re.compile(

@@ -40,6 +40,26 @@ def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
     expect(page.locator(".headline")).to_contain_text("Give a number above 0")
 
 
+def test_a_verification_of_this_result_stands_last_in_the_first_line(panel, service):
+    for proves, mean in (("job-9", 7.0), ("job-3", 0.9)):
+        proof = service.new_job("verify", verification={"report_html": ""})
+        service.finish(proof["id"])
+        service.verifications[proof["id"]] = {
+            "compensated": True,
+            "asked": {"result_id": proves},
+            "volumetric_error_um": {
+                "measured": {"mean": mean, "mean_uncertainty": 0.1}
+            },
+            "conformity": {"measured": {"conformity": "within", "tolerance_um": 5.0}},
+        }
+    page = show(panel, service)  # the third job
+    values = page.locator(".headline-value")
+    expect(values).to_have_count(3)
+    expect(values.nth(2)).to_contain_text("0.9µm± 0.2 µm")
+    expect(values.nth(2)).to_contain_text("as left")
+    expect(values.nth(2)).to_contain_text("every place within 5.0 µm")
+
+
 def test_a_tolerance_is_kept_and_an_undecided_one_is_said(panel, service):
     service.conformity["after_expected"] = {"conformity": "undecided"}
     kept = "localStorage.setItem('truepath.tolerance_um', '0.7')"

@@ -111,6 +111,7 @@ export const volumetricError = (id, tolerance_um) =>
 export const volumetricMap = (id, state) =>
   call("GET", `/jobs/${id}/result/volumetric-map?${new URLSearchParams(
     ["before", "after"].includes(state) ? { state } : { state: "after", compensation: state })}`, { patience_ms: 60000 });
+export const verification = (id) => call("GET", `/jobs/${id}/verification`);
 export const compensations = async (id) => items(await call("GET", `/jobs/${id}/compensations`));
 
 export const formats = async () => items(await call("GET", "/compensation-formats"));

@@ -3,20 +3,21 @@ import * as api from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
-import { plain, t, typed } from "../texts.js";
+import { dateTime, plain, t, typed } from "../texts.js";
 import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
 
 const SHAPES = { within: "check", outside: "warning", undecided: "info" };
 const WAIT_MS = 300;
+const MOST_PROOFS = 5; // verifications that are looked through
 
-/** The line; null where the result states no volumetric error. */
-export function headline(job, result) {
+/** The line; null where the result states no volumetric error. `jobs`: among which its verifications are. */
+export function headline(job, result, jobs) {
   const { before, after_expected: after } = result.volumetric_error ?? {};
   if (!before || !after) return null;
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
-      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after"))),
+      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(job, jobs)),
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) })),
     toleranceField((tolerance_um) => ask(tolerance_um)), decided);
   let asked = null;
@@ -45,6 +46,35 @@ export function headline(job, result) {
 
   ask(keptTolerance());
   return element;
+}
+
+/** A place for what the newest measurement that proves this result has found; null where there can be none. */
+function verified({ id }, jobs) {
+  const candidates = jobs.filter((other) => other.verification && other.state === "succeeded").slice(0, MOST_PROOFS);
+  if (!candidates.length) return null;
+  const place = h("span", { class: "headline-proof" });
+  findProof(id, candidates).then((proof) => (proof ? place.append(...proof) : place.remove()));
+  return place;
+}
+
+async function findProof(id, candidates) {
+  for (const other of candidates) {
+    const found = await api.verification(other.id).catch((error) => {
+      if (!(error instanceof api.Problem)) throw error;
+      return null; // Without it the line stands all the same.
+    });
+    if (found?.asked?.result_id === id) return describeProof(found, other);
+  }
+  return null;
+}
+
+function describeProof({ compensated, volumetric_error_um: { measured }, conformity }, other) {
+  const when = dateTime(other.ended ?? other.created);
+  const decided = conformity.measured;
+  const words = [t(compensated ? "headline.left" : "headline.again", { when }),
+    decided && t(`headline.proof_${decided.conformity}`, { tolerance: quantity(decided.tolerance_um, "gap", 1) })].filter(Boolean);
+  return [h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")),
+    value({ value_um: measured.mean, uncertainty_um: measured.mean_uncertainty }, words.join(": "))];
 }
 
 const value = ({ value_um, uncertainty_um }, name) => h("span", { class: "headline-value" },

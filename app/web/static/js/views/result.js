@@ -50,7 +50,7 @@ export function mount(root, { actions, go }) {
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     map = mapCard(job, result);
     const stream = runs.find((run) => run.id === job.run_id) ?? job.health;
-    top.append(h("div", { class: "stack" }, headline(job, result), summary(stream, result)), map.element);
+    top.append(h("div", { class: "stack" }, headline(job, result, jobs), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
     body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
