@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Literal
@@ -19,6 +20,7 @@ from truepath.app.api.models.job import (
     JobLinks,
     JobOut,
     JobPage,
+    MachineStop,
     ReanalysisLinks,
     ResultLinks,
     Stopped,
@@ -39,8 +41,10 @@ from truepath.app.api.route_roles import LEAST_ROLES
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.errors import NotFound
+from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.transitions import State, Verb
 
 _WHEN = ["2026-01-31T08:00:00Z"]
@@ -59,6 +63,8 @@ stop = APIRouter(tags=["jobs"])
 _ROUTED = frozenset(
     verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
 )
+
+_LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
@@ -210,7 +216,7 @@ async def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> J
 async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
-    return Stopped(jobs=[describe_job(job) for job in jobs])
+    return _describe_stop(jobs, service.machines.list_all())
 
 
 @stop.post(
@@ -219,7 +225,7 @@ async def stop_motion(service: ServiceDep) -> Stopped:
 async def stop_machine(machine_id: MachinePath, service: ServiceDep) -> Stopped:
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=_STOPPING)
-    return Stopped(jobs=[describe_job(job) for job in jobs])
+    return _describe_stop(jobs, [service.machines.get(machine_id)])
 
 
 @router.get("/{job_id}/plan", responses=declare_problems(404))
@@ -259,3 +265,22 @@ def describe_job(job: Job) -> JobOut:
 def _describe(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = format_etag(job)
     return describe_job(job)
+
+
+def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
+    """Return what was stopped, and what the controllers say of themselves.
+
+    What one has said before its job has ended tells nothing of the stop.
+    """
+    ending = {job.machine for job in jobs}
+    stands = {
+        one.id: None if one.id in ending else one.cell.read_standstill()
+        for one in machines
+    }
+    return Stopped(
+        jobs=[describe_job(job) for job in jobs],
+        machines=[
+            MachineStop(machine=name, stopped=_LEVELS[known])
+            for name, known in stands.items()
+        ],
+    )

@@ -35,7 +35,7 @@ from truepath.app.measurement.messages import (
     TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
-from truepath.drivers.interfaces.records import MotionStatus
+from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
 log = structlog.get_logger(__name__)
 
@@ -44,6 +44,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 10.0
+FRESH_S = 2.5  # a reading of the controller at rest, made once a second
 BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
 MOVING = frozenset(
@@ -112,6 +113,18 @@ class CellSupervisor:
         self._thread = threading.Thread(
             target=self._run, name="cell-supervisor", daemon=True
         )
+
+    def read_standstill(self) -> bool | None:
+        """Tell whether the controller has just said that it stands; None if unknown.
+
+        While a measurement is under way only its end says so. Asks no device.
+        """
+        read = self.controller
+        if self.status.state in MOVING or read is None or read.status is None:
+            return None
+        if time.monotonic() - read.read_s > FRESH_S:
+            return None
+        return read.status.state is not MotionState.RUNNING
 
     def start(self) -> None:
         """Start the first cell."""

@@ -27,10 +27,12 @@ from truepath.app.api.route_roles import (
     find_route,
 )
 from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.measurement.messages import ControllerRead
 from truepath.app.users.access import Access, AccessRules
 from truepath.app.users.back_off import RateLimit
 from truepath.app.users.roles import PERSONAL_ROLES, Role, includes
 from truepath.app.web import pages
+from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
 PASSWORD = "a long sentence is easy"
 API = "/api/v1"
@@ -319,6 +321,22 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
     took = next(row for row in kept if row["what"].endswith("/take-control"))
     assert (took["who"], took["old"]) == ("berta", {"controller": "operator"})
     assert client.post(f"{path}/abort", headers=anna).status_code == 202
+
+
+def test_a_stop_says_what_the_controller_says_once_it_was_read_after_it(
+    client, armed_by_hand, make_cell
+):
+    def stop():
+        return client.post(f"{API}/stop").json()["machines"]
+
+    name = stop()[0]["machine"]
+    assert stop() == [{"machine": name, "stopped": "unknown"}]
+    cell = make_cell.cell
+    for state, level in (("running", "false"), ("idle", "true")):
+        read = ControllerRead(MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0))
+        cell.say(read)
+        said = [{"machine": name, "stopped": level}]
+        wait_until(lambda said=said: stop() == said, level)
 
 
 @pytest.mark.parametrize("allowed", [False, True])

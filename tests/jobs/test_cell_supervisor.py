@@ -6,10 +6,12 @@ import pytest
 from scripted_cell import CellMaker, wait_until
 
 from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.jobs import cell_supervisor
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import CellDown, DeviceSettings
-from truepath.app.measurement.messages import CellVerb
+from truepath.app.measurement.messages import CellVerb, ControllerRead
 from truepath.drivers.interfaces.errors import WrongDevice
+from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
 
 @pytest.fixture
@@ -41,6 +43,32 @@ def test_connecting_names_the_devices(running):
     assert devices["tracker"]["serial_number"] == "T-1"
     assert running.status.connected
     assert running.status.state == "ready"
+
+
+def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
+    running, maker, monkeypatch
+):
+    def read(state):
+        status = state and MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0)
+        maker.cell.say(ControllerRead(status, "" if status else "no answer"))
+        expected = status
+        wait_until(lambda: running.controller and running.controller.status == expected)
+        return running.read_standstill()
+
+    assert running.read_standstill() is None
+    assert read("idle") is True
+    assert read("running") is False
+    assert read(None) is None
+    assert read("aborted") is True
+    maker.cell.say_state("running")
+    wait_until(lambda: running.status.state == "running")
+    assert running.read_standstill() is None
+    maker.cell.say_state("aborted")
+    wait_until(lambda: running.status.state == "aborted")
+    assert running.read_standstill() is None, "not read since"
+    assert read("idle") is True
+    monkeypatch.setattr(cell_supervisor, "FRESH_S", 0.0)
+    assert running.read_standstill() is None
 
 
 def test_connecting_again_asks_the_devices_again(running, maker):

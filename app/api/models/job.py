@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from truepath.app.api.models.base import JOB_ID, PREFIX, Links, Problem
 from truepath.app.files.verdict import State as VerdictState
+from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import JobKind, Stage
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.transitions import State, Verb
@@ -235,7 +236,18 @@ class JobPage(BaseModel):
     next: str | None = Field(description="`after` of the next page.")
 
 
+class MachineStop(BaseModel):
+    """What the controller of a machine says of itself."""
+
+    machine: str = Field(examples=["default"])
+    stopped: Level = Field(
+        description="`true` once its controller has been read and says that it stands, "
+        "`false` where it says that it moves; `unknown` until then. Ask again."
+    )
+
+
 class Stopped(BaseModel):
-    """The jobs that a blanket abort has reached."""
+    """The jobs that a blanket abort has reached, and whether the machines stand."""
 
     jobs: list[JobOut]
+    machines: list[MachineStop]

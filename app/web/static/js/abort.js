@@ -1,7 +1,8 @@
 /* Abort: stands alone, so that it works when every other script of the page has failed.
  *
  * One touch posts the blanket stop, again every 2 s until the service takes it, then asks
- * for the jobs until none is under way. Without that word within 6 s the whole screen says
+ * for the jobs until none is under way; what the controllers say themselves, with the
+ * answer to a stop, counts as well, and is there even after the session has ended. Without that word within 6 s the whole screen says
  * so, and goes on trying. Without any script the button is a plain form.
  */
 (() => {
@@ -65,6 +66,12 @@
       .map((job) => job.id);
   }
 
+  /** Whether every controller has said itself that it stands. Needs no session. */
+  function stands(answer) {
+    const machines = answer?.machines ?? [];
+    return machines.length > 0 && machines.every(({ stopped }) => stopped === "true");
+  }
+
   async function send(current) {
     let count = 0;
     while (attempt === current && !current.confirmed) {
@@ -74,6 +81,8 @@
       const answer = await ask("/api/v1/stop", { method: "POST", keepalive: true });
       for (const job of answer?.jobs ?? []) current.watched.add(job.id);
       current.taken = current.taken || answer !== null;
+      current.confirmed = current.confirmed || stands(answer);
+      if (current.confirmed && attempt === current) report(current);
       await pause(Math.max(0, RETRY_MS - (performance.now() - begun)));
     }
   }
