@@ -125,7 +125,7 @@ def export_result(
     kind = load_format(name, choices)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     gaps = [one.describe() for one in measured.values() if one.missing]
-    stamp = _write_stamp(errors, name, gaps)
+    stamp = _write_stamp(errors, kind, name, measured, gaps)
     made = Tabulation(kind, stem, stamp, spacing_mm, measured)
     content = made.tabulate(errors)
     files = kind.write(content)
@@ -209,22 +209,42 @@ def _require_gain(
         )
 
 
-def _write_stamp(errors: ErrorMap, name: str, gaps: Sequence[str]) -> tuple[str, ...]:
+def _write_stamp(
+    errors: ErrorMap,
+    kind: CompensationFormat,
+    name: str,
+    measured: Mapping[str, MeasuredRange],
+    gaps: Sequence[str],
+) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
     offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
+    ranges = (
+        f"{one.axis.name} {one.low:g} to {one.high:g}" for one in measured.values()
+    )
     lines = (
         f"truepath compensation, format {name}",
         f"machine {machine.name}, chain {machine.chain}",
         f"for the tool at target offset {offset} mm",
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
+        f"measured at {_describe_temperature(provenance)}",
+        f"valid over {', '.join(ranges)} mm",
+        f"carries {kind.carries}",
+        f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
         *gaps,
         *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
+
+
+def _describe_temperature(provenance: Mapping[str, Any]) -> str:
+    """Return what the sensors showed during the measurement, in plain ASCII."""
+    stated = provenance.get("temperature_degC") or {}
+    shown = [f"{name} {low:.1f} to {high:.1f}" for name, (low, high) in stated.items()]
+    return f"{', '.join(shown)} degC" if shown else "a temperature that nothing states"
 
 
 def _describe_content(

@@ -24,7 +24,7 @@ from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile
 
 _SIGNS = {
-    "siemens": re.compile(r"^\$A[AN]_(?:ENC_COMP|CEC)", re.MULTILINE),
+    "siemens": re.compile(r"\A%_N_\w+_INI|^\$A[AN]_(?:ENC_COMP|CEC)", re.M),
     "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
     "isg": re.compile(r"^\s*(?:[XYZABC]\s+)?[XYZABC]\s+E[XYZABC][XYZABC]\b", re.M),
