@@ -4,6 +4,7 @@ import { colour } from "./colours.js";
 import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
 
 const MOST = 5; // arrows an axis: more hide each other
+const ROOM = 0.13; // of the travel's diagonal, for arrows that leave it: beyond they are cut
 const [BARB, BARB_WIDTH] = [0.3, 0.13]; // of an arrow's length
 const TRACE = { shafts: 1, dots: 2 };
 
@@ -14,7 +15,7 @@ const TRACE = { shafts: 1, dots: 2 };
 export async function drawVolume(element, map, scale, factor) {
   const Plotly = await plotly();
   const drawn = { points: thinned(map), scale, factor };
-  await Plotly.newPlot(element, traces(map, drawn), layout(map.travel, element), OPTIONS);
+  await Plotly.newPlot(element, traces(map, drawn), layout(widened(map.travel), element), OPTIONS);
   return {
     update(next, nextScale) {
       Object.assign(drawn, { points: thinned(next), scale: nextScale });
@@ -28,6 +29,11 @@ export async function drawVolume(element, map, scale, factor) {
     view: (name) => Plotly.relayout(element, { "scene.camera": camera(name) }),
     close: () => Plotly.purge(element),
   };
+}
+
+function widened(travel) {
+  const room = ROOM * Math.hypot(...travel.map(([low, high]) => high - low));
+  return travel.map(([low, high]) => [low - room, high + room]);
 }
 
 /** Points of every other plane, ends included, where there are too many. */
