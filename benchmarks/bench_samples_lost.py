@@ -70,17 +70,21 @@ def service(folder: Path, rate_hz: int) -> Iterator[tuple[Client, int]]:
         stderr=subprocess.DEVNULL,
         text=True,
     ) as process:
-        assert process.stdout is not None
-        address = next(
-            found[1]
-            for line in process.stdout
-            if (found := re.search(r"page +(http://\S+)/", line))
-        )
-        client = Client(address)
+        client = Client(read_address(process))
         try:
             yield client, process.pid
         finally:
             process.send_signal(signal.SIGTERM)
+
+
+def read_address(process: subprocess.Popen[str]) -> str:
+    """Return the address that a service prints once it answers."""
+    assert process.stdout is not None
+    return next(
+        found[1]
+        for line in process.stdout
+        if (found := re.search(r"page +(http://\S+)/", line))
+    )
 
 
 def feed_for(duration_s: float) -> float:

@@ -74,6 +74,8 @@ def serve(
             "--measure begins with nobody logged in; leave it out, or listen on this "
             "computer only, without TLS"
         )
+    if measure and settings.simulated_machines + len(settings.machines) > 1:
+        raise BadInput("--measure begins on the only machine; leave it out for several")
     if hide and not settings.simulated:
         raise BadInput("--hide is for simulated devices; it needs --simulated")
     serve(settings, listening=calibrate if measure else None)

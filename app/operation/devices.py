@@ -9,12 +9,14 @@ from __future__ import annotations
 import grp
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from truepath.app.device_options import make_device
 from truepath.app.errors import BadInput, TruepathError
 from truepath.app.files.machine_file import read_machine
+from truepath.app.machine_settings import DeviceConfiguration, MachineSettings
 from truepath.app.operation.finding import Finding, Grade
 from truepath.app.operation.running_service import RunningService
 from truepath.app.settings import Settings
@@ -29,18 +31,31 @@ def look_at_devices(settings: Settings, running: RunningService) -> Iterator[Fin
     if settings.simulated:
         yield Finding("devices", Grade.OK, "simulated")
         return
-    yield look_at_machine(settings.machine_file)
-    if settings.machine_file is None:
+    machines = settings.list_machines()
+    if not machines:
+        yield look_at_machine(None)
         return
-    for word, name, options in _list_devices(settings):
-        yield from look_at_port(word, options)
-        if not running.is_there:
-            yield ask_device(word, name, options)
+    for machine_id, one in machines.items():
+        for found in _look_at_one(one, running):
+            named = f"{machine_id} {found.subject}"
+            yield found if len(machines) == 1 else replace(found, subject=named)
     if running.is_there:
         yield read_cell(running)
 
 
-def _list_devices(settings: Settings) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+def _look_at_one(
+    settings: MachineSettings, running: RunningService
+) -> Iterator[Finding]:
+    yield look_at_machine(settings.machine_file)
+    for word, name, options in _list_devices(settings):
+        yield from look_at_port(word, options)
+        if not running.is_there:
+            yield ask_device(word, name, options)
+
+
+def _list_devices(
+    settings: DeviceConfiguration,
+) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     yield "tracker", settings.tracker_driver, settings.tracker_options
     yield "motion", settings.motion_driver, settings.motion_options
     if settings.thermometer_driver:
