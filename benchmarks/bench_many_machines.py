@@ -32,7 +32,6 @@ from bench_samples_lost import (
     read_address,
     solving,
 )
-
 from truepath.app.cli.client import Client
 
 MACHINES = (1, 8)
