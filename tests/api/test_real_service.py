@@ -13,6 +13,7 @@ import time
 import httpx2
 import psutil
 import pytest
+from described_answers import check_answer
 from scripted_cell import wait_until
 from service_process import ROWS, SPEED, arm, create, follow, moving, process
 from starlette.testclient import TestClient
@@ -63,6 +64,7 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings):
         open_service(settings) as service,
         TestClient(create_application(service), base_url="http://localhost") as client,
     ):
+        client.event_hooks["response"].append(check_answer)  # each as it is described
         connected = client.post("/api/v1/machines/current:connect").json()
         assert connected["tracker"]["model"] == "Simulated tracker"
         job = create(client, path=ROWS)
@@ -73,6 +75,9 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings):
         result = client.get(job["result"]["result"]).json()
         assert result["schema"] == "result/1"
         assert {"EXX", "EYY", "EZZ"} <= set(result["error_tables"])
+        client.get(job["result"]["error_tables_json"])
+        client.get("/api/v1/system")
+        client.get("/api/v1/machines/current")
         csv = client.get(job["result"]["error_tables_csv"]).text
         assert "EXX" in csv
         report = client.get(job["result"]["report_html"]).text

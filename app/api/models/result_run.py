@@ -63,10 +63,33 @@ class ResidualsOut(BaseModel):
     by_direction_um: ByDirectionOut
 
 
+class AlongLineOut(BaseModel):
+    """Residual of every cell of a line, in the frame of the beam."""
+
+    row: int
+    along_mm: list[float] = Field(description="From the first cell of the line.")
+    beam_um: list[float]
+    azimuth_um: list[float]
+    elevation_um: list[float]
+
+
 class RunResidualsOut(ResidualsOut):
     """What the estimate leaves of one Run."""
 
     by_line: list[LineFitOut]
+    along_lines: list[AlongLineOut] | None = Field(
+        None, description="Not in results of earlier versions."
+    )
+
+
+class CommandedOut(BaseModel):
+    """What was commanded."""
+
+    sha256: str
+    rows: int
+    shown_mm: list[list[float]] = Field(
+        description="Linear axes at every row, or at every so many of a long path."
+    )
 
 
 class BeamNoiseOut(BaseModel):
@@ -180,6 +203,9 @@ class ResultRunOut(BaseModel):
     input_sha256: str
     source: dict[str, str] = Field(description="Where it came from, and digests.")
     tracker_told: list[str]
+    commanded: CommandedOut | None = Field(
+        None, description="Not in results of earlier versions."
+    )
     environment: EnvironmentOut
     interruptions: InterruptionsOut
     sample_quality: SampleQualityOut | None
