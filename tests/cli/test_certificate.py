@@ -243,17 +243,22 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
     account = tmp_path / "c.json"
     words = ["export", str(analysed / "result.json"), "--format", "json"]
     assert run([*words, "-o", str(tmp_path / "c.tables.json")]) == 0
-    other = {"input_sha256": "f" * 64}
-    check = {"schema": "verification/1", "verdict": "pass", "provenance": other}
+    other = {"result": {"input_sha256": "f" * 64}}
+    check = {"schema": "verification/1", "provenance": other}
+    measured = {"conformity": "outside", "tolerance_um": 3.25}
+    check |= {"conformity": {"measured": measured}, "statements": ["It fails."]}
     verification = tmp_path / "v.json"
-    verification.write_text(json.dumps({**check, "largest_um": 3.25}))
+    verification.write_text(json.dumps(check))
     left = ("--as-left", str(analysed / "result.json"))
     beside = ("--compensation", str(account), "--verification", str(verification))
     _, file = issue("c.html", *beside, *left)
     page = read_page(file)
     assert "IT WAS MADE FOR ANOTHER RESULT" in page.text
     assert "THE FILES WERE MADE FROM ANOTHER" not in page.text
-    assert ["largest_um", "3.250"] in page.tables["verification"][0]
+    assert "does NOT keep the tolerance" in page.text
+    assert "It fails." in page.text
+    stated = page.tables["verification"][0]
+    assert ["conformity.measured.tolerance_um", "3.250"] in stated
     after = json.loads(account.read_text())["volumetric_error_um"]["after"]
     shown = dict(page.tables["compensation"][0])[
         "With the files, as the control reads them"

@@ -8,15 +8,22 @@ from typing import Any
 import numpy as np
 
 from truepath.app.files.file_model import as_object
-from truepath.app.files.verdict import STATES
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
 from truepath.app.results.number_format import SIGN
 
 Row = tuple[str, ...]
+_DECISIONS = ("within", "outside", "undecided")
 _MOST_ROWS = 40  # that a file of another kind may fill
-_HIDDEN = ("schema", "provenance", "verdict", "machine", "files")
+_SHOWN = (
+    "conformity",
+    "agreement",
+    "map_scale",
+    "volumetric_error_um",
+    "difference_um",
+)
+"""What is stated of a verification, as far as it is there; all else is in its file."""
 _K = 2.0
 
 
@@ -46,8 +53,11 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         "mismatch": _say_mismatch(
             "verification_mismatch", source, certificate, language
         ),
-        "verdict": _say_state(source.content.get("verdict"), language),
-        "rows": list(_flatten(source.content, language))[:_MOST_ROWS],
+        "decision": _say_decision(source.content, language),
+        "statements": [
+            language.mark(str(text)) for text in source.content.get("statements", ())
+        ],
+        "rows": list(_flatten(_pick(source.content), language))[:_MOST_ROWS],
     }
 
 
@@ -133,12 +143,20 @@ def _say_mismatch(
     return language.say(key, other=other[:16], own=own[:16])
 
 
-def _say_state(verdict: object, language: Language) -> str:
-    """Return a verdict in words: those of a result in the language, others as said."""
-    state = as_object(verdict).get("state", verdict)
-    if state in STATES:
-        return language.say(f"{str(state).replace('-', '_')}_title")
-    return str(state) if state is not None else language.say("not_stated")
+def _say_decision(content: Mapping[str, Any], language: Language) -> str:
+    """Return whether the machine keeps its tolerance, else whether both agree."""
+    conformity = as_object(content.get("conformity"))
+    decision = as_object(conformity.get("measured")).get("conformity")
+    agrees = as_object(content.get("agreement")).get("consistent")
+    if decision in _DECISIONS:
+        return language.say(f"verification_{decision}")
+    if isinstance(agrees, bool):
+        return language.say("verification_agrees" if agrees else "verification_differs")
+    return language.say("not_stated")
+
+
+def _pick(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: content[key] for key in _SHOWN if key in content}
 
 
 def _flatten(
@@ -146,8 +164,6 @@ def _flatten(
 ) -> Iterator[tuple[str, str]]:
     """Yield names and values of what a file states, in its order; no long lists."""
     for key, value in content.items():
-        if not name and key in _HIDDEN:
-            continue
         path = f"{name}.{key}" if name else key
         if below := as_object(value):
             yield from _flatten(below, language, path)

@@ -35,8 +35,10 @@ class Source:
 
     @property
     def input_sha256(self) -> str:
-        """The digest of the Runs that it says it is from; empty where it does not."""
-        found = as_object(self.content.get("provenance")).get("input_sha256")
+        """The digest of the Runs that its result is from; empty where it says none."""
+        provenance = as_object(self.content.get("provenance"))
+        origin = as_object(provenance.get("result")) or provenance
+        found = origin.get("input_sha256")
         return found if isinstance(found, str) else ""
 
 
