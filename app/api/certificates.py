@@ -31,6 +31,16 @@ from truepath.app.jobs.executor import WorkerProcess
 
 router = APIRouter(tags=["certificates"])
 
+_REGISTERED = {
+    "machine_maker": "maker",
+    "machine_model": "model",
+    "machine_serial": "serial_number",
+    "control": "control",
+    "customer": "customer",
+    "place": "place",
+}
+"""Fields of an identity, and where the registry of machines has them."""
+
 # One at a time: each is laid out in a process of its own.
 _TURN = Lock()
 
@@ -98,7 +108,10 @@ def list_certificates(job_id: str, service: ServiceDep) -> CertificateList:
     machine = _read_machine(_find_result(service, job_id))
     return CertificateList(
         items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
-        identity=dict(_open_store(service).load(machine)),
+        identity={
+            **_read_registered(service, job_id),
+            **_open_store(service).load(machine),
+        },
     )
 
 
@@ -164,8 +177,23 @@ def _find_account(folder: Path, compensation_id: str | None) -> Path | None:
 def _keep_identity(
     service: Service, result: Path, body: CertificateRequest
 ) -> dict[str, str]:
+    """Return what is stated now, was before, or stands in the registry of machines."""
     stated = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
-    return dict(_open_store(service).keep(_read_machine(result), stated))
+    kept = _open_store(service).keep(_read_machine(result), stated)
+    return {**_read_registered(service, result.parent.name), **kept}
+
+
+def _read_registered(service: Service, job_id: str) -> dict[str, str]:
+    """Return what the registry states of the machine of a job; often nothing."""
+    machine = service.store.get(job_id).machine
+    if machine is None:
+        return {}
+    try:
+        record = service.setup.registry.get(machine)
+    except NotFound:
+        return {}
+    texts = {field: getattr(record, name) for field, name in _REGISTERED.items()}
+    return {field: text for field, text in texts.items() if text}
 
 
 def _read_machine(result: Path) -> str:

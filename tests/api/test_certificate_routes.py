@@ -59,6 +59,23 @@ def test_a_certificate_is_numbered_kept_listed_and_never_changed(
     assert client.delete(first["links"]["self"]).status_code == 405
 
 
+def test_what_the_registry_states_of_the_machine_need_not_be_stated_again(
+    client, service, place
+):
+    job = service.store.get(place.split("/")[-2])
+    assert job.machine is not None
+    service.setup.registry.change(job.machine, serial_number="4711", place="Hall 3")
+    assert client.get(place).json()["identity"] == {
+        "machine_serial": "4711",
+        "place": "Hall 3",
+    }
+    asked = {"identity": {"place": "Hall 4"}}
+    assert client.post(place, json=asked).json()["identity"] == {
+        "machine_serial": "4711",
+        "place": "Hall 4",
+    }
+
+
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
     client, service, place, is_problem
 ):
