@@ -27,6 +27,7 @@ SCRIPTS = (
     "target_seats",
     "five_axes",
     "five_axes_in_motion",
+    "verified_compensation",
 )
 
 

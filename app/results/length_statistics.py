@@ -1,9 +1,10 @@
 """Mean, 95th percentile and largest length of vectors that are known with noise.
 
 A length of a noisy vector is too long on average: its square by the trace of the
-covariance of the noise, which is taken off. The standard uncertainty of a statistic is
-its spread when noise is added once more (a parametric bootstrap; Efron & Tibshirani
-1993, chapter 6).
+covariance of the noise, which is taken off. What that leaves of the noise in a
+statistic is found by adding noise once more (a parametric bootstrap; Efron & Tibshirani
+1993, chapter 10) and taken off as well; the uncertainty has its spread, as much again
+for what was taken off, and how well the size of the noise is known.
 """
 
 from __future__ import annotations
@@ -33,15 +34,36 @@ LengthStatistics = dict[str, Statistic]
 
 
 def state_measured(
-    vector_mm: Float64[np.ndarray, "n 3"], noise_mm: Float64[np.ndarray, "n 3 d"]
+    vector_mm: Float64[np.ndarray, "n 3"],
+    noise_mm: Float64[np.ndarray, "n 3 d"],
+    known_by: float,
 ) -> LengthStatistics:
     """Return the statistics of vectors, of which noise is part.
 
     noise_mm : drawn from its distribution
+    known_by : degrees of freedom by which the size of the noise is known
     """
-    square = np.sum(vector_mm**2, axis=1) - np.mean(np.sum(noise_mm**2, axis=1), axis=1)
-    value = _state(UM_PER_MM * np.sqrt(np.maximum(square, 0.0))[:, None])[:, 0]
-    return _name(value, _compute(vector_mm[:, :, None] + noise_mm))
+    added = np.mean(np.sum(noise_mm**2, axis=1), axis=1)
+    length = _take_off(vector_mm[:, :, None], added)
+    value = _state(UM_PER_MM * length)[:, 0]
+    # What is left of the noise shows where it is added to what seems to be there.
+    seems = vector_mm * length / np.linalg.norm(vector_mm, axis=1)[:, None]
+    again = _state(UM_PER_MM * _take_off(seems[:, :, None] + noise_mm, added))
+    bias = again.mean(axis=1) - value
+    more = added * (1.0 + np.sqrt(2.0 / known_by))
+    louder = _state(UM_PER_MM * _take_off(vector_mm[:, :, None], more))[:, 0] - value
+    spread = np.sqrt(again.var(axis=1) + bias**2 + louder**2)
+    # Each is at least as long as the one before, whatever the noise.
+    value = np.maximum.accumulate(np.maximum(value - bias, 0.0))
+    return _name(value, spread)
+
+
+def _take_off(
+    vector_mm: Float64[np.ndarray, "n 3 d"], added: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n d"]:
+    """Return lengths whose squares have less of what noise adds on average."""
+    square = np.sum(vector_mm**2, axis=1) - added[:, None]
+    return np.sqrt(np.maximum(square, 0.0))
 
 
 def state_predicted(
@@ -51,12 +73,9 @@ def state_predicted(
 
     departure_mm : drawn from the distribution of truth less prediction
     """
-    drawn = _compute(vector_mm[:, :, None] + departure_mm)
-    return _name(drawn.mean(axis=1), drawn)
-
-
-def _compute(vector_mm: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:
-    return _state(UM_PER_MM * np.linalg.norm(vector_mm, axis=1))
+    length = np.linalg.norm(vector_mm[:, :, None] + departure_mm, axis=1)
+    drawn = _state(UM_PER_MM * length)
+    return _name(drawn.mean(axis=1), drawn.std(axis=1))
 
 
 def _state(length: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "3 d"]:
@@ -66,7 +85,7 @@ def _state(length: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "3 d"]:
 
 
 def _name(
-    value: Float64[np.ndarray, "3"], drawn: Float64[np.ndarray, "3 d"]
+    value: Float64[np.ndarray, "3"], spread: Float64[np.ndarray, "3"]
 ) -> LengthStatistics:
-    pairs = zip(value.tolist(), drawn.std(axis=1).tolist(), strict=True)
+    pairs = zip(value.tolist(), spread.tolist(), strict=True)
     return {name: Statistic(*pair) for name, pair in zip(NAMES, pairs, strict=True)}

@@ -394,9 +394,11 @@ def _state(
         deviation,
         combined,
         {
-            "measured": state_measured(measured.vector_mm, drawn),
+            "measured": state_measured(measured.vector_mm, drawn, consistency.known_by),
             "predicted": state_predicted(predicted.vector_mm, departures),
-            "deviation": state_measured(deviation.vector_mm, drawn),
+            "deviation": state_measured(
+                deviation.vector_mm, drawn, consistency.known_by
+            ),
         },
         consistency,
         _find_scale(held),
