@@ -18,12 +18,14 @@ import numpy as np
 
 from truepath.app.cli.summary import print_result, summarise_result, warn_of_verdict
 from truepath.app.cli.terminal import NotedProgress, print_json, say, show_progress
+from truepath.app.compensation.active_files import read_active_files
+from truepath.app.compensation.export import export_files
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.errors import BadInput, MeasurementFailed, PlanningError
 from truepath.app.files.bundle import write_bundle
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.files.machine_file import decode_machine
-from truepath.app.files.result_file import result_from_json
+from truepath.app.files.result_file import read_result, result_from_json
 from truepath.app.files.run import Run
 from truepath.app.jobs.live_estimation import LiveEstimation, LiveSteering
 from truepath.app.jobs.live_process import LiveEstimateOrder
@@ -42,17 +44,23 @@ from truepath.app.measurement.run_reading import open_run
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.motion_times import travel_time_s
 from truepath.app.motion.travel import check_travel
+from truepath.app.motion.verification_kinds import VerificationKind
+from truepath.app.motion.verification_points import make_verification_points
 from truepath.app.planning.default_path import default_path
 from truepath.app.plugins import load
 from truepath.app.reporting.analysis_files import render_analysis, write_analysis
+from truepath.app.reporting.verification_report import write_verification
 from truepath.app.results.analysis import analyse
 from truepath.app.results.prediction import predict
+from truepath.app.results.verification import verify
 from truepath.drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
 ADAPTIVE_MINUTES = 5.0
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _POINTS = 500  # places in the volume at which errors are compared
+_PROOF = ("statements", "agreement", "map_scale", "volumetric_error_um")
+_FORMAT = "isg-csv"  # carries all error motions with their lever arms
 _SEED = 7  # of the points, which the measurement does not use
 
 
@@ -89,25 +97,31 @@ class Demo:
     faults: tuple[str, ...] = ()
     target_um: float | None = None
     adaptive: bool = False
+    compensate: bool = False
 
     def run(self, *, as_json: bool) -> None:
         """Measure, analyse, compare with the truth, and print what came of it."""
         self.output.mkdir(parents=True, exist_ok=True)
         with self._bench() as bench:
             run, lost = self._measure(bench)
-        with show_progress("analyse") as on_progress:
-            analysis = render_analysis(analyse(run, on_progress=on_progress))
-        write_analysis(analysis, self.output)
-        write_bundle(run, self.output / "bundle")
-        found = compare_with_truth(analysis.result, bench.truth_at)
+            with show_progress("analyse") as on_progress:
+                analysis = render_analysis(analyse(run, on_progress=on_progress))
+            write_analysis(analysis, self.output)
+            write_bundle(run, self.output / "bundle")
+            found = compare_with_truth(analysis.result, bench.truth_at)
+            left = self._compensate(bench) if self.compensate else None
         warn_of_verdict(analysis.result["verdict"])
         if as_json:
             samples = {"samples": len(run.tracker), "lost_samples": lost}
             truth = {"against_truth": {**asdict(found), "left": found.share_left}}
-            print_json(summarise_result(analysis.result, self.output) | samples | truth)
+            proof = {} if left is None else {"as_left": {k: left[k] for k in _PROOF}}
+            summary = summarise_result(analysis.result, self.output)
+            print_json(summary | samples | truth | proof)
         else:
             print_result(analysis.result, self.output)
             _print_truth_comparison(found, len(run.tracker), lost)
+            for statement in () if left is None else left["statements"]:
+                print(f"as left: {statement}")
 
     def _bench(self) -> Any:
         make = load("truepath.simulators", "bench")
@@ -115,6 +129,35 @@ class Demo:
             return make(seed=self.seed, speed=self.speed, faults=self.faults)
         except ValueError as error:
             raise BadInput(str(error)) from error
+
+    def _compensate(self, bench: Any) -> dict[str, Any]:
+        """Load the result's tables into the controller, measure and hold what is left.
+
+        Returns the content of `verification.json`.
+        """
+        result = self.output / "result.json"
+        account = export_files(result, _FORMAT, self.output / "compensation" / "tables")
+        error = account["volumetric_error_um"]
+        before, after = error["before"]["mean"], error["after"]["mean"]
+        say(f"tables for {account['control']}: {before:.1f} to {after:.2f} µm expected")
+        files = [Path(name) for name in account["files"]]
+        bench.load_compensation(files)
+        machine = decode_machine(json.dumps(bench.machine).encode())
+        points = make_verification_points(
+            machine, [VerificationKind.RANDOM_POINTS], _SEED
+        )
+        run_file = self.output / "as-left.sqlite"
+        run_file.unlink(missing_ok=True)
+        order = MeasurementOrder("demo, as left", str(run_file), machine, points)
+        _run_measurement(Cell(_configure(bench)), order, None, None)
+        with show_progress("verify") as on_progress:
+            found = verify(
+                read_result(result),
+                open_run(run_file),
+                correction=read_active_files(files, _FORMAT, machine),
+                on_progress=on_progress,
+            )
+        return write_verification(found, self.output / "as-left")
 
     def _measure(self, bench: Any) -> tuple[Run, int]:
         machine = decode_machine(json.dumps(bench.machine).encode())
@@ -127,18 +170,12 @@ class Demo:
         say(f"CNC on Modbus TCP {_describe_options(bench.motion_options)}")
         run_file = self.output / "run.sqlite"
         run_file.unlink(missing_ok=True)
-        config = CellConfig(
-            "streaming",
-            bench.tracker_options,
-            "modbus",
-            bench.motion_options,
-            thermometer_driver="modbus-registers",
-            thermometer_options=bench.thermometer_options,
-        )
         order = MeasurementOrder(
             "demo", str(run_file), machine, path, grows=self.adaptive
         )
-        closed = _run_measurement(Cell(config), order, self.target_um, request)
+        closed = _run_measurement(
+            Cell(_configure(bench)), order, self.target_um, request
+        )
         return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
@@ -147,6 +184,17 @@ class Demo:
             return None
         minutes = self.minutes or ADAPTIVE_MINUTES
         return {"mode": "otf", "minutes": minutes, "feeds_mm_min": [self.feed_mm_min]}
+
+
+def _configure(bench: Any) -> CellConfig:
+    return CellConfig(
+        "streaming",
+        bench.tracker_options,
+        "modbus",
+        bench.motion_options,
+        thermometer_driver="modbus-registers",
+        thermometer_options=bench.thermometer_options,
+    )
 
 
 def plan_path(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:

@@ -106,6 +106,13 @@ def demo(
         bool,
         typer.Option("--adaptive", help="Plan the lines on the way, part after part."),
     ] = False,
+    compensate: Annotated[
+        bool,
+        typer.Option(
+            "--compensate",
+            help="Load the tables into the simulated control; prove what is left.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
@@ -113,7 +120,8 @@ def demo(
     from truepath.app.cli.demo import Demo
 
     faults = tuple(fault or ())
-    shown = Demo(output, feed, minutes, speed, seed, faults, target_um, adaptive)
+    wanted = target_um, adaptive, compensate
+    shown = Demo(output, feed, minutes, speed, seed, faults, *wanted)
     shown.run(as_json=json)
 
 

@@ -37,6 +37,19 @@ def test_the_main_job_ends_in_tables_that_the_truth_confirms(tmp_path, summary):
     assert len(read_bundle(out / "bundle").tracker) == said["samples"]
 
 
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_the_circle_leaves_what_is_stated_of_the_machine(tmp_path, summary):
+    out = tmp_path / "out"
+    assert run(["demo", *FAST, "--compensate", "-o", str(out), "--json"]) == 0
+    said = summary()
+    before, left = said["against_truth"]["before_um"], said["as_left"]
+    assert before > 10.0  # of the machine as found
+    assert abs(left["map_scale"]["value"]) < 0.05
+    assert left["volumetric_error_um"]["measured"]["mean"] < 0.15 * before
+    assert (out / "as-left" / "report.html").is_file()
+
+
 @pytest.mark.timeout(120)
 def test_a_target_ends_the_measurement_early_with_tables(tmp_path, summary):
     out = tmp_path / "out"
