@@ -62,6 +62,7 @@ def _read_answers() -> dict[str, Any]:
         "pause_job": pausing,
         "resume_job": resuming,
         "cancel_job": _make_job(State.CANCELLING),
+        "acknowledge_job": _make_job(State.PREPARING),
         "abort_job": aborting,
         "stop_motion": {"jobs": [aborting]},
         "stop_machine": {"jobs": [aborting]},
@@ -70,7 +71,7 @@ def _read_answers() -> dict[str, Any]:
 
 def _make_job(state: State) -> dict[str, Any]:
     """Return a job that measures on the fly, as clients see it."""
-    moves = state not in (State.QUEUED, State.READY)
+    moves = state not in (State.QUEUED, State.PREPARING, State.READY)
     job = Job(
         JobKind.MEASURE_OTF,
         id=JOB_ID,
