@@ -24,6 +24,7 @@ from truepath.app.jobs.schema import jobs, machine_versions, machines, runs
 IDENTITY = ("name", "maker", "model", "serial_number", "control", "customer", "place")
 SETTINGS, CATALOGUE = "settings", "catalogue"
 HIDDEN = "***"
+_SECRET = ("pass", "secret", "token", "credential", "api_key", "private_key")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,10 @@ class MachineRegistry:
 
 def hide_secrets(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options without the passwords among them."""
-    return {k: HIDDEN if "password" in k else v for k, v in options.items()}
+    return {
+        name: HIDDEN if any(word in name.lower() for word in _SECRET) else value
+        for name, value in options.items()
+    }
 
 
 def _is_known(connection: Connection, machine_id: str) -> bool:

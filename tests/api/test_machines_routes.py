@@ -6,6 +6,7 @@ import pytest
 
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.machine_registry import MachineRegistry
+from truepath.app.jobs.machine_setup import show_devices
 from truepath.simulators.scenario import load_machine
 
 BASE = "/api/v1/machines"
@@ -113,3 +114,13 @@ def test_one_machine_is_stopped_by_its_name(client, armed, until, is_problem):
     stopped = client.post(f"{BASE}/default/stop")
     assert [job["id"] for job in stopped.json()["jobs"]] == [armed["id"]]
     until(armed, "aborted")
+
+
+def test_no_password_of_a_device_is_shown():
+    options = {"host": "192.0.2.7", "password": "EMC", "enable_password": "x"}
+    shown = show_devices({"motion_driver": "linuxcnc", "motion_options": options})
+    assert shown["motion_options"] == {
+        "host": "192.0.2.7",
+        "password": "***",
+        "enable_password": "***",
+    }
