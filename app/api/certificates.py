@@ -13,6 +13,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
 from truepath.app.api.access_control import note_change
+from truepath.app.api.models.base import JobId
 from truepath.app.api.models.certificate import (
     CertificateLinks,
     CertificateList,
@@ -62,7 +63,7 @@ def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
     responses=declare_problems(404, 422),
 )
 def issue_certificate(
-    job_id: str,
+    job_id: JobId,
     body: CertificateRequest,
     request: Request,
     response: Response,
@@ -100,7 +101,7 @@ def issue_certificate(
 
 
 @router.get("/jobs/{job_id}/certificates", responses=declare_problems(404))
-def list_certificates(job_id: str, service: ServiceDep) -> CertificateList:
+def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     """List the certificates of a result, and what is kept of its machine."""
     from truepath.app.reporting.certificate import kept_certificates as kept
 
@@ -116,20 +117,24 @@ def list_certificates(job_id: str, service: ServiceDep) -> CertificateList:
 
 
 @_serve("html", "text/html", {"type": "string"})
-def get_certificate_page(job_id: str, number: str, service: ServiceDep) -> FileResponse:
+def get_certificate_page(
+    job_id: JobId, number: str, service: ServiceDep
+) -> FileResponse:
     """Return a certificate as one page that needs nothing else."""
     return send_page(_find_file(service, job_id, number, "html"))
 
 
 @_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
-def get_certificate_pdf(job_id: str, number: str, service: ServiceDep) -> FileResponse:
+def get_certificate_pdf(
+    job_id: JobId, number: str, service: ServiceDep
+) -> FileResponse:
     """Return a certificate as PDF."""
     file = _find_file(service, job_id, number, "pdf")
     return FileResponse(file, media_type="application/pdf", filename=f"{number}.pdf")
 
 
 @router.get("/jobs/{job_id}/certificates/{number}", responses=declare_problems(404))
-def get_certificate(job_id: str, number: str, service: ServiceDep) -> CertificateOut:
+def get_certificate(job_id: JobId, number: str, service: ServiceDep) -> CertificateOut:
     """Return what a certificate was issued from, by whom, and its digests."""
     from truepath.app.reporting.certificate import kept_certificates as kept
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.models.base import Identifier, MachineId
+from truepath.app.api.models.base import Identifier, MachineId, MachinePath
 from truepath.app.api.models.machine_history import (
     ChangesOut,
     ComparisonOut,
@@ -42,7 +42,7 @@ Position = Annotated[
 
 @router.get("/{machine_id}/history", responses=declare_problems(404, 422))
 def get_machine_history(
-    machine_id: str,
+    machine_id: MachinePath,
     service: ServiceDep,
     quantity: Quantity = "volumetric",
     position: Position = None,
@@ -55,7 +55,7 @@ def get_machine_history(
 
 @router.get("/{machine_id}/changes", responses=declare_problems(404, 422))
 def get_machine_changes(
-    machine_id: str,
+    machine_id: MachinePath,
     service: ServiceDep,
     since: Annotated[Identifier, Query(description="Job of the earlier calibration.")],
     until: Annotated[
@@ -77,7 +77,7 @@ def get_machine_changes(
 
 
 @router.get("/{machine_id}/standing", responses=declare_problems(404))
-def get_machine_standing(machine_id: str, service: ServiceDep) -> StandingOut:
+def get_machine_standing(machine_id: MachinePath, service: ServiceDep) -> StandingOut:
     """Return whether a machine is within its tolerance and as it was."""
     service.setup.registry.get(machine_id)
     service.calibrations.judge(machine_id)

@@ -13,7 +13,7 @@ from truepath.app.api.machine import (
     describe_connection,
     list_conditions_of,
 )
-from truepath.app.api.models.base import PREFIX
+from truepath.app.api.models.base import PREFIX, MachinePath
 from truepath.app.api.models.machine import (
     MachineDetail,
     MachineDevices,
@@ -61,14 +61,14 @@ def add_machine(
 
 
 @router.get("/{machine_id}", responses=declare_problems(404))
-def get_machine_record(machine_id: str, service: ServiceDep) -> MachineDetail:
+def get_machine_record(machine_id: MachinePath, service: ServiceDep) -> MachineDetail:
     """Return a machine with its configuration and the versions of it."""
     return _read_detail(machine_id, service)
 
 
 @router.patch("/{machine_id}", responses=declare_problems(404, 422))
 def change_machine(
-    machine_id: str, request: MachineIdentity, service: ServiceDep
+    machine_id: MachinePath, request: MachineIdentity, service: ServiceDep
 ) -> MachineDetail:
     """Say who the machine is, what it may err by, and what it is held against."""
     if request.reference_job is not None:
@@ -79,7 +79,7 @@ def change_machine(
 
 @router.put("/{machine_id}/devices", responses=declare_problems(404, 409, 422))
 def set_machine_devices(
-    machine_id: str, request: MachineDevices, service: ServiceDep
+    machine_id: MachinePath, request: MachineDevices, service: ServiceDep
 ) -> MachineDetail:
     """Choose drivers and options; the cell is started anew. No port is opened yet."""
     service.setup.set_devices(machine_id, request)
@@ -89,7 +89,7 @@ def set_machine_devices(
 @router.post(
     "/{machine_id}/devices:try", responses=declare_problems(404, 409, 502, 503, 504)
 )
-def try_machine_devices(machine_id: str, service: ServiceDep) -> TrialOut:
+def try_machine_devices(machine_id: MachinePath, service: ServiceDep) -> TrialOut:
     """Connect, and listen to the tracker for a second. Moves nothing."""
     return _describe_trial(service.setup.try_devices(machine_id))
 
@@ -97,13 +97,15 @@ def try_machine_devices(machine_id: str, service: ServiceDep) -> TrialOut:
 @router.post(
     "/{machine_id}:connect", responses=declare_problems(404, 409, 502, 503, 504)
 )
-def connect_one_machine(machine_id: str, service: ServiceDep) -> Connection:
+def connect_one_machine(machine_id: MachinePath, service: ServiceDep) -> Connection:
     """Open the ports of a machine and return who answers. Moves nothing."""
     return describe_connection(service.machines.get(machine_id).cell.connect())
 
 
 @router.get("/{machine_id}/conditions", responses=declare_problems(404))
-def list_machine_conditions(machine_id: str, service: ServiceDep) -> ConditionList:
+def list_machine_conditions(
+    machine_id: MachinePath, service: ServiceDep
+) -> ConditionList:
     """Return what has to be so before the machine moves. Asks no device."""
     return list_conditions_of(service.machines.get(machine_id))
 

@@ -111,7 +111,7 @@ def get_plan(plan_id: PlanId, response: Response, service: ServiceDep) -> PlanRe
 
 
 @router.get("/{plan_id}/curve", responses=declare_problems(404))
-def get_plan_curve(plan_id: str, service: ServiceDep) -> PlanCurve:
+def get_plan_curve(plan_id: PlanId, service: ServiceDep) -> PlanCurve:
     """Return uncertainty against time along a plan, its grade and what is known least.
 
     Any beginning of the plan can be driven alone: its rows are the first ones.
