@@ -67,6 +67,10 @@ _TAGS = [
     },
     {"name": "results", "description": "Error tables, report."},
     {"name": "compensation", "description": "Files that a controller corrects by."},
+    {
+        "name": "certificates",
+        "description": "A result on paper: issued, kept, given out.",
+    },
     {"name": "models", "description": "Models of the machine, and how they grew."},
     {"name": "runs", "description": "What was recorded, as measurement bundles."},
     {"name": "machines", "description": "The machine and its devices."},
