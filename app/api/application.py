@@ -21,6 +21,7 @@ from fastapi.staticfiles import StaticFiles
 
 from truepath.app.api import (
     certificates,
+    comparisons,
     compensations,
     events,
     jobs,
@@ -137,6 +138,7 @@ def _api() -> APIRouter:
         jobs.stop,
         plans.of_jobs,
         certificates.router,
+        comparisons.router,
         compensations.router,
         models_of_machine.router,
         plans.router,

@@ -253,11 +253,7 @@ def get_verification(job_id: JobId, service: ServiceDep) -> FileResponse:
 @_serve_file("/{job_id}/verification/report.html", "text/html", "string")
 def get_verification_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a verification, one page that needs nothing else."""
-    return _send_page(_find_file(service, job_id, "report.html", of="verification"))
-
-
-def _send_page(report: Path) -> FileResponse:
-    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
+    return send_page(_find_file(service, job_id, "report.html", of="verification"))
 
 
 def _read_result(service: Service, job_id: str) -> dict[str, Any]:

@@ -1,0 +1,111 @@
+"""A result against a direct measurement whose file is sent in; the answer is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, File, Query, Response, UploadFile
+from fastapi import Path as InPath
+from fastapi.responses import FileResponse
+
+from truepath.app.api.models.base import PREFIX, JobId
+from truepath.app.api.models.comparison import ComparisonLinks, ComparisonOut
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.results import send_page
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.errors import BundleError, NotFound
+from truepath.app.files.recorded_files import decode_reference
+from truepath.app.results.model_history import find_model_file
+
+router = APIRouter(prefix="/jobs/{job_id}/comparisons", tags=["results"])
+
+_LARGEST_BYTES = 4 << 20
+_REFERENCE, _COMPARISON, _PAGE = "reference.csv", "comparison.json", "comparison.html"
+_HTML: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/html": {"schema": {"type": "string"}}}}
+}
+ComparisonId = Annotated[
+    str, InPath(description="`id` of the comparison.", examples=["5e3a9c0d1b2f4a6c"])
+]
+Micrometres = Annotated[
+    float, Query(ge=0.0, description="Its standard uncertainty of displacements, µm.")
+]
+Microradians = Annotated[
+    float, Query(ge=0.0, description="Its standard uncertainty of angles, µrad.")
+]
+
+
+@router.post("", status_code=201, responses=declare_problems(404, 422))
+def create_comparison(
+    job_id: JobId,
+    reference: Annotated[UploadFile, File(description="A `reference.csv`.")],
+    response: Response,
+    service: ServiceDep,
+    reference_um: Micrometres = 0.0,
+    reference_urad: Microradians = 0.0,
+) -> ComparisonOut:
+    """Hold a result against a direct measurement, and keep the answer with it.
+
+    The same file with the same uncertainties makes the same comparison.
+    """
+    # Imported where it computes: the service itself carries no science.
+    from truepath.app.reporting.comparison_report import compare_files
+    from truepath.app.results.comparison import ReferenceUncertainty
+
+    source = find_model_file(service.results, service.store.get(job_id).id)
+    data = reference.file.read(_LARGEST_BYTES + 1)
+    if len(data) > _LARGEST_BYTES:
+        problem = f"is larger than {_LARGEST_BYTES >> 20} MB"
+        raise BundleError(problem, file=_REFERENCE, remedy="send fewer positions")
+    decode_reference(data, file=_REFERENCE)  # errors name it as it was sent
+    told = f"{reference_um!r} {reference_urad!r}".encode()
+    name = hashlib.sha256(data + told).hexdigest()[:16]
+    folder = _find_folder(service, job_id) / name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / _REFERENCE).write_bytes(data)
+    uncertainty = ReferenceUncertainty(reference_um, reference_urad)
+    content = compare_files(source, folder / _REFERENCE, folder, uncertainty)
+    response.headers["Location"] = f"{PREFIX}/jobs/{job_id}/comparisons/{name}"
+    return _describe(job_id, name, content)
+
+
+@router.get("/{comparison_id}", responses=declare_problems(404))
+def get_comparison(
+    job_id: JobId, comparison_id: ComparisonId, service: ServiceDep
+) -> ComparisonOut:
+    """Return a comparison: each error motion, the kinds, the volume."""
+    file = _find_file(service, job_id, comparison_id, _COMPARISON)
+    content = json.loads(file.read_text(encoding="utf-8"))
+    return _describe(job_id, comparison_id, content)
+
+
+@router.get(
+    "/{comparison_id}/report.html",
+    response_class=FileResponse,
+    responses={**declare_problems(404), **_HTML},
+)
+def get_comparison_report(
+    job_id: JobId, comparison_id: ComparisonId, service: ServiceDep
+) -> FileResponse:
+    """Return the page of a comparison, which needs nothing else."""
+    return send_page(_find_file(service, job_id, comparison_id, _PAGE))
+
+
+def _find_folder(service: Service, job_id: str) -> Path:
+    return service.results / service.store.get(job_id).id / "comparisons"
+
+
+def _find_file(service: Service, job_id: str, comparison_id: str, name: str) -> Path:
+    kept = _find_folder(service, job_id)
+    known = {place.parent.name: place for place in kept.glob(f"*/{name}")}
+    if comparison_id not in known:
+        raise NotFound(f"job {job_id} has no comparison {comparison_id!r}")
+    return known[comparison_id]
+
+
+def _describe(job_id: str, name: str, content: dict[str, Any]) -> ComparisonOut:
+    links = ComparisonLinks.of(job=job_id, id=name)
+    return ComparisonOut(**content, id=name, links=links)
