@@ -31,7 +31,8 @@ def drop_measured_elsewhere(
     ]
     found: list[Observations] = []
     for number, (run, seen) in enumerate(zip(runs, observed, strict=True)):
-        others = set().union(*(measured[k] for k in range(len(runs)) if k != number))
+        others = set[Place]()
+        others.update(*(measured[k] for k in range(len(runs)) if k != number))
         kept = tuple(
             each
             for each in seen.left_out

@@ -242,7 +242,7 @@ def _write_stamp(
 
 def _describe_temperature(provenance: Mapping[str, Any]) -> str:
     """Return what the sensors showed during the measurement, in plain ASCII."""
-    stated = provenance.get("temperature_degC") or {}
+    stated: Mapping[str, Sequence[float]] = provenance.get("temperature_degC") or {}
     shown = [f"{name} {low:.1f} to {high:.1f}" for name, (low, high) in stated.items()]
     return f"{', '.join(shown)} degC" if shown else "a temperature that nothing states"
 

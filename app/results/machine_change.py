@@ -234,8 +234,9 @@ def _compare_volume(
     columns = np.concatenate([-_weigh(before), _weigh(after)], axis=1)
     value, vector = np.linalg.eigh(columns.T @ columns)
     kept = value > _FINE * value[-1]
-    root = (vector[:, kept] * np.sqrt(value[kept])).T
-    found = root @ np.concatenate([before.theta, after.theta])
+    root: Float64[np.ndarray, "k p"] = (vector[:, kept] * np.sqrt(value[kept])).T
+    theta = np.concatenate([before.theta, after.theta])
+    found: Float64[np.ndarray, " k"] = root @ theta
     drawn = root @ np.concatenate([_draw(before, 1), _draw(after, 2)])
     length_um = np.linalg.norm(drawn, axis=0)
     difference_um = float(np.linalg.norm(found))

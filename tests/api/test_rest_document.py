@@ -155,12 +155,13 @@ def test_a_path_is_taken_away_as_a_program(curl, follow, tmp_path):
 
 
 def test_a_plan_is_made_looked_at_and_driven(curl, follow, tmp_path):
-    create, look, download, drive, validate = section("Plan lines or points")
+    create, look, curve, download, drive, validate = section("Plan lines or points")
     answer = curl(create)
     assert answer.status_code == 202
     curl.names |= {"JOB": answer.json()["id"], "PLAN": answer.json()["id"]}
     follow("succeeded")
     assert curl(look).json()["document"]["predicted"]["errors"]
+    assert curl(curve).json()["points"]
     assert curl(download).status_code == 200
     assert (tmp_path / "plan.h").read_text().startswith("0 BEGIN PGM ")
     answer = curl(drive)
@@ -247,7 +248,7 @@ def test_a_result_is_taken_to_the_controller(
     made = curl(make)
     assert made.status_code == 201
     assert curl(look).json() == made.json()
-    for words in downloads:
+    for words in [*downloads, *section("See the volumetric error")]:
         assert curl(words).status_code == 200, words
     assert {"comp-x.tbl", "comp.zip"} <= {file.name for file in tmp_path.iterdir()}
 

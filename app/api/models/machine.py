@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    StringConstraints,
+    field_validator,
+)
 
 from truepath.app.api.models.base import JOB_ID, Identifier, MachineId, RequestBody
 from truepath.app.machine_settings import DeviceConfiguration, check_machine_id
 
 _Text = Annotated[str, StringConstraints(max_length=200)]
-_TRACKER = {"port": "/dev/serial/by-id/usb-tracker-if00-port0"}
+_TRACKER: dict[str, JsonValue] = {"port": "/dev/serial/by-id/usb-tracker-if00-port0"}
 
 
 class MachineIdentity(RequestBody):
@@ -36,11 +43,11 @@ class MachineIdentity(RequestBody):
     maker: _Text | None = None
     model: _Text | None = None
     serial_number: _Text | None = None
-    control: _Text | None = Field(None, description="The numerical control.")
+    control: _Text | None = Field(default=None, description="The numerical control.")
     customer: _Text | None = None
     place: _Text | None = None
     tolerance_um: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=1e6,
         allow_inf_nan=False,
@@ -48,7 +55,7 @@ class MachineIdentity(RequestBody):
         "takes it back.",
     )
     reference_job: Identifier | None = Field(
-        None,
+        default=None,
         description="Job whose result later ones are held against. Null: the one "
         "before.",
     )
