@@ -238,7 +238,7 @@ def _compare_volume(
     theta = np.concatenate([before.theta, after.theta])
     found: Float64[np.ndarray, " k"] = root @ theta
     drawn = root @ np.concatenate([_draw(before, 1), _draw(after, 2)])
-    length_um = np.linalg.norm(drawn, axis=0)
+    length_um: Float64[np.ndarray, " d"] = np.linalg.norm(drawn, axis=0)
     difference_um = float(np.linalg.norm(found))
     left = difference_um**2 - float(np.mean(length_um**2))
     return ChangedVolume(
