@@ -6,13 +6,14 @@ import copy
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, UploadFile
-from fastapi.responses import JSONResponse, Response, StreamingResponse
+from fastapi.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from scripted_data import (
     FORMATS,
     MACHINE,
     MOTION,
     TRACKER,
     TRACKER_NOISE,
+    certificate,
     compensation,
     plan_curve,
     volumetric_map,
@@ -163,11 +164,61 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         if order["unmeasured"] == "refuse":
             said = "X not measured from 450 to 500 mm; measure there"
             return problem(422, "bad-input", "The input cannot be used", said, "")
-        return compensation(job_id, order["format"], order["unmeasured"])
+        made = compensation(job_id, order["format"], order["unmeasured"])
+        service.compensations.setdefault(job_id, []).append(made)
+        return made
 
     @app.get(f"{API}/jobs/{{job_id}}/compensations")
     def compensations(job_id: str) -> Any:
-        return {"items": []}
+        return {"items": service.compensations.get(job_id, [])}
+
+    @app.get(f"{API}/jobs/{{job_id}}/certificates")
+    def certificates(job_id: str) -> Any:
+        items = service.certificates.get(job_id, [])
+        return {"items": items, "identity": service.identity}
+
+    @app.post(f"{API}/jobs/{{job_id}}/certificates", status_code=201)
+    async def issue(job_id: str, request: Request) -> Any:
+        order = await request.json()
+        service.requests.append(("POST", f"/jobs/{job_id}/certificates", order))
+        kept = service.certificates.setdefault(job_id, [])
+        kept.append(certificate(job_id, len(kept) + 1, order["language"]))
+        return kept[-1]
+
+    @app.get(f"{API}/jobs/{{job_id}}/certificates/{{number}}.html")
+    def certificate_page(job_id: str, number: str) -> HTMLResponse:
+        return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
+
+    @app.get(f"{API}/jobs/{{job_id}}/verification")
+    def job_verification(job_id: str) -> Any:
+        return service.verifications[job_id]
+
+    @app.get(f"{API}/machines")
+    def machines() -> Any:
+        return {"items": service.machines}
+
+    @app.patch(f"{API}/machines/{{machine_id}}")
+    async def change_machine(machine_id: str, request: Request) -> Any:
+        change = await request.json()
+        service.requests.append(("PATCH", f"/machines/{machine_id}", change))
+        entry = next(one for one in service.machines if one["id"] == machine_id)
+        entry.update(change)
+        return entry
+
+    @app.get(f"{API}/machines/{{machine_id}}")
+    def machine_record(machine_id: str) -> Any:
+        return next(one for one in service.machines if one["id"] == machine_id)
+
+    @app.get(f"{API}/machines/{{machine_id}}/history")
+    def history(machine_id: str) -> Any:
+        none = {"entries": [], "calibrations": []}
+        return service.histories.get(machine_id, none)
+
+    @app.get(f"{API}/machines/{{machine_id}}/standing")
+    def standing(machine_id: str) -> Any:
+        if machine_id not in service.standings:
+            return problem(404, "not-found", "Nothing is known", machine_id, "")
+        return service.standings[machine_id]
 
     @app.get(f"{API}/jobs/{{job_id}}/verification")
     def verification(job_id: str) -> Any:

@@ -398,3 +398,77 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
         "note": "name each file as COMP_FILE of its [JOINT_n]",
         "links": {"archive": f"{address}/archive"},
     }
+
+
+def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
+    """A machine as the registry lists it."""
+    names = ("maker", "model", "serial_number", "control", "customer", "place")
+    entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
+    return {**entry, "tolerance_um": None, "connected": True, "cell": "ready", **more}
+
+
+def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
+    """The volumetric error of a machine over its calibrations."""
+    labels = ("mean", "p95", "largest")
+    return {
+        "machine": machine_id,
+        "entries": [{"label": one, "position": None} for one in labels],
+        "calibrations": [
+            {
+                "job_id": f"job-{number}",
+                "measured": when,
+                "verdict": "usable",
+                "value": [15.3, 26.0, 32.1],
+                "uncertainty": [0.1, 0.2, 0.4],
+            }
+            for number, when in enumerate(measured, 1)
+        ],
+    }
+
+
+def verification(result_id: str, conformity: str | None = "within") -> dict[str, Any]:
+    """A result held against points that it was not made from."""
+    sizes = {"mean": 1.0, "p95": 1.6, "largest": 2.1}
+
+    def spread(mean: float) -> dict[str, float]:
+        values = {name: factor * mean for name, factor in sizes.items()}
+        return values | {f"{name}_uncertainty": 0.1 for name in sizes}
+
+    decision = {
+        "conformity": conformity,
+        "tolerance_um": 5.0,
+        "coverage_factor": 3.5,
+        "length_um": 2.1,
+        "expanded_uncertainty_um": 0.4,
+    }
+    return {
+        "asked": {"result_id": result_id},
+        "statements": ["Measurement and result agree."],
+        "agreement": {
+            "consistent": True,
+            "chance": 0.42,
+            "share_within_expanded": 0.96,
+            "chance_of_any_machine": 0.5,
+        },
+        "conformity": {} if conformity is None else {"measured": decision},
+        "volumetric_error_um": {
+            "measured": spread(1.1),
+            "predicted": spread(1.0),
+            "deviation": spread(0.4),
+        },
+        "places": {"row": list(range(30))},
+    }
+
+
+def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
+    """A certificate as it was issued."""
+    name = f"TP-20260314-{job_id.upper()}-{number}"
+    address = f"/api/v1/jobs/{job_id}/certificates/{name}"
+    return {
+        "number": name,
+        "issued_at": "2026-03-14T09:00:00Z",
+        "issued_by": "anna",
+        "language": language,
+        "files": {f"{name}.html": "0", f"{name}.pdf": "0"},
+        "links": {"html": f"{address}.html", "pdf": f"{address}.pdf"},
+    }

@@ -21,6 +21,7 @@ from scripted_data import (
     MACHINE,
     TRACKER_STANDS_MM,
     estimate,
+    machine_entry,
     planned_path,
     result,
 )
@@ -61,6 +62,13 @@ class ScriptedService:
         }
         self.discovery: dict[str, Any] = DISCOVERY
         self.trend: dict[str, Any] = {}
+        self.machines: list[dict[str, Any]] = [machine_entry()]
+        self.histories: dict[str, dict[str, Any]] = {}
+        self.standings: dict[str, dict[str, Any]] = {}
+        self.verifications: dict[str, dict[str, Any]] = {}
+        self.compensations: dict[str, list[dict[str, Any]]] = {}
+        self.certificates: dict[str, list[dict[str, Any]]] = {}
+        self.identity: dict[str, str] = {}
         self.estimates: dict[str, dict[str, Any]] = {}
         self._numbers = itertools.count(1)
         self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()

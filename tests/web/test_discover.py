@@ -184,7 +184,7 @@ def test_extra_lines_are_asked_for_with_the_reason_and_driven_once_held(panel, s
     page.wait_for_url(f"**/#/discover/{extra}")
     expect(page.locator("[data-effect=backlash] h2")).to_have_text("Backlash Y")
     expect(page.locator("[data-ask]")).to_have_count(0)
-    expect(page.locator(NEXT)).to_have_text("New measurement")
+    expect(page.locator(NEXT)).to_have_text("Correct the machine")
 
 
 def test_extra_lines_wait_for_the_devices_and_for_each_other(panel, service):

@@ -19,7 +19,7 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
     service.connected = True
     job = service.new_job("measure-otf", state="running", stage="measuring")
     service.finish(job["id"])
-    page = panel.open(f"#/result/{job['id']}", **more)
+    page = panel.open(f"#/export/{job['id']}", **more)
     return page, page.locator("[data-card=export]")
 
 
@@ -85,7 +85,7 @@ def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
     reason = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1})
     service.result["verdict"] = verdict_json(Verdict((reason,)))
     page, card = show(panel, service)
-    expect(page.locator("[data-symbol=EXX]")).to_be_visible()
+    expect(page.locator(".notice.is-fault")).to_contain_text("No files are made")
     expect(card).to_have_count(0)
 
 

@@ -43,6 +43,8 @@ BUILT_KEYS += ("export.unmeasured_", "condition.", "session.", "budget.")
 BUILT_KEYS += ("headline.within", "headline.outside", "headline.undecided")
 BUILT_KEYS += ("headline.now_", "headline.proof_", "residual.")
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
+BUILT_KEYS += ("onward.", "verify.", "identity.", "machine.of_", "machine.tolerance_")
+BUILT_KEYS += ("certificate.of_",)
 # Told by the service in English, and so translated into the other languages only.
 TOLD = re.compile(
     r"effect\.[\w-]+\.(cause|looks_like|remedy)"

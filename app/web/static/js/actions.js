@@ -1,6 +1,6 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend } from "./flow.js";
+import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
@@ -61,7 +61,7 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null, discovery: null, trend: null };
+    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null, discovery: null, trend: null, verification: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();
@@ -71,7 +71,7 @@ export function createActions(store, go) {
   /** What has been estimated before this page came; a few extra lines have no tables. */
   async function fetchEstimate() {
     const { job } = store.get();
-    if (!job || !isMeasuring(job) || isExtra(job) || !job.started) return;
+    if (!job || !isMeasuring(job) || isExtra(job) || isVerification(job) || !job.started) return;
     await keep("estimate", job, api.estimate);
     const { estimate } = store.get();
     if (estimate?.course) store.set({ course: estimate.course });
@@ -95,10 +95,14 @@ export function createActions(store, go) {
   }
 
   async function fetchResult() {
-    const { job, result, discovery, trend } = store.get();
-    if (job?.state !== "succeeded" || result || discovery || trend) return;
+    const { job, result, discovery, trend, verification } = store.get();
+    if (job?.state !== "succeeded" || result || discovery || trend || verification) return;
     if (isTrend(job)) {
       await keep("trend", job, api.trend);
+      return;
+    }
+    if (isVerification(job)) {
+      await keep("verification", job, api.verification);
       return;
     }
     if (isDiscovery(job)) {
@@ -148,11 +152,21 @@ export function createActions(store, go) {
     tell(null);
     const job = await during("prepare", async () =>
       api.createJob(request ? { ...order, plan_id: (await makePlan(request, tell)).id } : order));
-    if (!job) return;
+    if (!job) return null;
     hear(job);
     follow(job);
     go(addressOf(job));
+    return job;
   }
+
+  /** Drive points that a result was not made from, and hold it against them. */
+  async function verify(order) {
+    const job = await begin({ kind: "verify", ...order });
+    if (job) store.set({ proves: { ...store.get().proves, [job.id]: order.result_id } });
+  }
+
+  /** Issue a certificate of a result; null where it is refused. */
+  const issue = (id, order) => during("issue", () => api.issueCertificate(id, order));
 
   return {
     loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse,
@@ -161,6 +175,7 @@ export function createActions(store, go) {
       await loadSystem();
     }),
     prepare: begin,
+    verify, issue,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
       try {

@@ -70,6 +70,15 @@ export async function machine() {
 export const connect = () =>
   call("POST", "/machines/current:connect", { patience_ms: 60000 });
 
+/** All machines that the service knows, those it drives first. */
+export const machines = async () => items(await call("GET", "/machines"));
+export const machineRecord = (id) => call("GET", `/machines/${id}`);
+/** Say who a machine is. */
+export const changeMachine = (id, change) => call("PATCH", `/machines/${id}`, { json: change });
+/** The volumetric error over all calibrations of a machine. */
+export const machineHistory = (id) => call("GET", `/machines/${id}/history`);
+export const machineStanding = (id) => call("GET", `/machines/${id}/standing`);
+
 /** What has to be so before the machine moves. */
 export const conditions = async () => items(await call("GET", "/machines/current/conditions"));
 
@@ -119,6 +128,20 @@ export const formats = async () => items(await call("GET", "/compensation-format
 export const createCompensation = (id, order) =>
   call("POST", `/jobs/${id}/compensations`, { json: order, patience_ms: 60000 });
 
+/** Certificates of a result, and what is kept of who its machine is. */
+export const certificates = (id) => call("GET", `/jobs/${id}/certificates`);
+/** Issue one; it never changes. */
+export const issueCertificate = (id, order) =>
+  call("POST", `/jobs/${id}/certificates`, { json: order, patience_ms: 180000 });
+/** A certificate as the page that was issued. */
+export async function certificatePage({ links: { html } }) {
+  const answer = await fetch(html, { cache: "no-store" });
+  if (!answer.ok) throw new Problem(answer.status, {});
+  return answer.text();
+}
+
+export const verification = (id) => call("GET", `/jobs/${id}/verification`);
+
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>
@@ -146,6 +169,7 @@ export const links = {
   acceptedCsv: (id) => `${links.csv(id)}?accept_verdict=true`,
   json: (id) => `${ROOT}/jobs/${id}/result`,
   discoveryReport: (id) => `${ROOT}/jobs/${id}/discovery/report.html`,
+  verificationReport: (id) => `${ROOT}/jobs/${id}/verification/report.html`,
   trend: (id) => `${ROOT}/jobs/${id}/trend`,
   trendReport: (id) => `${ROOT}/jobs/${id}/trend/report.html`,
   model: (id) => `${ROOT}/models/${id}`,

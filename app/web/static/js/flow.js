@@ -1,5 +1,13 @@
 /* The steps, where a job belongs among them, and which can be reached. */
-export const STEPS = ["connect", "plan", "check", "run", "result", "discover"];
+
+/** The steps in their order, in the groups that a narrow panel shows. */
+export const GROUPS = [
+  { name: "set-up", steps: ["machine", "connect"] },
+  { name: "measure", steps: ["plan", "check", "run"] },
+  { name: "learn", steps: ["result", "discover"] },
+  { name: "correct", steps: ["export", "verify", "certificate"] },
+];
+export const STEPS = GROUPS.flatMap(({ steps }) => steps);
 
 /** Views that are no step. */
 const BESIDE = ["records", "trend"];
@@ -8,7 +16,8 @@ const BEFORE_MOTION = new Set(["queued", "preparing", ...WAITS_FOR_ARMING]);
 const ENDED = new Set(["succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"]);
 const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "following", "reporting"]);
 
-export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
+export const isVerification = (job) => job?.kind === "verify";
+export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-")) || isVerification(job);
 export const isExtra = (job) => job?.kind === "measure-extra";
 export const isDiscovery = (job) => job?.kind === "discover" || isExtra(job);
 export const isTrend = (job) => job?.kind === "trend";
@@ -21,6 +30,22 @@ export const isMoving = (job) =>
 export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);
 export const isConnected = (machine) => Boolean(machine?.connected);
 
+/** Whether a job has ended with error tables. */
+export const statesTables = (job) => job?.state === "succeeded" && !isDiscovery(job) && !isTrend(job)
+  && !isReanalysis(job) && !isVerification(job);
+
+/** Id of the job whose result is taken further: the followed one, or the one that it came from; or null. */
+export function resultId({ job, jobs, verification, proves }) {
+  if (!job) return null;
+  if (statesTables(job)) return job.id;
+  if (isVerification(job)) return verification?.asked.result_id ?? proves?.[job.id] ?? null;
+  if (!isDiscovery(job)) return null;
+  const runs = new Set(runsOf(job));
+  return jobs.find((other) => statesTables(other) && runsOf(other).some((run) => runs.has(run)))?.id ?? null;
+}
+
+const runsOf = ({ run_id, run_ids }) => (run_ids?.length ? run_ids : [run_id]).filter(Boolean);
+
 /** The rows of the station that is measured or asked for; of one station all rows. */
 export const rowsNow = (plan, job) =>
   plan?.stations?.[(job?.station?.number ?? 1) - 1] ?? plan;
@@ -30,6 +55,7 @@ export function stepOf(job) {
   if (!job) return "connect";
   if (job.state === "succeeded" && isTrend(job)) return "trend";
   if (job.state === "succeeded" && isReanalysis(job)) return "run";
+  if (job.state === "succeeded" && isVerification(job)) return "verify";
   if (job.state === "succeeded") return isDiscovery(job) ? "discover" : "result";
   if (isMeasuring(job) && BEFORE_MOTION.has(job.state)) return "check";
   return "run";
@@ -45,14 +71,19 @@ export function place(hash) {
   return { step: found, id };
 }
 
+const OF_A_RESULT = new Set(["result", "discover", "export", "verify", "certificate"]);
+
 /** Address of a step, or null where there is nothing to show yet. */
-export function reach(step, { job, machine }) {
-  if (step === "connect") return "#/connect";
+export function reach(step, state) {
+  const { job, machine } = state;
+  if (step === "machine" || step === "connect") return `#/${step}`;
   if (step === "plan") return isConnected(machine) ? "#/plan" : null;
   if (!job) return null;
   const own = stepOf(job);
   if (step === own) return `#/${step}/${job.id}`;
-  if (step === "run" && ["result", "discover", "trend"].includes(own)) return `#/run/${job.id}`;
-  if (step === "discover" && own === "result") return `#/discover/${job.id}`;
-  return null;
+  if (step === "run" && (OF_A_RESULT.has(own) || own === "trend")) return `#/run/${job.id}`;
+  if (!OF_A_RESULT.has(step) || !OF_A_RESULT.has(own)) return null;
+  // What a discovery has found is corrected as well.
+  const id = step === "export" && isDiscovery(job) ? job.id : resultId(state);
+  return id && `#/${step}/${id}`;
 }

@@ -7,23 +7,27 @@ import { updateBar, updateLead, updateProblems, updateSteps } from "./shell.js";
 import { createStore } from "./store.js";
 import { listen, STALE_MS } from "./stream.js";
 import { t } from "./texts.js";
+import * as certificate from "./views/certificate.js";
 import * as check from "./views/check.js";
 import * as connect from "./views/connect.js";
 import * as discover from "./views/discover.js";
+import * as exporting from "./views/export.js";
+import * as machine from "./views/machine.js";
 import * as plan from "./views/plan.js";
 import * as records from "./views/records.js";
 import * as result from "./views/result.js";
 import * as run from "./views/run.js";
 import { toggleSettings } from "./views/settings.js";
 import * as trend from "./views/trend.js";
+import * as verify from "./views/verify.js";
 
-const VIEWS = { connect, plan, check, run, result, discover, records, trend };
+const VIEWS = { machine, connect, plan, check, run, result, discover, export: exporting, verify, certificate, records, trend };
 const RETRY_MS = 2000;
 const RECENT_MS = 3600e3;
 
 const store = createStore({
-  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null,
-  conditions: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
+  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null, verification: null,
+  conditions: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null, proves: {}, issued: null,
   link: { stale: false, asked: false, last: null, age_s: 0 },
 });
 const go = (address) => {
@@ -70,12 +74,17 @@ function render(state) {
   mounted.update(state);
 }
 
-const NEEDS_OPERATOR = new Set(["connect", "prepare", "arm", "extra", "follow", "discover", "ask"]);
+const NEEDS_OPERATOR = new Set(["connect", "prepare", "arm", "extra", "follow", "discover", "ask", "verify"]);
+const NEEDS_METROLOGIST = new Set(["issue"]);
 
-/** Offer a viewer only what leads elsewhere. */
+/** Offer a role only what it may do, and what leads elsewhere. */
 function permitted(lead) {
-  const isClosed = document.body.dataset.role === "viewer" && NEEDS_OPERATOR.has(lead.next?.key);
-  return isClosed ? { ...lead, next: null, reason: t("session.viewer_only") } : lead;
+  const { role } = document.body.dataset;
+  const key = lead.next?.key;
+  const closed = (reason) => ({ ...lead, next: null, reason: t(reason) });
+  if (role === "viewer" && NEEDS_OPERATOR.has(key)) return closed("session.viewer_only");
+  if (["viewer", "operator"].includes(role) && NEEDS_METROLOGIST.has(key)) return closed("session.metrologist_only");
+  return lead;
 }
 
 let seen = {};

@@ -1,6 +1,6 @@
 /* What surrounds the views: state and stamp in the bar, steps, problems, the next button. */
 import { h, icon, mark, write } from "./dom.js";
-import { hasEnded, isActive, isComputing, isConnected, isMeasuring, reach, STEPS } from "./flow.js";
+import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, reach, STEPS } from "./flow.js";
 import { holdToConfirm } from "./hold.js";
 import { notice, shapeOf, toneOf, wordOf } from "./parts.js";
 import { clock, t } from "./texts.js";
@@ -41,23 +41,35 @@ function updateStamp({ stale, asked, last }) {
   write(stamp, stale ? t("stamp.stale", { since }) : fresh);
 }
 
-/** Write the steps; those that can be reached are links. */
+/** Write the steps in their groups; those that can be reached are links. */
 export function updateSteps(state, current) {
   const key = JSON.stringify([current, STEPS.map((step) => reach(step, state)), t("step.connect")]);
   const list = element("steps");
   if (list.dataset.key === key) return;
   list.dataset.key = key;
-  const at = STEPS.indexOf(current);
-  list.replaceChildren(...STEPS.map((step, i) => {
-    const done = i < at;
-    const inside = [h("span", { class: "step-dot" }, done ? icon("check") : String(i + 1)),
-      h("span", { class: "step-name" }, t(`step.${step}`))];
-    const address = reach(step, state);
-    const here = step === current ? { "aria-current": "step" } : {};
-    const entry = address ? h("a", { href: address, ...here }, inside) : h("span", here, inside);
-    return h("li", { class: "step", "data-done": done }, entry);
-  }));
+  list.replaceChildren(...GROUPS.map((group) => groupEntry(group, state, current)));
   mark(element("to-records"), "aria-current", current === "records" ? "page" : null);
+}
+
+/** A group; its own name is seen where the panel is too narrow for all steps at once. */
+function groupEntry({ name, steps }, state, current) {
+  const isHere = steps.includes(current);
+  const address = steps.map((step) => reach(step, state)).find(Boolean);
+  const title = h(address && !isHere ? "a" : "span", { class: "group-name", href: isHere ? null : address }, t(`step.group.${name}`));
+  return h("li", { class: "group", "data-here": isHere, "data-done": isDone(steps.at(-1), current) }, title,
+    h("ol", { "aria-label": t(`step.group.${name}`) }, steps.map((step) => stepEntry(step, state, current))));
+}
+
+const isDone = (step, current) => STEPS.indexOf(step) < STEPS.indexOf(current);
+
+function stepEntry(step, state, current) {
+  const done = isDone(step, current);
+  const inside = [h("span", { class: "step-dot" }, done ? icon("check") : String(STEPS.indexOf(step) + 1)),
+    h("span", { class: "step-name" }, t(`step.${step}`))];
+  const address = reach(step, state);
+  const here = step === current ? { "aria-current": "step" } : {};
+  const entry = address ? h("a", { href: address, ...here }, inside) : h("span", here, inside);
+  return h("li", { class: "step", "data-done": done }, entry);
 }
 
 /** Show what was refused, with the way out. */
@@ -75,12 +87,13 @@ export function updateProblems({ problem }, dismiss) {
   scrollTo({ top: 0 });
 }
 
-/** Show the button that leads on, why it cannot, and the way back. */
-export function updateLead({ next, back, reason = "" }, link, job) {
+/** Show the button that leads on, why it cannot, the way back, and a quiet second choice. */
+export function updateLead({ next, back, aside, reason = "" }, link, job) {
   write(element("reason"), reason);
   element("reason").classList.toggle("is-held", Boolean(link.stale && job && !hasEnded(job)));
   place(element("next"), next, nextButton);
   place(element("back"), back && { key: "back", ...back }, backButton);
+  place(element("aside"), aside && { key: "aside", ...aside }, asideButton);
 }
 
 /** Keep the button while its meaning stays, else a press under way would be lost. */
@@ -110,3 +123,5 @@ function place(container, wanted, make) {
 const nextButton = () => h("button", { class: "next", type: "button", "aria-describedby": "reason" });
 
 const backButton = () => h("button", { class: "button is-plain", type: "button" }, icon("back"));
+
+const asideButton = () => h("button", { class: "button is-plain", type: "button" });

@@ -7,6 +7,7 @@ import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCard, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
+import { newMeasurement, onward } from "./onward.js";
 import { verdictBand } from "./verdict-band.js";
 import { whereCard } from "./where-card.js";
 
@@ -14,16 +15,17 @@ import { whereCard } from "./where-card.js";
 export function lead(state, { actions, go }) {
   const { job } = state;
   if (!job) return { next: null };
-  const next = { key: "measure", label: t("discover.next"), run: () => go("#/connect") };
+  const next = onward("discover", state, go);
+  const aside = newMeasurement(go);
   if (isDiscovery(job)) {
     const back = { label: t("discover.to_run"), run: () => go(`#/run/${job.id}`) };
-    return { next, back, ...extraLead(state, actions) };
+    return { next, back, aside, ...extraLead(state, actions) };
   }
   const back = { label: t("discover.to_result"), run: () => go(`#/result/${job.id}`) };
-  if (!job.run_id) return { next, back };
+  if (!job.run_id) return { next, back, aside };
   const ask = { key: "discover", label: t("discover.ask"), disabled: Boolean(state.busy),
     run: () => actions.discover(job.run_id) };
-  return { next: ask, back };
+  return { next: ask, back, aside: { label: next.label, run: next.run } };
 }
 
 /** Show what was found; before that, what is going to be done. */

@@ -8,11 +8,11 @@ import { quantity } from "../units.js";
 
 /** A card with a choice of controllers; null where the result is not to be used.
  *
- * onFiles(account): hears of files that were made
+ * onFiles(): hears that files were made
  */
-export function exportCard(job, result, onFiles) {
-  if (result.verdict?.state === "not-usable") return null;
-  const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.title") });
+export function exportCard(job, { verdict }, onFiles) {
+  if (verdict?.state === "not-usable" || verdict === "not-usable") return null;
+  const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.choose") });
   const said = h("div", { class: "stack", "aria-live": "polite" });
   let order = { format: null, unmeasured: "hold" };
 
@@ -27,14 +27,14 @@ export function exportCard(job, result, onFiles) {
   }
 
   function take(made) {
-    onFiles(made);
+    onFiles();
     return account(made);
   }
 
   const beyond = segments(t("export.unmeasured"),
     ["hold", "fade", "refuse"].map((choice) => [choice, t(`export.unmeasured_${choice}`)]), order.unmeasured,
     (unmeasured) => choose({ unmeasured }));
-  const element = card(t("export.title"), h("p", { class: "quiet" }, t("export.text")), choices,
+  const element = card(t("export.choose"), choices,
     h("div", { class: "choice-beside" }, h("span", {}, t("export.unmeasured")), beyond), said);
   element.hidden = true;
   element.dataset.card = "export";

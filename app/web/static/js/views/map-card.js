@@ -40,7 +40,7 @@ export function readMap(found, result) {
 
 const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
 
-/** The card; `addFiles(made)` offers what files leave, `addOther(job, result)` another calibration, `close` ends it. */
+/** The card, with what kept files leave; `addOther(job, result)` offers another calibration, `close` ends it. */
 export function mapCard(job, result) {
   const space = hasWebGL();
   const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, first: null, scale: null };
@@ -202,7 +202,7 @@ export function mapCard(job, result) {
 
   return {
     element: parts.element,
-    addFiles, addOther,
+    addOther,
     close() {
       closed = true;
       slice?.close();

@@ -1,4 +1,4 @@
-/* Step 5: error tables with their uncertainty, squareness, and what can be taken away. */
+/* The step Result: error tables with their uncertainty, squareness, and what can be taken away. */
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
 import { card, earlyEndNotice, head, kindOf, linkButton, segments, tile } from "../parts.js";
@@ -7,7 +7,6 @@ import { prefer, preference } from "../preferences.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
-import { exportCard } from "./export-card.js";
 import { gradeCard } from "./grade-card.js";
 import { residualCard } from "./residual-card.js";
 import { showTable } from "./table-sheet.js";
@@ -15,6 +14,7 @@ import { askCard } from "./discover.js";
 import { budgetCard } from "./budget-card.js";
 import { compareCard } from "./compare-card.js";
 import { headline } from "./headline.js";
+import { newMeasurement, onward } from "./onward.js";
 import { mapCard } from "./map-card.js";
 import { overTimeCard } from "./trend-form.js";
 import { trialsCard } from "./trials-card.js";
@@ -22,7 +22,7 @@ import { usableMark, verdictBand } from "./verdict-band.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
-  return { next: { key: "measure", label: t("result.next"), run: () => go("#/connect") },
+  return { next: onward("result", state, go), aside: newMeasurement(go),
     back: state.job ? { label: t("result.to_run"), run: () => go(`#/run/${state.job.id}`) } : null };
 }
 
@@ -53,7 +53,7 @@ export function mount(root, { actions, go }) {
     top.append(h("div", { class: "stack" }, headline(job, result, jobs), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
-    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), exportCard(job, result, map.addFiles), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));

@@ -1,7 +1,7 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
 import {
-  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, rowsNow,
+  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, isVerification, rowsNow,
 } from "../flow.js";
 import { holdToConfirm } from "../hold.js";
 import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
@@ -19,6 +19,7 @@ const STAGES = {
   analyse: ["aligning", "estimating", "reporting"],
   discover: ["discovering", "reporting"],
   extra: ["planning", "measuring", "discovering", "reporting"],
+  verify: ["planning", "measuring", "aligning", "reporting"],
   trend: ["estimating", "following", "reporting"],
   validate: ["aligning", "estimating", "validating", "reporting"],
 };
@@ -49,7 +50,7 @@ export const again = (job, plan, go) => (isExtra(job) && plan?.discovery_id
   ? { key: "asked", label: t("run.asked"), run: () => go(`#/discover/${plan.discovery_id}`) }
   : { key: "again", label: t("run.again"), run: () => go("#/plan") });
 
-const nextOf = (job) => t(isDiscovery(job) ? "run.next_discovery" : "run.next");
+const nextOf = (job) => t(isDiscovery(job) ? "run.next_discovery" : isVerification(job) ? "run.next_verification" : "run.next");
 
 /** Stages, title and text of a job that moves nothing. */
 function computing(job) {
@@ -59,18 +60,21 @@ function computing(job) {
   return [stages, t("run.analysis_title"), t("run.analysis_text")];
 }
 
+const stagesOf = (job) => (isVerification(job) ? STAGES.verify : isExtra(job) ? STAGES.extra : STAGES.measure);
+
 /** Show the job under way. */
 export function mount(root, context) {
   const { job } = context.store.get();
   const measuring = job ? isMeasuring(job) : true;
-  return measuring ? mountMeasuring(root, context, isExtra(job)) : mountAnalysis(root, job);
+  return measuring ? mountMeasuring(root, context, job) : mountAnalysis(root, job);
 }
 
-/** A machine that moves; a few extra lines have no tables of their own. */
-function mountMeasuring(root, { store, actions }, extra) {
+/** A machine that moves; extra lines and points of a verification have no tables of their own. */
+function mountMeasuring(root, { store, actions }, job) {
+  const extra = isExtra(job) || isVerification(job);
   const path = pathCard(true);
   const estimate = estimateCard();
-  const progress = progressCard(extra ? STAGES.extra : STAGES.measure);
+  const progress = progressCard(stagesOf(job));
   const position = positionCard();
   const strip = h("div", { class: "strip" });
   const health = healthCard(strip);

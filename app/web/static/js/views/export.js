@@ -1,0 +1,56 @@
+/* The step Export: the errors in the form that a control corrects by. */
+import * as api from "../api.js";
+import { h } from "../dom.js";
+import { isDiscovery, reach, statesTables } from "../flow.js";
+import { card, head, linkButton, notice } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { t } from "../texts.js";
+import { quantity } from "../units.js";
+import { exportCard } from "./export-card.js";
+import { newMeasurement, onward } from "./onward.js";
+
+/** Button that leads on. */
+export function lead(state, { go }) {
+  const { job } = state;
+  if (!job) return { next: null };
+  const before = isDiscovery(job) ? "discover" : "result";
+  return { next: onward("export", state, go), aside: newMeasurement(go),
+    back: { label: t(`step.${before}`), run: () => go(reach(before, state)) } };
+}
+
+/** Show the choice of controls, and the files that were made before. */
+export function mount(root) {
+  const body = h("div", { class: "stack" });
+  let shown = null;
+  root.append(head(t("export.title"), t("export.text")), body);
+
+  function show(job, verdict) {
+    const kept = h("div");
+    const list = () => api.compensations(job.id).then((found) => kept.replaceChildren(...keptFiles(found)), () => {});
+    const making = exportCard(job, { verdict }, list);
+    body.replaceChildren(making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
+      h("div", { "data-only": "without-metrologist" }, notice(null, t("session.metrologist_only"))), kept);
+    list();
+  }
+
+  return {
+    update({ job, result, discovery }) {
+      const found = job && (statesTables(job) ? result : isDiscovery(job) && discovery);
+      if (!found || shown === found) return;
+      shown = found;
+      show(job, found.verdict);
+    },
+    close() {},
+  };
+}
+
+/** Files that were made of this result, to be taken again. */
+function keptFiles(found) {
+  if (!found.length) return [];
+  return [card(t("export.kept"), h("ul", { class: "kept-list" }, found.map((made) => h("li", {},
+    h("div", {}, h("strong", {}, made.control), h("p", { class: "quiet" }, left(made))),
+    linkButton(made.links.archive, "download", t("export.take"), { download: "" })))))];
+}
+
+const left = ({ volumetric_error_um: { after } }) => t("export.kept_leaves", {
+  value: quantity(after.mean, "gap"), u: quantity(COVERAGE * after.mean_uncertainty, "gap"), k: COVERAGE });

@@ -1,0 +1,129 @@
+/* The step Machine: which machines there are, how each stands, and who it is. */
+import * as api from "../api.js";
+import { h, icon } from "../dom.js";
+import { addressOf, isActive } from "../flow.js";
+import { card, head, notice } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { dateTime, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+const DAY_MS = 86400e3;
+const HOUR_MS = 3600e3;
+const IDENTITY = ["name", "maker", "model", "serial_number", "control", "customer", "place"];
+const SHAPES = { alarm: "warning", calm: "check", unknown: "info" };
+
+/** Button that leads on. */
+export function lead({ job }, { go }) {
+  if (isActive(job)) return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
+  return { next: { key: "devices", label: t("machine.next"), run: () => go("#/connect") } };
+}
+
+/** Show the machines. */
+export function mount(root, { store, actions }) {
+  const list = h("div", { class: "machine-list" });
+  const identity = h("div");
+  root.append(head(t("machine.title"), t("machine.text")), h("div", { class: "stack" }, list, identity));
+
+  async function load() {
+    const entries = await api.machines();
+    if (!entries.length) {
+      list.replaceChildren(notice(null, t("connect.no_machine")));
+      return;
+    }
+    const known = await Promise.all(entries.map(async (entry) => ({ entry, ...await standingOf(entry.id) })));
+    list.replaceChildren(...known.map((one) => machineCard(one, entries.length > 1, edit)));
+    edit(entries[0]);
+  }
+
+  function edit(entry) {
+    identity.replaceChildren(identityCard(entry, async (change) => {
+      try {
+        await api.changeMachine(entry.id, change);
+        await Promise.all([load(), actions.loadSystem()]);
+        return true;
+      } catch (error) {
+        actions.refuse(error);
+        return false;
+      }
+    }));
+  }
+
+  load().catch(actions.refuse);
+  return { update() {}, close() {} };
+}
+
+/** The newest calibration of a machine that is to be used, and how it stands; null where nobody knows. */
+async function standingOf(id) {
+  const absent = (error) => {
+    if (!(error instanceof api.Problem) || error.status !== 404) throw error;
+    return null;
+  };
+  const [history, standing] = await Promise.all([api.machineHistory(id).catch(absent), api.machineStanding(id).catch(absent)]);
+  return { history, standing };
+}
+
+function machineCard({ entry, history, standing }, several, edit) {
+  const newest = history?.calibrations.findLast((one) => one.verdict !== "not-usable") ?? null;
+  const names = [[entry.maker, entry.model].filter(Boolean).join(" "), entry.serial_number && t("machine.number", { serial: entry.serial_number }), entry.place];
+  return h("section", { class: "card machine-entry", "data-machine": entry.id, "data-alarm": Boolean(standing?.is_alarm) },
+    h("div", { class: "device-icon" }, icon("machine")),
+    h("div", {}, h("h2", {}, entry.name || entry.id), h("p", { class: "quiet" }, names.filter(Boolean).join(" · ") || t("machine.nameless"))),
+    h("dl", { class: "machine-facts" }, fact(t("machine.calibrated"), newest ? dateTime(newest.measured) : t("machine.never"), newest && ageOf(newest.measured)),
+      fact(t("machine.error_95"), newest ? errorOf(history, newest) : "–", newest && t("machine.error_note"))),
+    standingMark(standing),
+    several && h("button", { class: "button", type: "button", onclick: () => edit(entry) }, t("machine.identity")));
+}
+
+const fact = (name, value, note) => h("div", {}, h("dt", {}, name), h("dd", {}, value), note && h("dd", { class: "quiet" }, note));
+
+/** How long ago, in hours or whole days. */
+function ageOf(stamp) {
+  const age_ms = Math.max(0, Date.now() - new Date(stamp));
+  if (age_ms < HOUR_MS) return t("machine.age_now");
+  if (age_ms < 2 * DAY_MS) return t("machine.age_h", { hours: number(Math.floor(age_ms / HOUR_MS)) });
+  return t("machine.age_days", { days: number(Math.floor(age_ms / DAY_MS)) });
+}
+
+/** The error that 95 % of the places stay below, as it was found. */
+function errorOf({ entries }, { value, uncertainty }) {
+  const at = entries.findIndex(({ label }) => label === "p95");
+  if (at < 0 || value[at] === null) return "–";
+  const u = uncertainty[at] === null ? "–" : quantity(COVERAGE * uncertainty[at], "gap");
+  return `${quantity(value[at], "gap")} ± ${u}`;
+}
+
+function standingMark(standing) {
+  const state = !standing ? "unknown" : standing.is_alarm ? "alarm" : "calm";
+  return h("p", { class: "standing", "data-standing": state }, icon(SHAPES[state]), h("span", {}, wordsOf(standing).join(" ")));
+}
+
+function wordsOf(standing) {
+  if (!standing?.calibration) return [t("machine.standing_unknown")];
+  const { tolerance, has_changed: changed } = standing;
+  return [t(`machine.tolerance_${tolerance ?? "none"}`), changed === null ? t("machine.change_unknown") : t(changed ? "machine.changed" : "machine.unchanged")];
+}
+
+/** Who the machine is; asked once, stated on every certificate. */
+function identityCard(entry, save) {
+  const inputs = IDENTITY.map((name) => h("input", { id: `machine-${name}`, name, maxlength: 200, autocomplete: "off", value: entry[name] ?? "" }));
+  const said = h("p", { class: "quiet", role: "status" });
+  const button = h("button", { class: "button", type: "submit" }, t("machine.save"));
+  const fields = h("fieldset", { class: "text-fields" }, inputs.map((input) =>
+    h("div", { class: "text-field" }, h("label", { for: input.id }, t(`machine.of_${input.name}`)), input)));
+  const form = h("form", { class: "stack" }, fields, h("div", { class: "downloads" }, button, said));
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    button.disabled = true;
+    const isKept = await save(Object.fromEntries(inputs.map((input) => [input.name, input.value.trim()])));
+    button.disabled = false;
+    if (isKept) document.querySelector("[data-card=who] [role=status]").textContent = t("machine.saved");
+  });
+  const element = card(t("machine.who", { name: entry.name || entry.id }), h("p", { class: "quiet" }, t("machine.who_text")), form);
+  element.dataset.card = "who";
+  if (["viewer", "operator"].includes(document.body.dataset.role)) {
+    fields.disabled = true;
+    button.hidden = true;
+    said.textContent = t("session.metrologist_only");
+  }
+  return element;
+}

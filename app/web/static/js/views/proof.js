@@ -1,0 +1,68 @@
+/* What a verification says: pass, fail or cannot be said, with its numbers. */
+import * as api from "../api.js";
+import { h, icon } from "../dom.js";
+import { isVerification } from "../flow.js";
+import { card, linkButton } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { currentLanguage, dateTime, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+const LOOKS = 5;
+const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees: "warning", undecided: "info" };
+
+/** The newest verification of a result, or null: { job, verification }. */
+export async function findProof(result_id, jobs) {
+  const done = jobs.filter((job) => isVerification(job) && job.state === "succeeded").slice(0, LOOKS);
+  for (const job of done) {
+    const verification = await api.verification(job.id).catch(() => null);
+    if (verification?.asked.result_id === result_id) return { job, verification };
+  }
+  return null;
+}
+
+/** The decision in a word of this page: of the tolerance where there is one, else of the agreement. */
+export function decisionOf({ conformity, agreement }) {
+  return conformity.measured?.conformity ?? (agreement.consistent ? "agrees" : "disagrees");
+}
+
+/** The verdict, and the numbers that it rests on. */
+export function proofCards({ job, verification }) {
+  return [verdict(job, verification), numbers(verification)];
+}
+
+function verdict(job, verification) {
+  const decision = decisionOf(verification);
+  return h("section", { class: "card proof", "data-decision": decision, role: "status" },
+    icon(SHAPES[decision]),
+    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification)), h("p", {}, agreement(verification)),
+      h("p", { class: "quiet" }, t("verify.when", { when: dateTime(job.ended ?? job.created) }))),
+    linkButton(api.links.verificationReport(job.id), "report", t("result.report"), { target: "_blank", rel: "noopener" }));
+}
+
+/** The place that decides, against the tolerance. */
+function reason({ conformity: { measured }, places }) {
+  if (!measured) return t("verify.no_tolerance");
+  return t("verify.worst", { count: number(places.row.length), length: quantity(measured.length_um, "gap"),
+    u: quantity(measured.expanded_uncertainty_um, "gap"), k: number(measured.coverage_factor, 1), tolerance: quantity(measured.tolerance_um, "gap") });
+}
+
+function agreement({ agreement: { consistent, chance, share_within_expanded: share, chance_of_any_machine: other } }) {
+  const values = { chance: number(100 * chance, 1), share: number(100 * share), k: COVERAGE };
+  if (consistent) return t("verify.consistent", values);
+  return t(other < 0.05 ? "verify.no_machine" : "verify.changed", values);
+}
+
+const ROWS = ["measured", "predicted", "deviation"];
+const SIZES = ["mean", "p95", "largest"];
+
+function numbers(verification) {
+  const rows = ROWS.map((name) => h("tr", {}, h("th", { scope: "row" }, t(`verify.${name}`)),
+    SIZES.map((size) => h("td", { class: "right" }, sized(verification.volumetric_error_um[name], size)))));
+  const said = currentLanguage() === "en" && h("ul", { class: "lines" }, verification.statements.map((text) => h("li", {}, text)));
+  return card(t("verify.numbers"), h("div", { class: "table-scroll" }, h("table", { class: "proof-table" },
+    h("thead", {}, h("tr", {}, h("th", {}, t("verify.error_of")), SIZES.map((size) => h("th", { class: "right" }, t(`verify.${size}`))))),
+    h("tbody", {}, rows))), h("p", { class: "quiet" }, t("verify.numbers_note", { k: COVERAGE })), said);
+}
+
+const sized = (statistics, size) =>
+  `${quantity(statistics[size], "gap")} ± ${quantity(COVERAGE * statistics[`${size}_uncertainty`], "gap")}`;

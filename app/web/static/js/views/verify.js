@@ -1,0 +1,120 @@
+/* The step Verify: a result held against points that it was not made from. */
+import * as api from "../api.js";
+import { h, mark } from "../dom.js";
+import { isConnected, isVerification, reach, resultId, statesTables } from "../flow.js";
+import { card, head, notice } from "../parts.js";
+import { prefer, preference } from "../preferences.js";
+import { plain, t, typed } from "../texts.js";
+import { decimalsOf, shown, stored, unitOf } from "../units.js";
+import { newMeasurement, onward } from "./onward.js";
+import { findProof, proofCards } from "./proof.js";
+
+const KINDS = ["diagonals", "random-points", "bidirectional", "circles"];
+const choices = { what: new Set(["diagonals", "random-points"]), tolerance_um: keptTolerance(), compensation_id: "" };
+
+/** Button that leads on: to the points, or to the certificate once they have spoken. */
+export function lead(state, { actions, go }) {
+  const { job, busy } = state;
+  if (!job) return { next: null };
+  const id = resultId(state);
+  const certify = onward("verify", state, go);
+  const back = { label: t("step.export"), run: () => go(reach("export", state) ?? "#/records") };
+  if (isVerification(job)) {
+    const again = id ? { label: t("verify.again"), run: () => go(`#/verify/${id}`) } : newMeasurement(go);
+    return { next: certify, back: id ? back : null, aside: again };
+  }
+  if (!isConnected(state.machine)) return { next: certify, back, reason: t("verify.not_connected") };
+  const refused = busy ? t("plan.preparing") : refusal();
+  return { back, reason: refused, aside: { label: t("verify.skip"), run: certify.run },
+    next: { key: "verify", label: t("verify.prepare"), disabled: Boolean(refused), run: () => actions.verify(order(id)) } };
+}
+
+function refusal() {
+  if (!choices.what.size) return t("verify.none_chosen");
+  return Number.isNaN(choices.tolerance_um) || choices.tolerance_um < 0 ? t("headline.tolerance_refused") : "";
+}
+
+const order = (id) => ({
+  result_id: id, what: KINDS.filter((kind) => choices.what.has(kind)),
+  ...(choices.tolerance_um ? { tolerance_um: choices.tolerance_um } : {}),
+  ...(choices.compensation_id ? { compensation_id: choices.compensation_id } : {}),
+});
+
+/** Show what can be driven and held against what; or what came of it. */
+export function mount(root, { store }) {
+  const body = h("div", { class: "stack" });
+  let drawn = null;
+  root.append(head(t("verify.title"), t("verify.text")), body);
+
+  function ask(job, jobs) {
+    choices.compensation_id = "";
+    const before = h("div", { class: "stack" });
+    body.replaceChildren(form(job, () => store.set({})), before);
+    findProof(job.id, jobs).then((proof) => {
+      if (proof && drawn === job.id) before.replaceChildren(h("h2", {}, t("verify.before")), ...proofCards(proof));
+    }, () => {});
+  }
+
+  return {
+    update({ job, jobs, verification }) {
+      const wanted = isVerification(job) ? verification : job?.id;
+      if (!job || !wanted || wanted === drawn || !(isVerification(job) || statesTables(job))) return;
+      drawn = wanted;
+      if (isVerification(job)) body.replaceChildren(...proofCards({ job, verification }));
+      else ask(job, jobs);
+    },
+    close() {},
+  };
+}
+
+function form(job, changed) {
+  const files = h("select", { id: "verify-files", onchange: () => {
+    choices.compensation_id = files.value;
+    changed();
+  } }, h("option", { value: "" }, t("verify.as_found")));
+  api.compensations(job.id).then((kept) => files.append(...kept.map((made) =>
+    h("option", { value: made.id }, t("verify.with_files", { control: made.control, name: made.id })))), () => {});
+  return h("div", { class: "columns" },
+    h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
+      h("div", { class: "stack", role: "group", "aria-label": t("verify.what") }, KINDS.map((kind) => kindBox(kind, changed)))),
+    h("div", { class: "stack" },
+      h("section", { class: "card stack" }, h("h2", {}, t("verify.against")), toleranceField(changed),
+        h("div", { class: "field" }, h("label", { for: "verify-files" }, t("verify.state")), files,
+          h("p", { class: "field-note" }, t("verify.state_note")))),
+      notice(null, t("verify.moves"), t("verify.moves_text"))));
+}
+
+function kindBox(kind, changed) {
+  const box = h("button", { class: "choice is-box", type: "button", role: "checkbox", "data-kind": kind,
+    "aria-checked": String(choices.what.has(kind)), onclick: () => {
+      if (!choices.what.delete(kind)) choices.what.add(kind);
+      mark(box, "aria-checked", String(choices.what.has(kind)));
+      changed();
+    } }, h("strong", {}, t(`verify.${kind}`)), h("span", {}, t(`verify.${kind}_text`)));
+  return box;
+}
+
+function keptTolerance() {
+  const kept = Number(preference("tolerance_um"));
+  return kept > 0 ? kept : null;
+}
+
+/** The tolerance is the same as on the result: one panel, one demand. */
+function toleranceField(changed) {
+  choices.tolerance_um = keptTolerance();
+  const kept = choices.tolerance_um;
+  const error = h("p", { class: "field-error", id: "verify-tolerance-error", role: "status" });
+  const input = h("input", { id: "verify-tolerance", inputmode: "decimal", autocomplete: "off", placeholder: t("headline.none"),
+    "aria-describedby": "verify-tolerance-error", value: kept === null ? "" : plain(shown(kept, "gap"), decimalsOf("gap")) });
+  input.addEventListener("input", () => {
+    const wanted = typed(input.value);
+    const isGood = wanted === null || wanted > 0;
+    mark(input, "aria-invalid", isGood ? null : "true");
+    error.textContent = isGood ? "" : t("headline.tolerance_refused");
+    choices.tolerance_um = isGood ? wanted && stored(wanted, "gap") : NaN;
+    if (isGood) prefer("tolerance_um", choices.tolerance_um ?? "");
+    changed();
+  });
+  return h("div", { class: "tolerance" }, h("label", { for: "verify-tolerance" }, t("verify.tolerance")), input,
+    h("span", { class: "unit" }, unitOf("gap")), error);
+}

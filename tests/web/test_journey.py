@@ -1,0 +1,183 @@
+"""From the first look to the certificate, by the one button that leads on."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+from scripted_data import machine_entry, machine_history, verification
+
+NEXT = "#next button"
+HOLD_MS = 1800
+TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
+PHONE = (390, 844)
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+
+class Taps:
+    """Counts what a first-time operator presses."""
+
+    def __init__(self, page: Page) -> None:
+        self.page, self.count = page, 0
+
+    def press(self, label: str, *, where: str = NEXT, hold_ms: int = 0) -> None:
+        button = self.page.locator(where, has_text=label)
+        expect(button).to_be_enabled()
+        button.click(delay=hold_ms)
+        self.count += 1
+
+
+def measured(service) -> str:
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    service.finish(job["id"])
+    return job["id"]
+
+
+def measure(taps: Taps, service) -> str:
+    taps.press("Connect devices")
+    taps.press("Plan the run")
+    taps.press("Prepare the run")
+    expect(taps.page.locator("#reason")).to_contain_text("preparing the path")
+    (job,) = service.jobs
+    service.change(job, state="ready")
+    taps.press("Hold to start motion", hold_ms=HOLD_MS)
+    taps.page.wait_for_url(f"**/#/run/{job}")
+    service.finish(job)
+    taps.page.wait_for_url(f"**/#/result/{job}")
+    return job
+
+
+def test_four_taps_lead_to_error_tables_and_nine_at_most_to_a_certificate(
+    panel, service
+):
+    taps = Taps(panel.open(size=PHONE, touch=True))
+    job = measure(taps, service)
+    expect(taps.page.locator("[data-symbol=EXX]")).to_be_attached()
+    assert taps.count <= TABLES_AT_MOST
+    taps.press("Correct the machine")
+    taps.press("Verify the machine")
+    taps.press("Certificate without it", where="#aside button")
+    taps.press("Issue the certificate")
+    frame = taps.page.frame_locator("iframe.preview")
+    expect(frame.locator("h1")).to_contain_text("TP-20260314-JOB-1-1")
+    assert taps.count <= CERTIFICATE_AT_MOST
+    expect(taps.page.locator(NEXT)).to_have_text("New measurement")
+    assert [path for method, path, _ in service.requests if "certif" in path] == [
+        f"/jobs/{job}/certificates"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("conformity", "word"),
+    [("within", "Pass"), ("outside", "Fail"), ("undecided", "Cannot be said")],
+)
+def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
+    panel, service, conformity, word
+):
+    result = measured(service)
+    page = panel.open(f"#/verify/{result}")
+    page.get_by_role("checkbox", name="Diagonals").click()
+    page.get_by_label("Largest error allowed").fill("5")
+    page.locator(NEXT, has_text="Prepare the points").click()
+    page.wait_for_url("**/#/check/*")
+    (order,) = [body for _, path, body in service.requests if path == "/jobs"]
+    assert order == {
+        "kind": "verify",
+        "result_id": result,
+        "what": ["random-points"],
+        "tolerance_um": 5,
+    }
+    proof = page.url.rsplit("/", 1)[1]
+    service.verifications[proof] = verification(result, conformity)
+    service.change(proof, state="running", stage="measuring")
+    page.wait_for_url(f"**/#/run/{proof}")
+    service.finish(proof)
+    page.wait_for_url(f"**/#/verify/{proof}")
+    verdict = page.locator(".proof")
+    expect(verdict.locator("h2")).to_have_text(word)
+    expect(verdict).to_contain_text("2.10 µm ± 0.40 µm against 5.00 µm")
+    expect(page.locator(".proof-table tbody tr")).to_have_count(3)
+    page.locator(NEXT, has_text="To the certificate").click()
+    expect(page.get_by_role("checkbox", name="With the verification")).to_be_checked()
+    page.locator(NEXT, has_text="Issue the certificate").click()
+    expect(page.locator("iframe.preview")).to_be_visible()
+    issued = service.requests[-1][2]
+    assert issued["verification_job"] == proof
+
+
+def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
+    panel, service
+):
+    result = measured(service)
+    service.jobs[result]["machine"] = "default"
+    service.identity = {"operator": "A. Weiß"}
+    page = panel.open("#/machine")
+    page.get_by_label("Serial number").fill("4711")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("[data-machine]")).to_contain_text("no. 4711")
+    page.goto(f"{panel.address}/#/certificate/{result}")
+    stated = page.locator("[data-card=stated]")
+    serial = stated.get_by_label("Serial number", exact=True)
+    expect(serial).to_have_value("4711")
+    expect(stated.get_by_label("Measured by")).to_have_value("A. Weiß")
+    page.get_by_role("button", name="Deutsch").click()
+    page.locator(NEXT, has_text="Issue the certificate").click()
+    expect(page.locator("[data-card=stated] ~ *")).to_have_count(0)
+    expect(page.locator(".kept-list li")).to_contain_text("Deutsch")
+    order = service.requests[-1][2]
+    assert order["language"] == "de"
+    assert order["identity"]["machine_serial"] == "4711"
+
+
+def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
+    panel, service
+):
+    service.machines = [machine_entry("mill-3"), machine_entry("mill-4", name="Five")]
+    service.histories["mill-3"] = machine_history("mill-3", "2026-03-01T08:00:00.000Z")
+    service.standings["mill-3"] = {
+        "machine": "mill-3",
+        "calibration": "job-1",
+        "is_alarm": True,
+        "tolerance": "over",
+        "has_changed": True,
+    }
+    page = panel.open("#/machine")
+    mill = page.locator("[data-machine=mill-3]")
+    expect(mill).to_contain_text("Mar 1, 2026")
+    expect(mill).to_contain_text(re.compile(r"\d+ (days|h) ago|hour ago"))
+    expect(mill).to_contain_text("26.00 µm ± 0.40 µm")
+    expect(mill.locator("[data-standing=alarm]")).to_contain_text("Over its tolerance")
+    other = page.locator("[data-machine=mill-4]")
+    expect(other).to_contain_text("never")
+    expect(other.locator("[data-standing=unknown]")).to_be_visible()
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_phone_shows_where_one_is_and_what_comes_next(panel, service, language):
+    result = measured(service)
+    page = panel.open(f"#/export/{result}", size=PHONE, language=language, touch=True)
+    steps = page.locator(".step:visible")
+    expect(steps).to_have_count(3)
+    expect(page.locator(".step:visible [aria-current=step]")).to_have_count(1)
+    expect(page.locator(".group-name:visible")).to_have_count(4)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
+    small = page.locator("#main button, #main select, .step:visible > a, .group-name")
+    heights = [box["height"] for one in small.all() if (box := one.bounding_box())]
+    assert min(heights) >= 48
+    page.locator(".step:visible", has_text="3").first.or_(steps.nth(1)).first.click()
+
+
+def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looked_at(
+    panel, service
+):
+    result = measured(service)
+    service.log_in_required, service.user = True, ("olga", "operator")
+    page = panel.open(f"#/export/{result}")
+    expect(page.locator("[data-card=export]")).to_be_hidden()
+    expect(page.locator("#main")).to_contain_text("Only a metrologist does this")
+    page.goto(f"{panel.address}/#/certificate/{result}")
+    expect(page.locator("#reason")).to_contain_text("Only a metrologist does this")
+    expect(page.locator(NEXT)).to_have_count(0)
