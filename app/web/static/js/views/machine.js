@@ -52,14 +52,16 @@ export function mount(root, { store, actions }) {
   return { update() {}, close() {} };
 }
 
-/** The newest calibration of a machine that is to be used, and how it stands; null where nobody knows. */
+/** All calibrations of a machine, and how it stands by the newest; null where there is none to stand by. */
 async function standingOf(id) {
-  const absent = (error) => {
-    if (!(error instanceof api.Problem) || error.status !== 404) throw error;
-    return null;
-  };
-  const [history, standing] = await Promise.all([api.machineHistory(id).catch(absent), api.machineStanding(id).catch(absent)]);
-  return { history, standing };
+  const history = await api.machineHistory(id);
+  const isKnown = history.calibrations.some((one) => one.verdict !== "not-usable");
+  return { history, standing: isKnown ? await api.machineStanding(id).catch(absent) : null };
+}
+
+function absent(error) {
+  if (!(error instanceof api.Problem) || error.status !== 404) throw error;
+  return null;
 }
 
 function machineCard({ entry, history, standing }, several, edit) {
