@@ -189,10 +189,6 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def certificate_page(job_id: str, number: str) -> HTMLResponse:
         return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
 
-    @app.get(f"{API}/jobs/{{job_id}}/verification")
-    def job_verification(job_id: str) -> Any:
-        return service.verifications[job_id]
-
     @app.get(f"{API}/machines")
     def machines() -> Any:
         return {"items": service.machines}

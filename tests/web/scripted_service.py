@@ -65,7 +65,6 @@ class ScriptedService:
         self.machines: list[dict[str, Any]] = [machine_entry()]
         self.histories: dict[str, dict[str, Any]] = {}
         self.standings: dict[str, dict[str, Any]] = {}
-        self.verifications: dict[str, dict[str, Any]] = {}
         self.compensations: dict[str, list[dict[str, Any]]] = {}
         self.certificates: dict[str, list[dict[str, Any]]] = {}
         self.identity: dict[str, str] = {}

@@ -140,8 +140,6 @@ export async function certificatePage({ links: { html } }) {
   return answer.text();
 }
 
-export const verification = (id) => call("GET", `/jobs/${id}/verification`);
-
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>

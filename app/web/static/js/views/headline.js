@@ -5,10 +5,10 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { dateTime, plain, t, typed } from "../texts.js";
 import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
+import { findProof, isProof } from "./proof.js";
 
 const SHAPES = { within: "check", outside: "warning", undecided: "info" };
 const WAIT_MS = 300;
-const MOST_PROOFS = 5; // verifications that are looked through
 
 /** The line; null where the result states no volumetric error. `jobs`: among which its verifications are. */
 export function headline(job, result, jobs) {
@@ -50,22 +50,11 @@ export function headline(job, result, jobs) {
 
 /** A place for what the newest measurement that proves this result has found; null where there can be none. */
 function verified({ id }, jobs) {
-  const candidates = jobs.filter((other) => other.verification && other.state === "succeeded").slice(0, MOST_PROOFS);
-  if (!candidates.length) return null;
+  if (!jobs.some(isProof)) return null;
   const place = h("span", { class: "headline-proof" });
-  findProof(id, candidates).then((proof) => (proof ? place.append(...proof) : place.remove()));
+  // Without it the line stands all the same.
+  findProof(id, jobs).then((proof) => (proof ? place.append(...describeProof(proof.verification, proof.job)) : place.remove()));
   return place;
-}
-
-async function findProof(id, candidates) {
-  for (const other of candidates) {
-    const found = await api.verification(other.id).catch((error) => {
-      if (!(error instanceof api.Problem)) throw error;
-      return null; // Without it the line stands all the same.
-    });
-    if (found?.asked?.result_id === id) return describeProof(found, other);
-  }
-  return null;
 }
 
 function describeProof({ compensated, volumetric_error_um: { measured }, conformity }, other) {

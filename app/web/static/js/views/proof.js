@@ -7,15 +7,19 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
-const LOOKS = 5;
+const LOOKS = 5; // newest verifications that are looked through
 const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees: "warning", undecided: "info" };
+
+export const isProof = (job) => isVerification(job) && job.state === "succeeded";
 
 /** The newest verification of a result, or null: { job, verification }. */
 export async function findProof(result_id, jobs) {
-  const done = jobs.filter((job) => isVerification(job) && job.state === "succeeded").slice(0, LOOKS);
-  for (const job of done) {
-    const verification = await api.verification(job.id).catch(() => null);
-    if (verification?.asked.result_id === result_id) return { job, verification };
+  for (const job of jobs.filter(isProof).slice(0, LOOKS)) {
+    const verification = await api.verification(job.id).catch((error) => {
+      if (!(error instanceof api.Problem)) throw error;
+      return null;
+    });
+    if (verification?.asked?.result_id === result_id) return { job, verification };
   }
   return null;
 }
