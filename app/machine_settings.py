@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -17,6 +17,9 @@ RESERVED_IDS = frozenset({"current", "compare"})
 _PATIENCE = ("silent", "dead", "beam", "late", "point", "search")
 _LONGEST_S = 3600.0
 
+Options = dict[str, Annotated[Any, Field(description="The driver's own option.")]]
+"""What a driver needs, by the names that it gives its options."""
+
 
 class DeviceConfiguration(BaseModel):
     """How the devices of a machine are reached."""
@@ -25,7 +28,7 @@ class DeviceConfiguration(BaseModel):
 
     tracker_driver: str = "streaming"
     """Driver of the tracker; `truepath drivers` lists all."""
-    tracker_options: dict[str, Any] = Field(default_factory=dict)
+    tracker_options: Options = Field(default_factory=dict)
     """What the driver needs: `port = "/dev/serial/by-id/…"`, or `host` and `port`."""
     tracker_patience_s: dict[str, float] = Field(default_factory=dict)
     """What is not usual for this tracker, in seconds: `silent` (0.5), `dead` (5),
@@ -33,14 +36,14 @@ class DeviceConfiguration(BaseModel):
     lost target is not searched for)."""
     motion_driver: str = "modbus"
     """Driver of the CNC; `truepath drivers` lists all."""
-    motion_options: dict[str, Any] = Field(default_factory=dict)
+    motion_options: Options = Field(default_factory=dict)
     """What the driver needs: `host`, `port` and `unit`, or `serial_port`."""
     tracker_light: dict[str, float] = Field(default_factory=dict)
     """Of a tracker that does not correct its distances for the air: `wavelength_nm`,
     `is_group` (1 of modulated light), `assumed_index`. Empty: nothing is corrected."""
     thermometer_driver: str = ""
     """Empty: no thermometers but those that the tracker has."""
-    thermometer_options: dict[str, Any] = Field(default_factory=dict)
+    thermometer_options: Options = Field(default_factory=dict)
     """What the driver needs: its list of registers."""
     allow_no_watchdog: bool = False
     """Move a machine that does not hold the feed by itself when the service dies."""

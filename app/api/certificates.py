@@ -13,7 +13,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
 from truepath.app.api.access_control import note_change
-from truepath.app.api.models.base import JobId
+from truepath.app.api.models.base import CertificateNumber, JobId
 from truepath.app.api.models.certificate import (
     CertificateLinks,
     CertificateList,
@@ -118,7 +118,7 @@ def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
 
 @_serve("html", "text/html", {"type": "string"})
 def get_certificate_page(
-    job_id: JobId, number: str, service: ServiceDep
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:
     """Return a certificate as one page that needs nothing else."""
     return send_page(_find_file(service, job_id, number, "html"))
@@ -126,7 +126,7 @@ def get_certificate_page(
 
 @_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
 def get_certificate_pdf(
-    job_id: JobId, number: str, service: ServiceDep
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:
     """Return a certificate as PDF."""
     file = _find_file(service, job_id, number, "pdf")
@@ -134,7 +134,7 @@ def get_certificate_pdf(
 
 
 @router.get("/jobs/{job_id}/certificates/{number}", responses=declare_problems(404))
-def get_certificate(job_id: JobId, number: str, service: ServiceDep) -> CertificateOut:
+def get_certificate(job_id: JobId, number: CertificateNumber, service: ServiceDep) -> CertificateOut:
     """Return what a certificate was issued from, by whom, and its digests."""
     from truepath.app.reporting.certificate import kept_certificates as kept
 

@@ -49,6 +49,13 @@ ModelId = Annotated[
     str,
     Path(description="`id` of the model: of the job that made it.", examples=[JOB_ID]),
 ]
+CertificateNumber = Annotated[
+    str,
+    Path(
+        description="`number` of the certificate.",
+        examples=["TP-20261124-2B1F0C5E-1"],
+    ),
+]
 CompensationId = Annotated[
     str,
     Path(
@@ -59,10 +66,11 @@ CompensationId = Annotated[
 
 
 class AsKept:
-    """Marks a field that is handed out as it was kept, described by a model.
+    """Marks a field that is taken or handed out as it is, described by a model.
 
     What a file or the catalogue holds may be of another version of the service: it is
-    not held against the model once more.
+    not held against the model once more. What is sent in is checked by the reader of
+    such files, which names the key and the remedy.
     """
 
     def __init__(self, model: type[BaseModel], *, many: bool = False) -> None:
@@ -78,6 +86,7 @@ class AsKept:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         """Describe it by the model."""
+        self._model.model_rebuild()  # models of files are built when they are used
         described = handler(self._model.__pydantic_core_schema__)
         return {"type": "array", "items": described} if self._many else described
 

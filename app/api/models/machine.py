@@ -13,8 +13,20 @@ from pydantic import (
     field_validator,
 )
 
-from truepath.app.api.models.base import JOB_ID, Identifier, MachineId, RequestBody
-from truepath.app.machine_settings import DeviceConfiguration, check_machine_id
+from truepath.app.api.models.base import (
+    JOB_ID,
+    AsKept,
+    Identifier,
+    MachineId,
+    RequestBody,
+)
+from truepath.app.api.models.machine_file import MachineFileOut
+from truepath.app.files.machine_file import MachineFile
+from truepath.app.machine_settings import (
+    DeviceConfiguration,
+    Options,
+    check_machine_id,
+)
 
 _Text = Annotated[str, StringConstraints(max_length=200)]
 _TRACKER: dict[str, JsonValue] = {"port": "/dev/serial/by-id/usb-tracker-if00-port0"}
@@ -87,7 +99,9 @@ class NewMachine(RequestBody):
     )
 
     id: MachineId
-    machine_file: dict[str, Any] = Field(description="The content of machine.json.")
+    machine_file: Annotated[dict[str, Any], AsKept(MachineFile)] = Field(
+        description="The content of machine.json."
+    )
     identity: MachineIdentity = Field(default_factory=MachineIdentity)
 
     @field_validator("id")
@@ -115,6 +129,26 @@ class MachineDevices(DeviceConfiguration):
             ]
         },
     )
+
+
+class DevicesOut(BaseModel):
+    """How the devices are reached: nothing where they have not been chosen.
+
+    Further keys are those of the settings of a machine.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    simulated: bool | None = Field(None, description="The devices are simulated ones.")
+    tracker_driver: str | None = Field(None, examples=["streaming"])
+    tracker_options: Options | None = None
+    motion_driver: str | None = Field(None, examples=["modbus"])
+    motion_options: Options | None = None
+    thermometer_driver: str | None = Field(
+        None, description="Empty: no thermometers but those that the tracker has."
+    )
+    thermometer_options: Options | None = None
+    allow_no_watchdog: bool | None = None
 
 
 class MachineVersionOut(BaseModel):
@@ -156,8 +190,10 @@ class MachineEntry(BaseModel):
 class MachineDetail(MachineEntry):
     """A machine with its configuration and those that it had."""
 
-    machine_file: dict[str, Any] = Field(description="The content of machine.json.")
-    devices: dict[str, Any] = Field(
+    machine_file: Annotated[dict[str, Any], AsKept(MachineFileOut)] = Field(
+        description="The content of machine.json."
+    )
+    devices: Annotated[dict[str, Any], AsKept(DevicesOut)] = Field(
         description="Drivers and options, without passwords."
     )
     versions: list[MachineVersionOut] = Field(description="The newest first.")
