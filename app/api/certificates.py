@@ -134,7 +134,9 @@ def get_certificate_pdf(
 
 
 @router.get("/jobs/{job_id}/certificates/{number}", responses=declare_problems(404))
-def get_certificate(job_id: JobId, number: CertificateNumber, service: ServiceDep) -> CertificateOut:
+def get_certificate(
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
+) -> CertificateOut:
     """Return what a certificate was issued from, by whom, and its digests."""
     from truepath.app.reporting.certificate import kept_certificates as kept
 

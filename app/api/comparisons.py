@@ -31,10 +31,12 @@ ComparisonId = Annotated[
     str, InPath(description="`id` of the comparison.", examples=["5e3a9c0d1b2f4a6c"])
 ]
 Micrometres = Annotated[
-    float, Query(ge=0.0, description="Its standard uncertainty of displacements, µm.")
+    float,
+    Query(ge=0.0, le=1e6, description="Its standard uncertainty of displacements, µm."),
 ]
 Microradians = Annotated[
-    float, Query(ge=0.0, description="Its standard uncertainty of angles, µrad.")
+    float,
+    Query(ge=0.0, le=1e6, description="Its standard uncertainty of angles, µrad."),
 ]
 
 

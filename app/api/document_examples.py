@@ -16,17 +16,29 @@ from truepath.app.jobs.job import Job, JobKind, Progress, Stage
 from truepath.app.jobs.transitions import State
 
 _JSON = "application/json"
+_STANDING = {"machine": "bench-2", "stopped": "true"}
+_ENDING = {"machine": "default", "stopped": "unknown"}
 _TEXTS = {
     "download_error_tables": "error,position_mm,value,uncertainty,unit,extrapolated,"
     "verdict\nEXX,0.0000,0.00000,0.00000,um,0,usable\n",
     "get_report": "<!doctype html><title>Calibration</title>…",
     "get_discovery_report": "<!doctype html><title>Discovery</title>…",
+    "get_verification_report": "<!doctype html><title>Verification</title>…",
+    "get_certificate_page": "<!doctype html><title>Certificate</title>…",
+    "get_certificate_pdf": "%PDF-1.7…",
+    "get_comparison_report": "<!doctype html><title>Comparison</title>…",
     "get_trend_report": "<!doctype html><title>Machine over time</title>…",
     "download_nc_program": "0 BEGIN PGM TRUEPATH MM\n…\n9 END PGM TRUEPATH MM\n",
     "download_plan_nc_program": "0 BEGIN PGM TRUEPATH MM\n…\n9 END PGM TRUEPATH MM\n",
     "download_compensation_file": "0.0 0.0000 0.0000\n10.0 0.0012 0.0015\n",
     "download_bundle": "PK…",
     "download_compensation": "PK…",
+}
+_FORMS = {
+    "upload_bundle": {"bundle": "PK…"},
+    "create_comparison": {
+        "reference": "error,position_mm,direction,value,unit\nEXX,100,+,1.5,um\n"
+    },
 }
 
 
@@ -43,7 +55,7 @@ def add_examples(document: dict[str, Any]) -> None:
                         content["example"] = kept[name]
             body = operation.get("requestBody", {}).get("content", {})
             if "multipart/form-data" in body:
-                body["multipart/form-data"]["example"] = {"bundle": "PK…"}
+                body["multipart/form-data"]["example"] = _FORMS[name]
 
 
 def _read_answers() -> dict[str, Any]:
@@ -64,8 +76,9 @@ def _read_answers() -> dict[str, Any]:
         "cancel_job": _make_job(State.CANCELLING),
         "acknowledge_job": _make_job(State.PREPARING),
         "abort_job": aborting,
-        "stop_motion": {"jobs": [aborting]},
-        "stop_machine": {"jobs": [aborting]},
+        "take_control": ready,
+        "stop_motion": {"jobs": [aborting], "machines": [_STANDING, _ENDING]},
+        "stop_machine": {"jobs": [aborting], "machines": [_ENDING]},
     }
 
 

@@ -10,8 +10,8 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.app.api.models.base import Identifier, MachineId, MachinePath
 from truepath.app.api.models.machine_history import (
     ChangesOut,
-    ComparisonOut,
     HistoryOut,
+    MachineComparisonOut,
     StandingOut,
 )
 from truepath.app.api.problems import declare_problems
@@ -98,7 +98,7 @@ def compare_machines(
     machine: Annotated[
         list[MachineId], Query(description="Only these; without them all.")
     ] = [],  # noqa: B006
-) -> ComparisonOut:
+) -> MachineComparisonOut:
     """Compare machines by their newest usable calibrations."""
     registry = service.setup.registry
     records = [registry.get(i) for i in machine] or registry.list_all()
@@ -106,4 +106,4 @@ def compare_machines(
     newest = [calibrations[-1] for calibrations in usable if calibrations]
     tolerances_um = {record.id: record.tolerance_um for record in records}
     found = comparison_json(newest, quantity, position, tolerances_um)
-    return ComparisonOut(**found)
+    return MachineComparisonOut(**found)

@@ -119,7 +119,7 @@ class ComparedMachine(CalibrationOut):
     tolerance_um: float | None
 
 
-class ComparisonOut(BaseModel):
+class MachineComparisonOut(BaseModel):
     """One quantity of several machines, the smallest first."""
 
     schema_: Literal["machine-comparison/1"] = Field(alias="schema")

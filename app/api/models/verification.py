@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
+from truepath.app.api.models.result import ProvenanceOut
+from truepath.app.api.models.tables import VerdictOut
 from truepath.app.results.conformity import Conformity
 
 Numbers = dict[str, float]
@@ -58,6 +60,8 @@ class LineOut(BaseModel):
 
     axes: str
     standard: str
+    from_: list[float] = Field(alias="from", description="Positions of the axes.")
+    to: list[float]
     runs: int
     position_mm: list[float]
     forward_um: list[float]
@@ -73,12 +77,14 @@ class CircleOut(BaseModel):
 
     plane: str
     standard: str
+    centre: list[float] = Field(description="Positions of the axes.")
     radius_mm: float
     angle_deg: list[float]
     radial_um: list[float]
     figures_um: Numbers = Field(description="G, F_max and F_min.")
     uncertainty_um: Numbers
     predicted_um: Numbers
+    driven: str = Field(description="How it was, in words.")
 
 
 class PlacesOut(BaseModel):
@@ -94,29 +100,86 @@ class PlacesOut(BaseModel):
     deviation_um: list[list[float]]
 
 
+class WorstPlaceOut(BaseModel):
+    """Where the error, or what the result does not predict, is largest."""
+
+    row: int
+    position: list[float]
+    length_um: float
+    expanded_uncertainty_um: float
+
+
+class VerificationAskedOut(BaseModel):
+    """The request. Further keys may be there."""
+
+    model_config = ConfigDict(extra="allow")
+
+    result_id: str | None = None
+    what: list[str] | None = None
+    seed: int | None = Field(None, description="That points were drawn from.")
+    tolerance_um: float | None = None
+    compensation_id: str | None = None
+
+
+class NoiseOfStatedOut(BaseModel):
+    """Noise of the tracker in parts of what is stated: along the beam and across."""
+
+    white_of_stated: tuple[float, float]
+    correlated_of_stated: tuple[float, float]
+    correlation_time_s: float
+
+
+class LeftOutOfRunOut(BaseModel):
+    """Samples that were not used."""
+
+    cause: str
+    row: int | None
+    from_s: float | None
+    to_s: float | None
+    samples: int
+
+
+class VerifyingRunOut(BaseModel):
+    """The measurement that the result is held against."""
+
+    name: str
+    mode: Literal["otf", "standstill"]
+    input_sha256: str
+    samples_used: int
+    samples_offered: int
+    left_out: list[LeftOutOfRunOut]
+
+
+class VerificationProvenanceOut(BaseModel):
+    """By what and when it was made, and from which result."""
+
+    software: str
+    software_version: str
+    created: str
+    result: ProvenanceOut
+
+
 class VerificationOut(BaseModel):
     """A result held against a measurement that it was not made from."""
 
     schema_: Literal["verification/1"] = Field(alias="schema")
     machine: str
     compensated: bool
-    verdict: dict[str, Any] = Field(description="That of the result.")
+    verdict: VerdictOut = Field(description="That of the result.")
     statements: list[str] = Field(description="What was found, in sentences.")
-    asked: dict[str, Any] = Field(
-        description="The request, with the seed that points were drawn from."
-    )
+    asked: VerificationAskedOut
     agreement: AgreementOut
     map_scale: ScaleOut | None
     conformity: dict[Literal["measured", "deviation"], ConformityOut]
     volumetric_error_um: dict[Literal["measured", "predicted", "deviation"], Numbers]
     difference_um: dict[Literal["mean", "p95", "largest"], DifferenceOut]
     directions: dict[str, Numbers]
-    worst: dict[str, dict[str, Any]]
+    worst: dict[Literal["measured", "deviation"], WorstPlaceOut]
     lines: list[LineOut]
     circles: list[CircleOut]
     places: PlacesOut
     components: str
     gauge: str
-    noise: dict[str, Any]
-    run: dict[str, Any]
-    provenance: dict[str, Any]
+    noise: NoiseOfStatedOut
+    run: VerifyingRunOut
+    provenance: VerificationProvenanceOut
