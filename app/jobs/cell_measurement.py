@@ -26,6 +26,7 @@ from truepath.app.measurement.messages import (
     CellState,
     CellVerb,
     FaultReported,
+    LinesDamaged,
     LivePoints,
     MeasurementOrder,
     MeasurementProgress,
@@ -74,6 +75,7 @@ class CellMeasurement:
         self._repeat_at = time.monotonic() + REPEAT_S
         self._is_killed = self._is_given_up = self._is_held = False
         self._gives_up = gives_up
+        self._repeats = 0
 
     def run(self, order: MeasurementOrder) -> None:
         """Measure until the Run is closed; what was recorded is on disk in any case.
@@ -131,6 +133,8 @@ class CellMeasurement:
         self._cell.kill()
 
     def _handle_event(self, event: CellEvent) -> None:
+        if isinstance(event, LinesDamaged):
+            self._repeats += 1
         match event:
             case MeasurementProgress():
                 self._report_progress(event)
@@ -157,7 +161,13 @@ class CellMeasurement:
             event.elapsed_s,
             event.position,
         )
-        health = Health(event.samples, event.lost_samples, event.crc_errors)
+        health = Health(
+            event.samples,
+            event.lost_samples,
+            event.crc_errors,
+            event.gaps,
+            self._repeats,
+        )
         self._job.report_progress(progress, stage=Stage.MEASURING, health=health)
 
     def _show_fault(self, fault: FaultReported) -> None:

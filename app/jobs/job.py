@@ -88,11 +88,17 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the tracker's link has seen during the measurement."""
+    """What the tracker's link has seen during the measurement.
+
+    gaps : places where samples are missing; repeats : times that lines were driven
+        again, because their stream was damaged
+    """
 
     samples: int = 0
     lost_samples: int = 0
     crc_errors: int = 0
+    gaps: int = 0
+    repeats: int = 0
 
 
 @dataclass(frozen=True, slots=True)

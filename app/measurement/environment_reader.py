@@ -9,7 +9,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.measurement.channel_judge import ChannelJudge
@@ -26,6 +26,8 @@ JOIN_S = 0.5
 AIR_PERIOD_S = 5.0
 _FASTEST_S = 0.02
 
+OnReadings = Callable[[Mapping[str, float]], None]
+"""Takes what channels show, NaN for nothing. Called from any thread."""
 OnNotice = Callable[[Fault], None]
 """Takes what is new of a sensor. Called from any thread."""
 
@@ -100,9 +102,15 @@ class EnvironmentReader:
     """Reads groups until it is stopped; each has a thread, so that none waits."""
 
     def __init__(
-        self, groups: Sequence[Thermometers], recorder: Recorder, on_notice: OnNotice
+        self,
+        groups: Sequence[Thermometers],
+        recorder: Recorder,
+        on_notice: OnNotice,
+        *,
+        on_readings: OnReadings = lambda _: None,
     ) -> None:
         self._recorder, self._on_notice = recorder, on_notice
+        self._on_readings = on_readings
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(
@@ -150,6 +158,7 @@ class EnvironmentReader:
             if notice is not None:
                 self._on_notice(notice)
         self._recorder.put_environment(readings[len(readings) // 2].host_time_s, values)
+        self._on_readings(values)
 
 
 def _read(group: Thermometers) -> tuple[Reading, ...]:

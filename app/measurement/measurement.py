@@ -170,7 +170,10 @@ class Measurement:
         )
         self._tell_limits(header, status)
         self._environment = EnvironmentReader(
-            self._groups, self._recorder, self._note_sensor
+            self._groups,
+            self._recorder,
+            self._note_sensor,
+            on_readings=view.show_readings,
         )
         self._environment.start()
         self._monitor = MeasurementMonitor(

@@ -214,11 +214,13 @@ class LivePoints:
     """Event: some of the recorded points, for display.
 
     axes : controller position
+    environment : newest reading of each sensor that shows one, by its channel
     """
 
     tracker_mm: list[list[float]]
     axes: list[float]
     device_time_s: float
+    environment: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -170,6 +171,7 @@ class LiveView:
     reports_blocks : the whole blocks are reported as well, for a live estimate
     range_scale : of these, where ranges are corrected for the air afterwards
     axes : position of the controller
+    environment : newest reading of each sensor that shows one; replaced, never changed
     """
 
     def __init__(
@@ -179,6 +181,12 @@ class LiveView:
         self._range_scale = range_scale
         self._last_slot = -np.inf
         self.axes: tuple[float, ...] = ()
+        self.environment: Mapping[str, float] = {}
+
+    def show_readings(self, readings: Mapping[str, float]) -> None:
+        """Keep what sensors show now; NaN of one that shows nothing. For any thread."""
+        known = {**self.environment, **readings}
+        self.environment = {k: v for k, v in known.items() if not math.isnan(v)}
 
     def show(self, block: TrackerSamples | PointBlock) -> None:
         """Report a block that has been written."""
@@ -192,7 +200,11 @@ class LiveView:
         if len(chosen):
             self._last_slot = float(slot[chosen[-1]])
             points = np.round(samples.position_mm[chosen], 4).tolist()
-            self._report(LivePoints(points, list(self.axes), float(time_s[-1])))
+            self._report(
+                LivePoints(
+                    points, list(self.axes), float(time_s[-1]), self.environment
+                )
+            )
         if self._reports_blocks:
             scaled_mm = self._range_scale * samples.position_mm
             scaled = replace(samples, position_mm=scaled_mm)

@@ -25,7 +25,8 @@ def test_a_job_is_taken_on_with_its_address_and_version(client, order, until):
 def test_the_main_job_over_rest(client, finished, service):
     assert finished["stage"] == "reporting"
     assert finished["error"] is None
-    assert finished["health"] == {"samples": 50, "lost_samples": 0, "crc_errors": 0}
+    counted = {"lost_samples": 0, "crc_errors": 0, "gaps": 0, "repeats": 0}
+    assert finished["health"] == {"samples": 50, **counted}
     links = finished["result"]
     result = client.get(links["result"])
     assert result.headers["content-type"] == "application/json"

@@ -26,8 +26,11 @@ from truepath.app.web.pages import STATIC_PATH, router, static_files
 API = "/api/v1"
 
 
-def problem(status: int, code: str, title: str, detail: str, action: str) -> Response:
+def problem(
+    status: int, code: str, title: str, detail: str, action: str, **more: Any
+) -> Response:
     body = {
+        **more,
         "type": f"/problems/{code}",
         "code": code,
         "title": title,
@@ -240,6 +243,12 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         version = request.headers.get("if-match")
         query = f"?{request.url.query}" if request.url.query else ""
         service.requests.append(("POST", f"/jobs/{job_id}/{verb}{query}", version))
+        if verb == "take-control":
+            service.controller = None
+        elif verb in ("arm", "resume") and service.controller:
+            held = {"controller": service.controller}
+            said = f"{service.controller} has this job under control; ask"
+            return problem(409, "not-in-control", "Somebody else", said, "Ask", **held)
         return service.act(job_id, verb)
 
     @app.post(f"{API}/stop", status_code=202)

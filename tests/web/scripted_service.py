@@ -27,7 +27,16 @@ from scripted_data import (
 )
 
 _STAGES = {"analyse": "aligning", "discover": "discovering", "trend": "following"}
-ENDED = {"succeeded", "aborted", "failed", "faulted", "interrupted"}
+ENDED = {"succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"}
+
+
+HEALTH = {
+    "samples": 0,
+    "lost_samples": 0,
+    "crc_errors": 0,
+    "gaps": 0,
+    "repeats": 0,
+}
 
 
 def event_text(kind: str, body: Any) -> str:
@@ -41,6 +50,7 @@ class ScriptedService:
         self.connected = False
         self.silent = False
         self.refuse_connect = False
+        self.controller: str | None = None
         self.log_in_required = False
         self.user: tuple[str, str] | None = None
         self.conditions: list[dict[str, Any]] = []
@@ -90,7 +100,7 @@ class ScriptedService:
             "version": 1,
             "stage": _STAGES.get(kind, "planning"),
             "progress": {"done": 0, "total": 0, "unit": "", "eta_s": None},
-            "health": {"samples": 0, "lost_samples": 0, "crc_errors": 0},
+            "health": HEALTH,
             "created": f"2026-03-14T08:{number:02d}:00.000Z",
             "started": None,
             "ended": None,
@@ -102,6 +112,7 @@ class ScriptedService:
             "early_end": None,
             "on_notice": "note",
             "notices": [],
+            "links": {"verbs": {}},
             **more,
         }
         self.jobs[job["id"]] = job
@@ -130,7 +141,7 @@ class ScriptedService:
             "stage": "measuring",
             "position": position.tolist(),
         }
-        health = {"samples": int(2800 * lines), "lost_samples": 0, "crc_errors": 0}
+        health = {**self.jobs[job_id]["health"], "samples": int(2800 * lines)}
         self.jobs[job_id].update(progress=progress, health=health)
         body = {
             "job_id": job_id,
@@ -146,6 +157,12 @@ class ScriptedService:
             "tracker_mm": [(position + TRACKER_STANDS_MM).tolist()],
         }
         self.tell("live", live)
+
+    def show_points(self, job_id: str, end_s: float, points_mm: Any, **more: Any) -> None:
+        """Tell points of the tracker, a tenth of a second apart."""
+        points = np.asarray(points_mm).tolist()
+        live = {"job_id": job_id, "axes": [0.0, 0.0, 0.0], "device_time_s": end_s}
+        self.tell("live", {**live, "tracker_mm": points, **more})
 
     def estimate(self, job_id: str, content: dict[str, Any] | int) -> None:
         """Tell an estimate: what it says, or after how many lines it is made."""
@@ -218,8 +235,10 @@ class ScriptedService:
             "arm": "running",
             "pause": "paused",
             "resume": "running",
+            "cancel": "cancelling",
+            "acknowledge": "preparing",
             "abort": "aborting",
-        }[verb]
+        }.get(verb, self.jobs[job_id]["state"])
         more = {"stage": "measuring"} if verb == "arm" else {}
         self.change(job_id, state=state, **more)
         answer = dict(self.jobs[job_id])

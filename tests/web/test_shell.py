@@ -12,6 +12,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
+from truepath.app.api.problems import BY_STATUS, PROBLEM_KINDS
 from truepath.app.api.security import Guard
 from truepath.app.compensation.installed import list_formats
 from truepath.app.jobs.conditions import ConditionType
@@ -30,6 +31,7 @@ from truepath.drivers.interfaces.records import UNABLE
 ROOT = Path(__file__).parents[2]
 STATIC = ROOT / "app" / "web" / "static"
 TEMPLATE = ROOT / "app" / "web" / "templates" / "index.html"
+FAULTS = ROOT / "app" / "measurement" / "faults.py"
 OURS = [
     path
     for path in sorted(STATIC.rglob("*"))
@@ -42,10 +44,12 @@ BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
 BUILT_KEYS += ("export.unmeasured_", "condition.", "session.", "budget.")
 BUILT_KEYS += ("headline.within", "headline.outside", "headline.undecided")
 BUILT_KEYS += ("headline.now_", "headline.proof_", "residual.")
+BUILT_KEYS += ("problem.code.", "beam.", "sensor.")
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
 BUILT_KEYS += ("onward.", "verify.", "identity.", "machine.of_", "machine.tolerance_")
 BUILT_KEYS += ("certificate.of_",)
 # Told by the service in English, and so translated into the other languages only.
+PROBLEM = re.compile(r"problem\.code\.[\w-]+")
 TOLD = re.compile(
     r"effect\.[\w-]+\.(cause|looks_like|remedy)"
     r"|format\.[\w-]+\.(carries|not_carried|note)"
@@ -124,7 +128,9 @@ def test_a_browser_asks_before_it_reuses_a_file(client):
 def test_catalogues_have_the_same_keys_and_the_same_blanks():
     first, *others = (catalogue(language) for language in LANGUAGES)
     for other in others:
-        assert {key for key in other if not TOLD.fullmatch(key)} == first.keys()
+        own = {k for k in other if not (TOLD.fullmatch(k) or PROBLEM.fullmatch(k))}
+        assert own == {key for key in first if not PROBLEM.fullmatch(key)}
+        assert {key for key in first if PROBLEM.fullmatch(key)} <= other.keys()
         for key, text in first.items():
             assert blanks(other[key]) == blanks(text), key
 
@@ -165,6 +171,19 @@ def test_every_text_is_used_and_every_used_text_exists():
         if f'"{key}"' not in written and not key.startswith(BUILT_KEYS)
     }
     assert idle == set()
+
+
+def test_every_problem_has_a_title_and_a_way_out_in_every_language():
+    kinds = {kind.code for kind in (*PROBLEM_KINDS.values(), *BY_STATUS.values())}
+    faults = set(re.findall(r'Fault\(\s*"([a-z-]+)"', FAULTS.read_text("utf-8")))
+    faults |= {f"motion-{state}" for state in UNABLE} | {"closure"}
+    for language in LANGUAGES:
+        known = catalogue(language).keys()
+        assert {f"problem.code.{code}" for code in faults} <= known
+        if language != "en":
+            codes = kinds | faults
+            assert {f"problem.code.{code}" for code in codes} <= known
+            assert {f"problem.code.{code}_action" for code in codes} <= known
 
 
 def test_every_condition_has_its_words():

@@ -46,6 +46,8 @@ class Health(TypedDict):
     samples: int
     lost_samples: int
     crc_errors: int
+    gaps: int
+    repeats: int
 
 
 class JobLinks(TypedDict):

@@ -32,6 +32,11 @@ class JobHealth(BaseModel):
     samples: int
     lost_samples: int
     crc_errors: int
+    gaps: int = Field(description="Places where samples are missing.")
+    repeats: int = Field(
+        description="Times that lines were driven again, because samples of them were "
+        "damaged or lost."
+    )
 
 
 class ResultLinks(Links):

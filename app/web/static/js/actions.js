@@ -1,6 +1,7 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification } from "./flow.js";
+import { wordProblem } from "./problems.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
@@ -28,8 +29,8 @@ export function createActions(store, go) {
 
   function refuse(error) {
     if (!(error instanceof api.Problem)) throw error;
-    const { title, text, action } = worded(error);
-    store.set({ problem: { title, text, action, tone: "fault" } });
+    const offer = error.code === "not-in-control" ? { label: t("control.take"), run: takeControl } : null;
+    store.set({ problem: { ...worded(error), tone: "fault", offer } });
   }
 
   async function loadSystem() {
@@ -123,17 +124,27 @@ export function createActions(store, go) {
     }
   }
 
+  /** Ask something of the followed job; whether it was taken. */
   async function verb(name, send) {
     const { job } = store.get();
     // Never behind another request: a pause must not wait for a connect.
     store.set({ asked: name, problem: null });
     try {
       hear(await send(job));
+      return true;
     } catch (error) {
       refuse(error);
       await reload(job.id);
+      return false;
     } finally {
       store.set({ asked: null });
+    }
+  }
+
+  /** Take over who may arm and resume the followed job; nothing moves. */
+  async function takeControl() {
+    if (await verb("take-control", api.takeControl)) {
+      store.set({ problem: { title: t("control.taken"), text: t("control.taken_text"), tone: null } });
     }
   }
 
@@ -190,6 +201,8 @@ export function createActions(store, go) {
     pause: () => verb("pause", api.pause),
     /** Go on; `then` says what to do first about what was noticed. */
     resume: (then = "note") => verb("resume", (job) => api.resume(job, then)),
+    cancel: () => verb("cancel", api.cancel),
+    acknowledge: () => verb("acknowledge", api.acknowledge),
     abort: () => verb("abort", api.abort),
     analyse: (run) => begin({ kind: "analyse", run_id: run }),
     validate: (run) => begin({ kind: "analyse", run_id: run, monte_carlo: {} }),
@@ -229,12 +242,13 @@ const byCreation = (a, b) => (a.created < b.created ? 1 : -1);
 
 const newer = (a, b) => ((b.version ?? 0) >= (a.version ?? 0) ? b : a);
 
-function worded({ status, code, title, detail, action }) {
+function worded(problem) {
+  const { status, code } = problem;
   if (code === "unreachable") {
     return { title: t("problem.unreachable"), text: "", action: t("problem.unreachable_action") };
   }
   if (status === 412) {
     return { title: t("problem.stale"), text: "", action: t("problem.stale_action") };
   }
-  return { title: title || t("problem.refused"), text: detail === title ? "" : detail, action };
+  return wordProblem(problem);
 }

@@ -13,6 +13,7 @@ export class Problem extends Error {
     this.detail = body.detail || "";
     this.action = body.action || "";
     this.code = body.code || "";
+    this.controller = body.controller || "";
   }
 }
 
@@ -144,6 +145,11 @@ export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { versio
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>
   call("POST", `/jobs/${id}/resume${then === "note" ? "" : `?then=${then}`}`, { version });
+/** End in order: the line or point under way is finished first. */
+export const cancel = ({ id }) => call("POST", `/jobs/${id}/cancel`);
+/** Prepare a measurement that was cut short to go on; moves nothing. */
+export const acknowledge = ({ id }) => call("POST", `/jobs/${id}/acknowledge`);
+export const takeControl = ({ id }) => call("POST", `/jobs/${id}/take-control`);
 export const abort = ({ id }) => call("POST", `/jobs/${id}/abort`);
 
 export const runs = async () => items(await call("GET", "/runs"));

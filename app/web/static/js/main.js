@@ -74,7 +74,7 @@ function render(state) {
   mounted.update(state);
 }
 
-const NEEDS_OPERATOR = new Set(["connect", "prepare", "arm", "extra", "follow", "discover", "ask", "verify"]);
+const NEEDS_OPERATOR = new Set(["connect", "prepare", "arm", "extra", "follow", "discover", "ask", "verify", "acknowledge"]);
 const NEEDS_METROLOGIST = new Set(["issue"]);
 
 /** Offer a role only what it may do, and what leads elsewhere. */

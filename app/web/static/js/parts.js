@@ -2,6 +2,7 @@
 import { h, icon } from "./dom.js";
 import { hasEnded } from "./flow.js";
 import { COVERAGE } from "./plots/error-chart.js";
+import { wordProblem } from "./problems.js";
 import { known, number, t } from "./texts.js";
 import { quantity } from "./units.js";
 
@@ -74,8 +75,8 @@ export const linkButton = (address, shape, text, more = {}) =>
 /** Everything a job's error says, as a notice. */
 export function errorNotice(job, tone = "fault") {
   if (!job.error) return null;
-  const { title, detail, action } = job.error;
-  return notice(tone, title || t("problem.refused"), detail, action);
+  const { title, text, action } = wordProblem(job.error);
+  return notice(tone, title, text, action);
 }
 
 /** Why a measurement left out the rest of its plan, as a notice; null if it did not. */

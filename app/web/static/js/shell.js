@@ -82,7 +82,9 @@ export function updateProblems({ problem }, dismiss) {
     return;
   }
   const shown = notice(problem.tone, problem.title, problem.text, problem.action);
-  shown.append(h("button", { class: "button", type: "button", onclick: dismiss }, t("shell.dismiss")));
+  const button = (label, run) => h("button", { class: "button", type: "button", onclick: run }, label);
+  const { offer } = problem;
+  shown.append(h("div", { class: "problem-buttons" }, offer && button(offer.label, offer.run), button(t("shell.dismiss"), dismiss)));
   place.replaceChildren(shown);
   scrollTo({ top: 0 });
 }

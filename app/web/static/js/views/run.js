@@ -3,16 +3,16 @@ import { h, icon, mark, write } from "../dom.js";
 import {
   addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, isVerification, rowsNow,
 } from "../flow.js";
-import { holdToConfirm } from "../hold.js";
-import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
-import { drawStrip } from "../plots/strip-chart.js";
-import { number, t } from "../texts.js";
+import { card, head, segments } from "../parts.js";
+import { t } from "../texts.js";
 import { figure, unitOf } from "../units.js";
+import { endingNotices, mayGoOn } from "./ending-notices.js";
 import { estimateCard } from "./estimate-card.js";
+import { healthCard } from "./health-card.js";
 import { liveNotices, noticeKey } from "./live-notices.js";
+import { motionButtons } from "./motion-buttons.js";
 import { pathCard } from "./path-card.js";
 import { progressCard } from "./progress-card.js";
-import { verdictNotice } from "./verdict-band.js";
 
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
@@ -33,9 +33,10 @@ export function lead({ job, plan, link }, { actions, go }) {
     return { next: { key: "result", label: nextOf(job), run: () => go(addressOf(job)) } };
   }
   if (hasEnded(job)) {
-    return { next: again(job, plan, go), back: goOn(job, actions) };
+    return mayGoOn(job) ? { next: acknowledgement(actions), back: again(job, plan, go) }
+      : { next: again(job, plan, go), back: goOn(job, actions) };
   }
-  const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.abort };
+  const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.cancel };
   const wait = t(isMeasuring(job) ? "run.wait" : "run.wait_analysis");
   return { back: cancel, reason: link.stale ? t("run.stale") : wait,
     next: { key: "result", label: nextOf(job), disabled: true } };
@@ -44,6 +45,9 @@ export function lead({ job, plan, link }, { actions, go }) {
 /** Stations that are left can still be measured; nothing that is recorded is lost. */
 const goOn = (job, actions) => (job.station ? { label: t("station.continue"),
   run: () => actions.prepare({ kind: job.kind, continues: job.id }) } : null);
+
+/** Leads back to Check: what goes on is armed anew. */
+const acknowledgement = (actions) => ({ key: "acknowledge", label: t("goon.prepare"), run: actions.acknowledge });
 
 /** Extra lines go back to the discovery that asks for them. */
 export const again = (job, plan, go) => (isExtra(job) && plan?.discovery_id
@@ -76,8 +80,7 @@ function mountMeasuring(root, { store, actions }, job) {
   const estimate = estimateCard();
   const progress = progressCard(stagesOf(job));
   const position = positionCard();
-  const strip = h("div", { class: "strip" });
-  const health = healthCard(strip);
+  const health = healthCard();
   const buttons = motionButtons(actions);
   const ending = h("div");
   root.append(
@@ -87,8 +90,6 @@ function mountMeasuring(root, { store, actions }, job) {
         h("div", { class: "run-main" }, extra ? null : chooser(look), path.element, estimate.element), health.element),
       h("div", { class: "stack" }, progress.element, buttons.element, position.element)),
   );
-  const chart = drawStrip(strip);
-  let live = null;
   let ended = "";
   look(extra ? "path" : looksAt);
 
@@ -117,20 +118,16 @@ function mountMeasuring(root, { store, actions }, job) {
       for (const { element } of [progress, position, health, path, estimate]) {
         markStale(element, stale ? link.age_s : null);
       }
-      if (state.live && state.live !== live) {
-        live = state.live;
-        addSamples(chart, live);
-      }
-      const key = [job.id, job.error?.detail, Boolean(job.early_end), noticeKey(job)].join();
+      const key = [job.id, job.error?.detail, Boolean(job.early_end), mayGoOn(job), job.health?.repeats, noticeKey(job)].join();
       if (ended !== key) {
         ended = key;
-        ending.replaceChildren(...endingOf(job), ...liveNotices(job, actions));
+        ending.replaceChildren(...endingNotices(job), ...liveNotices(job, actions));
       }
     },
     close() {
       path.close();
       estimate.close();
-      chart.close();
+      health.close();
     },
   };
 }
@@ -153,7 +150,7 @@ function mountAnalysis(root, job) {
       progress.update(state);
       if (ended === state.job.state) return;
       ended = state.job.state;
-      ending.replaceChildren(...endingOf(state.job));
+      ending.replaceChildren(...endingNotices(state.job));
     },
     close() {},
   };
@@ -173,14 +170,6 @@ function reached({ job, plan }) {
 /** Axis positions now: of the live stream, else as last kept with the job. */
 function positionOf({ job, live }) {
   return live?.axes ?? (job.progress?.position?.length ? job.progress.position : null);
-}
-
-/** Blocks carry no time of single samples; they are spread over the time since the last. */
-function addSamples(chart, live) {
-  const points = live.tracker_mm ?? [];
-  const end_s = live.device_time_s ?? 0;
-  const step_s = 0.1 / Math.max(1, points.length);
-  points.forEach((point, i) => chart.add(end_s - (points.length - 1 - i) * step_s, point));
 }
 
 function positionCard() {
@@ -208,60 +197,3 @@ function positionCard() {
       h("li", {}, h("b", {}, name), output, h("span", { class: "unit" }, unitOf(kind)))));
   }
 }
-
-function healthCard(strip) {
-  const samples = tile(t("run.samples"));
-  const lost = tile(t("run.lost"));
-  const crc = tile(t("run.crc"));
-  const unwatched = h("p", { class: "no-watchdog", "data-tone": "fault", hidden: true },
-    t("connect.no_watchdog"));
-  const element = h("section", { class: "card stream" }, h("h2", {}, t("run.health")),
-    h("p", { class: "stream-name quiet" }, t("run.signal", { unit: unitOf("length") }), key()),
-    h("dl", { class: "tiles" }, samples.element, lost.element, crc.element), unwatched, strip);
-  return {
-    element,
-    update({ job, machine }) {
-      const now = job.health ?? {};
-      unwatched.hidden = machine?.motion?.has_watchdog !== false;
-      write(samples.number, number(now.samples));
-      write(lost.number, number(now.lost_samples));
-      write(crc.number, number(now.crc_errors));
-      mark(lost.element, "data-tone", now.lost_samples > 0 ? "fault" : null);
-      mark(crc.element, "data-tone", now.crc_errors > 0 ? "fault" : null);
-    },
-  };
-}
-
-/** Pause at a touch, resume held: absolute verbs on two buttons, never a toggle. */
-function motionButtons(actions) {
-  const pause = h("button", { class: "button", type: "button", id: "pause", "data-needs": "operator", onclick: actions.pause },
-    icon("pause"), t("run.pause"));
-  const resume = h("button", { class: "button", type: "button", id: "resume", "data-needs": "operator" },
-    icon("play"), t("run.resume"));
-  holdToConfirm(resume, () => actions.resume());
-  const element = h("div", { class: "motion-buttons" }, pause, resume);
-  return {
-    element,
-    update({ job, link }) {
-      element.hidden = !isMoving(job);
-      pause.disabled = !["running", "resuming"].includes(job.state);
-      resume.disabled = job.state !== "paused" || link.stale;
-    },
-  };
-}
-
-function key() {
-  const entry = (name) => h("span", {}, h("i", { style: `border-color: var(--trace-${name.toLowerCase()})` }), name);
-  return h("span", { class: "key" }, ["X", "Y", "Z"].map(entry));
-}
-
-function endingOf(job) {
-  const early = earlyEndNotice(job);
-  if (!hasEnded(job)) return [job.error && errorNotice(job, "held"), early].filter(Boolean).map(below);
-  if (job.state === "succeeded") return [verdictNotice(job), early].filter(Boolean).map(below);
-  const kept = isMeasuring(job) && job.run_id ? t("run.kept") : "";
-  const said = errorNotice(job) ?? notice("fault", wordOf(job.state), t("run.ended", { kind: kindOf(job.kind) }), kept);
-  return [below(said)];
-}
-
-const below = (said) => h("div", { class: "below" }, said);

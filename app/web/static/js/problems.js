@@ -1,0 +1,31 @@
+/* What the service refuses or reports, in the language of the page. */
+import { h } from "./dom.js";
+import { currentLanguage, known, t } from "./texts.js";
+
+const SPOKEN_BY_SERVICE = "en";
+
+/** Title, text and way out of a problem (RFC 9457), by its code where the catalogue has it.
+ *
+ * Sentences of the service that have no translation, or hold numbers that one leaves out, stay
+ * and are marked as English.
+ */
+export function wordProblem({ code = "", title = "", detail = "", action = "" }) {
+  const key = `problem.code.${code}`;
+  const isBare = !detail || detail === title || detail === `${title}.`;
+  return {
+    title: known(key, title || t("problem.refused")),
+    text: isBare ? known(`${key}_text`, "") : textOf(known(`${key}_text`, ""), detail),
+    action: known(`${key}_action`, "") || quote(action),
+  };
+}
+
+function textOf(translated, detail) {
+  if (!translated) return quote(detail);
+  return /\d/.test(detail) ? [translated, " ", quote(`(${detail})`)] : translated;
+}
+
+/** A sentence of the service. */
+function quote(sentence) {
+  if (!sentence || currentLanguage() === SPOKEN_BY_SERVICE) return sentence;
+  return h("span", { lang: SPOKEN_BY_SERVICE }, sentence);
+}

@@ -1,0 +1,138 @@
+"""What may be asked of a measurement under way, and what is said of it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+from test_flow import held
+from test_live_estimate import measuring
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+NEXT = "#next button"
+
+
+def failure(code: str, detail: str = "it is so", action: str = "look") -> dict:
+    title = "Machine, tracker or link failed"
+    return {"code": code, "title": title, "detail": detail, "action": action}
+
+
+def test_a_held_button_ends_the_measurement_after_its_line(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    cancel = page.locator("#cancel", has_text="Hold to end after this line")
+    with held(page, cancel):
+        expect(page.locator("#state")).to_have_text("Cancelling")
+    assert ("POST", f"/jobs/{job}/cancel", None) in service.requests
+    expect(page.locator(".notice.is-held")).to_contain_text("finishes the line")
+    service.change(job, state="cancelled", run_id="run-1")
+    said = page.locator(".notice", has_text="ended in order")
+    expect(said).to_contain_text("kept under Records")
+    expect(page.locator(".notice.is-fault")).to_have_count(0)
+
+
+def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
+    ways = {"verbs": {"acknowledge": "/api/v1/jobs/job-1/acknowledge"}}
+    job = measuring(service)
+    page = panel.open(language="de")
+    expect(page.locator("#state")).to_have_text("Läuft")
+    service.change(job, state="faulted", error=failure("cell-died"), links=ways)
+    said = page.locator(".notice.is-held")
+    expect(said).to_contain_text("Diese Messung kann weitergehen")
+    expect(said).to_contain_text("Schlussprüfung")
+    page.locator(NEXT, has_text="Quittieren").click()
+    page.wait_for_url(f"**/#/check/{job}")
+    assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
+
+
+def test_who_has_no_control_sees_who_has_it_and_takes_it(panel, service, witness):
+    witness.expect("409")
+    service.controller = "berta"
+    job = measuring(service)
+    service.change(job, state="paused")
+    page = panel.open()
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#problems")).to_contain_text("berta has this job")
+    page.get_by_role("button", name="Take control").click()
+    expect(page.locator("#problems")).to_contain_text("You have control")
+    assert ("POST", f"/jobs/{job}/take-control", None) in service.requests
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#state")).to_have_text("Running")
+
+
+@pytest.mark.parametrize(
+    ("language", "title", "way_out"),
+    [
+        ("en", "Feed hold at the machine", "look why"),
+        ("de", "Vorschub an der Maschine angehalten", "dort freigeben"),
+    ],
+)
+def test_a_feed_hold_is_no_failure(panel, service, language, title, way_out):
+    fault = failure("held-at-machine", "the feed is held at the machine", "look why")
+    service.change(measuring(service), state="paused", error=fault)
+    page = panel.open(language=language)
+    said = page.locator(".notice.is-held")
+    expect(said.locator("strong")).to_have_text(title)
+    expect(said).to_contain_text(way_out)
+    expect(said).not_to_contain_text("failed")
+
+
+def test_numbers_of_a_fault_stay_beside_its_translation(panel, service):
+    fault = failure("feed-override", "the feed override is 70 %: feeds are not", "turn")
+    service.change(measuring(service), error=fault)
+    page = panel.open(language="de")
+    said = page.locator(".notice.is-held")
+    expect(said.locator("strong")).to_contain_text("Vorschubregler")
+    expect(said.locator("[lang=en]")).to_contain_text("70 %")
+
+
+def test_the_scope_shows_how_far_points_lie_beside_their_line(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    along = np.linspace(0.0, 300.0, 13)[:, None]
+    line = np.array([1000.0, 200.0, 50.0]) + along * np.array([0.8, 0.6, 0.0])
+    line[6] += [0.0, 0.0, 0.024]  # each other one is drawn aside by some of it
+    service.show_points(job, 5.0, line[:7], environment={"X_degC": 21.5})
+    beside = page.locator(".stream .tile", has_text="Beside the line").locator("dd")
+    expect(beside).to_have_text(expected_um(line[:7]))
+    tiles = page.locator(".stream .tiles.is-now")
+    expect(tiles).to_contain_text("on the target")
+    expect(tiles).to_contain_text(f"{np.linalg.norm(line[6]) / 1e3:.3f} m")
+    expect(page.locator(".air")).to_have_text("X21.50 °C")
+    service.show_points(job, 5.7, line[6:][[0] * 7])
+    expect(beside).to_have_text("–")
+
+
+def expected_um(points: np.ndarray) -> re.Pattern[str]:
+    """Return the distance of the last point from the line of least squares."""
+    centred = points - points.mean(axis=0)
+    direction = np.linalg.svd(centred)[2][0]
+    across = centred[-1] - (centred[-1] @ direction) * direction
+    return re.compile(rf"^{1e3 * np.linalg.norm(across):.1f} µm$")
+
+
+def test_what_the_tracker_has_lost_is_counted_and_lines_are_planned_anew(
+    panel, service
+):
+    job = measuring(service)
+    page = panel.open(language="de")
+    lost = {"samples": 900, "lost_samples": 17, "crc_errors": 3, "gaps": 2}
+    service.change(job, health={**lost, "repeats": 1})
+    counts = page.locator(".stream .is-counts")
+    expect(counts.locator("dd")).to_have_text(["900", "17", "2", "3"])
+    expect(counts.locator("[data-tone=fault]")).to_have_count(3)
+    expect(page.locator(".notice")).to_contain_text("Verlorene Geraden sind neu")
+    expect(page.locator(".notice")).to_contain_text("1-mal")
+
+
+def test_a_lost_beam_is_said(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    service.advance(job, 2.5)
+    service.change(job, state="paused", error=failure("beam-lost"))
+    beam = page.locator(".stream .tile", has_text="Beam")
+    expect(beam).to_contain_text("lost")
+    expect(beam).to_have_attribute("data-tone", "fault")
