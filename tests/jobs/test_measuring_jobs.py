@@ -852,6 +852,19 @@ def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
     assert context.store.get(running.id).state == "interrupted"
 
 
+def test_lines_that_are_driven_again_and_gaps_are_counted(
+    dispatcher, running, make_cell, context
+):
+    make_cell.cell.say(LinesDamaged(3, None))
+    make_cell.cell.say(MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2))
+
+    def counted():
+        health = dispatcher.show(context.store.get(running.id)).health
+        return (health.repeats, health.gaps) == (1, 2)
+
+    wait_until(counted)
+
+
 def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
     running, make_cell, until, context
 ):

@@ -396,6 +396,16 @@ def test_the_light_of_the_settings_goes_before_that_of_the_driver():
     assert choose_refraction(unable, HENE).light == HENE
 
 
+def test_live_points_bring_the_newest_readings_and_forget_what_shows_nothing():
+    heard = []
+    view = LiveView(heard.append, reports_blocks=False)
+    view.show_readings({"X_degC": 21.0, "air_degC": 20.0})
+    view.show_readings({"X_degC": math.nan})
+    time_s, at_mm = np.array([1.0]), np.zeros((1, 3))
+    view.show(TrackerSamples(np.zeros(1, np.int64), time_s, time_s, at_mm, np.zeros(1, np.uint8)))
+    assert heard[0].environment == {"air_degC": 20.0}
+
+
 def test_a_reader_that_is_stopped_reads_nothing_more(tmp_path, header, sensors):
     recorder = Recorder(tmp_path / "run.sqlite", header, reserve_bytes=0)
     reader = EnvironmentReader([sensors], recorder, lambda _: None)
