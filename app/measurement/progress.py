@@ -201,9 +201,7 @@ class LiveView:
             self._last_slot = float(slot[chosen[-1]])
             points = np.round(samples.position_mm[chosen], 4).tolist()
             self._report(
-                LivePoints(
-                    points, list(self.axes), float(time_s[-1]), self.environment
-                )
+                LivePoints(points, list(self.axes), float(time_s[-1]), self.environment)
             )
         if self._reports_blocks:
             scaled_mm = self._range_scale * samples.position_mm

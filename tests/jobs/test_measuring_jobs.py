@@ -35,7 +35,12 @@ from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.store import IdempotencyKey
 from truepath.app.jobs.transitions import FINAL, State
 from truepath.app.kinematics.machine import Target
-from truepath.app.measurement.messages import CellState, RunClosed
+from truepath.app.measurement.messages import (
+    CellState,
+    LinesDamaged,
+    MeasurementProgress,
+    RunClosed,
+)
 from truepath.app.motion.commanded_rows import command_rows
 from truepath.drivers.interfaces.errors import ConnectionLost
 
@@ -852,17 +857,13 @@ def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
     assert context.store.get(running.id).state == "interrupted"
 
 
-def test_lines_that_are_driven_again_and_gaps_are_counted(
-    dispatcher, running, make_cell, context
-):
+def test_lines_that_are_driven_again_and_gaps_are_counted(running, make_cell, until):
+    progress = MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2)
     make_cell.cell.say(LinesDamaged(3, None))
-    make_cell.cell.say(MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2))
-
-    def counted():
-        health = dispatcher.show(context.store.get(running.id)).health
-        return (health.repeats, health.gaps) == (1, 2)
-
-    wait_until(counted)
+    make_cell.cell.say(progress)
+    make_cell.cell.end()
+    health = until(running, "succeeded").health
+    assert (health.repeats, health.gaps) == (1, 2)
 
 
 def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(

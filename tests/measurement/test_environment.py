@@ -30,6 +30,7 @@ from truepath.app.measurement.messages import (
     MeasurementOrder,
     RunClosed,
 )
+from truepath.app.measurement.progress import LiveView
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader
 from truepath.app.measurement.run_reading import open_run
@@ -401,8 +402,8 @@ def test_live_points_bring_the_newest_readings_and_forget_what_shows_nothing():
     view = LiveView(heard.append, reports_blocks=False)
     view.show_readings({"X_degC": 21.0, "air_degC": 20.0})
     view.show_readings({"X_degC": math.nan})
-    time_s, at_mm = np.array([1.0]), np.zeros((1, 3))
-    view.show(TrackerSamples(np.zeros(1, np.int64), time_s, time_s, at_mm, np.zeros(1, np.uint8)))
+    none = np.zeros(1, np.int64)
+    view.show(TrackerSamples(none, np.array([1.0]), np.zeros((1, 3)), none))
     assert heard[0].environment == {"air_degC": 20.0}
 
 

@@ -158,7 +158,9 @@ class ScriptedService:
         }
         self.tell("live", live)
 
-    def show_points(self, job_id: str, end_s: float, points_mm: Any, **more: Any) -> None:
+    def show_points(
+        self, job_id: str, end_s: float, points_mm: Any, **more: Any
+    ) -> None:
         """Tell points of the tracker, a tenth of a second apart."""
         points = np.asarray(points_mm).tolist()
         live = {"job_id": job_id, "axes": [0.0, 0.0, 0.0], "device_time_s": end_s}
