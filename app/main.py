@@ -32,6 +32,7 @@ from truepath.app.files.machine_file import (
     machine_to_json,
     read_machine,
 )
+from truepath.app.jobs.arm_tokens import ArmTokens
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_setup import (
     CellSetup,
@@ -106,7 +107,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         database.migrate()
         event_bus = EventBus()
         context, setup = _make_context(settings, database, event_bus, stack)
-        dispatcher = Dispatcher(context, event_bus)
+        dispatcher = Dispatcher(context, event_bus, ArmTokens(settings.arm_token_s))
         stack.callback(dispatcher.close)
         dispatcher.interrupt_unfinished_jobs()
         reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)

@@ -61,6 +61,8 @@ class Settings(DeviceConfiguration, BaseSettings):
     """How long a log-in lasts."""
     allow_arming_by_key: bool = False
     """Let a program with an API key set the machine in motion."""
+    arm_token_s: float = Field(60.0, ge=5, le=3600)
+    """How long a person may look at what will move before the machine is armed."""
     tls_cert: Path | None = None
     """Certificate of this computer (PEM), with those that lead to its root."""
     tls_key: Path | None = None

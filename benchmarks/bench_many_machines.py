@@ -130,7 +130,8 @@ def _begin(client: Client, machine: str, feed_mm_min: float) -> str:
     order = {"kind": "measure-otf", "machine": machine, "feed_mm_min": feed_mm_min}
     job_id = client.post("/jobs", order)["id"]
     job = client.wait_for(job_id, lambda j: j["state"] == "ready", 300.0)
-    client.post(f"/jobs/{job_id}/arm", version=job["version"])
+    token = {"token": client.post(f"/jobs/{job_id}/arming")["token"]}
+    client.post(f"/jobs/{job_id}/arm", token, version=job["version"])
     client.wait_for(job_id, lambda j: j["state"] != "ready", 60.0)
     return job_id
 

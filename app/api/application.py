@@ -20,6 +20,7 @@ from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from truepath.app.api import (
+    arming,
     certificates,
     comparisons,
     compensations,
@@ -134,6 +135,7 @@ def _api() -> APIRouter:
     api = APIRouter(prefix=PREFIX)
     for router in (
         jobs.router,
+        arming.router,
         results.router,
         jobs.stop,
         plans.of_jobs,

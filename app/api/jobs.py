@@ -14,6 +14,7 @@ from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.access_control import note_change
+from truepath.app.api.models.arming import ArmRequest
 from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
 from truepath.app.api.models.job import (
     DiscoveryLinks,
@@ -121,10 +122,13 @@ def get_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
 
 
 @router.post(
-    "/{job_id}/arm", status_code=202, responses=declare_problems(404, 409, 412, 428)
+    "/{job_id}/arm",
+    status_code=202,
+    responses=declare_problems(404, 409, 412, 422, 428),
 )
 def arm_job(
     job_id: JobId,
+    request: ArmRequest,
     version: Version,
     response: Response,
     service: ServiceDep,
@@ -132,9 +136,10 @@ def arm_job(
 ) -> JobOut:
     """Let a job move the machine that is ready, or has had its tracker moved.
 
-    Only who asked for the job, or has taken control of it.
+    Only who asked for the job, or has taken control of it, with the token of `arming`.
     """
-    job = service.dispatcher.arm(job_id, version, by=owner_of(actor))
+    by = owner_of(actor)
+    job = service.dispatcher.arm(job_id, version, request.token, by=by)
     return _describe(job, response)
 
 

@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
+from truepath.app.api.models.condition import ConditionList, ConditionOut
 from truepath.app.api.models.machine_file import (
     MachineCoreOut,
     MotionLimitsOut,
@@ -20,7 +21,6 @@ from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.cell_supervisor import CellStatus
-from truepath.app.jobs.conditions import ConditionType, Level
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.jobs.machine_cells import MachineCell
@@ -61,28 +61,6 @@ class MachineOut(MachineCoreOut, Connection):
         None, description="`motion` of the machine file: what the machine can."
     )
     tracker_noise: TrackerNoiseOut = Field(description="`tracker` of the machine file.")
-
-
-class ConditionOut(BaseModel):
-    """Something that has to be so before the machine moves, as it is now."""
-
-    type: ConditionType
-    level: Level = Field(description="`unknown` where no device tells it.")
-    reason: str = Field(examples=["estop"], description="For programs; may be empty.")
-    message: str = Field(
-        examples=["a door is open; close it"],
-        description="What is wrong and what to do; empty where nothing is.",
-    )
-    is_required: bool = Field(
-        description="While this is `false`, no job is armed on this machine."
-    )
-    since: str = Field(description="When the level became what it is, UTC.")
-
-
-class ConditionList(BaseModel):
-    """All conditions of a machine."""
-
-    items: list[ConditionOut]
 
 
 class MachineSummary(BaseModel):

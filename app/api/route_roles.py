@@ -29,12 +29,13 @@ NEVER_LIMITED = STOPS | {ABORT}
 
 MOVES = frozenset(
     {
+        f"POST {PREFIX}/jobs/{{job_id}}/arming",
         f"POST {PREFIX}/jobs/{{job_id}}/arm",
         f"POST {PREFIX}/jobs/{{job_id}}/resume",
         f"POST {PREFIX}/jobs/{{job_id}}/take-control",
     }
 )
-"""Sets the machine in motion, or decides who may: by a person."""
+"""Sets the machine in motion, leads to it, or decides who may: by a person."""
 
 _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /stop": ANYBODY,
@@ -46,6 +47,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /jobs": _OPERATOR,
     "GET /jobs": _VIEWER,
     "GET /jobs/{job_id}": _VIEWER,
+    "POST /jobs/{job_id}/arming": _OPERATOR,
     "POST /jobs/{job_id}/arm": _OPERATOR,
     "POST /jobs/{job_id}/pause": _OPERATOR,
     "POST /jobs/{job_id}/resume": _OPERATOR,

@@ -10,6 +10,7 @@ from typing import Any
 
 import structlog
 
+from truepath.app.errors import MeasurementFailed
 from truepath.app.jobs.errors import (
     Aborted,
     Cancelled,
@@ -66,7 +67,8 @@ class ActiveJob:
         self._changed = threading.Condition()
         self.state, self._since = job.state, time.monotonic()
         self.wants_pause = job.wants_pause
-        self._armed = self._aborted = self._interrupted = False
+        self._armed: str | None = None
+        self._aborted = self._interrupted = False
         self.wants_cancel = False
         self.controller = job.owner
         self._wish: OnNotice | None = None
@@ -96,10 +98,10 @@ class ActiveJob:
 
         return self._change(change, version)
 
-    def arm(self) -> None:
-        """Let a job that waits for it move the machine."""
+    def arm(self, plan_sha256: str) -> None:
+        """Let a job that waits for it move the machine, as that plan commands."""
         with self._changed:
-            self._armed = True
+            self._armed = plan_sha256
             self._changed.notify_all()
 
     def wish(self, what: OnNotice) -> None:
@@ -135,13 +137,20 @@ class ActiveJob:
         if self.wants_cancel:
             raise Cancelled("cancelled")
 
-    def wait_until_armed(self) -> None:
-        """Wait for `arm`. Raises as `checkpoint`."""
+    def wait_until_armed(self, plan_sha256: str) -> None:
+        """Wait for `arm`. Raises as `checkpoint`, MeasurementFailed for another plan.
+
+        plan_sha256 : of what the job is about to command
+        """
         with self._changed:
             while not (self._armed or self.is_cancelled or self.wants_cancel):
                 self._changed.wait()
-            self._armed = False
+            armed, self._armed = self._armed, None
         self.checkpoint()
+        if armed != plan_sha256:
+            raise MeasurementFailed(
+                "the plan is not the one that the job was armed for; nothing has moved"
+            )
 
     def compute(self, computation: Computing) -> Any:
         """Wait for a computation; it is cancelled when the job is."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -11,6 +12,13 @@ import structlog
 
 from truepath.app.errors import IllegalTransition
 from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.arm_tokens import ArmingPurpose, ArmTokens
+from truepath.app.jobs.arming import (
+    Arming,
+    hash_commanded,
+    list_commanded,
+    summarise_motion,
+)
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import (
     CellDown,
@@ -28,10 +36,11 @@ from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
 from truepath.app.jobs.resumption import list_part_ids, require_resumable
 from truepath.app.jobs.station_steps import list_run_ids
-from truepath.app.jobs.store import IdempotencyKey
+from truepath.app.jobs.store import IdempotencyKey, require_version
 from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
 from truepath.app.jobs.workflow import run_job
 from truepath.app.measurement.messages import CellVerb
+from truepath.app.motion.configurations import Commanded
 
 log = structlog.get_logger(__name__)
 
@@ -42,8 +51,14 @@ MAX_WAITING = 100
 class Dispatcher:
     """The jobs under way, for any thread; no lock is held while one is stored."""
 
-    def __init__(self, context: JobContext, event_bus: EventBus) -> None:
+    def __init__(
+        self,
+        context: JobContext,
+        event_bus: EventBus,
+        arm_tokens: ArmTokens | None = None,
+    ) -> None:
         self._context, self._event_bus = context, event_bus
+        self._arm_tokens = arm_tokens or ArmTokens()
         self._lock = threading.Lock()
         self._active: dict[str, ActiveJob] = {}
         self._threads: list[threading.Thread] = []
@@ -102,19 +117,52 @@ class Dispatcher:
             self._begin(job)
         return job, is_new
 
-    def arm(self, job_id: str, version: int, *, by: str | None = None) -> Job:
-        """Let a ready job move the machine.
+    def prepare_arming(self, job_id: str, *, by: str | None = None) -> Arming:
+        """Return what a job that waits to be armed will do, and a token to arm it.
 
         by : name of the user who asks; None where nobody logs in
 
-        Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
+        Raises IllegalTransition, NotInControl.
         """
         active = self._find_active(job_id, Verb.ARM)
         _require_control(active, by)
-        apply_verb(Verb.ARM, self._context.store.get(job_id).state)
+        job = self._context.store.get(job_id)
+        apply_verb(Verb.ARM, job.state)
+        driven = self._context.machines.choose(job.machine)
+        parts = list_commanded(self._context.store.read_plan(job_id))
+        board = driven.conditions
+        purpose = self._make_purpose(job, parts, by)
+        return Arming(
+            job,
+            driven,
+            summarise_motion(driven.machine, job.kind, parts),
+            () if board is None else tuple(board.read()),
+            purpose.plan_sha256,
+            self._arm_tokens.issue(purpose),
+            self._arm_tokens.valid_s,
+        )
+
+    def arm(
+        self, job_id: str, version: int, token: str, *, by: str | None = None
+    ) -> Job:
+        """Let a ready job move the machine.
+
+        token : of `prepare_arming`; by : as there
+
+        Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl,
+        ArmTokenExpired, ArmTokenUsed, ArmTokenOther.
+        """
+        active = self._find_active(job_id, Verb.ARM)
+        _require_control(active, by)
+        job = self._context.store.get(job_id)
+        apply_verb(Verb.ARM, job.state)
+        require_version(job, version)
         self._require_order(active)
+        parts = list_commanded(self._context.store.read_plan(job_id))
+        purpose = self._make_purpose(job, parts, by)
+        self._arm_tokens.use(token, purpose)
         job = active.apply_verb(Verb.ARM, version)
-        active.arm()
+        active.arm(purpose.plan_sha256)
         return job
 
     def pause(self, job_id: str) -> Job:
@@ -341,6 +389,15 @@ class Dispatcher:
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
+
+    def _make_purpose(
+        self, job: Job, parts: Sequence[Commanded], by: str | None
+    ) -> ArmingPurpose:
+        driven = self._context.machines.choose(job.machine)
+        plan_sha256 = hash_commanded(parts)
+        return ArmingPurpose(
+            job.id, job.version, by, driven.id, driven.version, plan_sha256
+        )
 
     def _require_order(self, active: ActiveJob) -> None:
         board = self._context.machines.choose(active.job.machine).conditions

@@ -91,6 +91,18 @@ class NotInControl(JobError):
         self.controller = controller
 
 
+class ArmTokenExpired(JobError):
+    """The token to arm with is too old."""
+
+
+class ArmTokenUsed(JobError):
+    """The token to arm with has been used."""
+
+
+class ArmTokenOther(JobError):
+    """The token to arm with is unknown, or was given for something else."""
+
+
 class NotInOrder(JobError):
     """Something that is known to be wrong keeps the machine from being let move."""
 

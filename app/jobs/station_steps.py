@@ -19,6 +19,7 @@ import structlog
 
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.arming import hash_commanded, list_commanded
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import MachineFault, MeasurementEnded
@@ -103,7 +104,8 @@ class StationSteps:
         )
         log.info("the tracker is to be moved", station=number)
         self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
-        self.active.wait_until_armed()
+        parts = list_commanded(self._read_plan())
+        self.active.wait_until_armed(hash_commanded(parts))
 
     def _agrees(self, number: int) -> bool:
         """Measure the known points; tell whether the station can be used."""

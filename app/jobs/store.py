@@ -214,8 +214,8 @@ class Store:
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
             before = _read_job(connection, job_id)
-            if version is not None and before.version != version:
-                raise StaleVersion(version, before.version, before.state)
+            if version is not None:
+                require_version(before, version)
             after = change(before)
             if after is before:
                 return before, None
@@ -298,6 +298,12 @@ def _stamp_times(before: Job, after: Job) -> Job:
 
 def _select_jobs(connection: Connection, query: Select[Any]) -> list[Job]:
     return [decode_job({**row}) for row in connection.execute(query).mappings()]
+
+
+def require_version(job: Job, version: int) -> None:
+    """Raise StaleVersion if somebody has changed the job since that version."""
+    if job.version != version:
+        raise StaleVersion(version, job.version, job.state)
 
 
 def _read_job(connection: Connection, job_id: str) -> Job:

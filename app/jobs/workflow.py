@@ -16,6 +16,7 @@ import structlog
 from truepath.app.errors import TruepathError
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.arming import hash_commanded, list_commanded
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.driving_steps import DrivingSteps
 from truepath.app.jobs.errors import (
@@ -170,15 +171,14 @@ class _JobSteps:
 
     def _wait_until_armed(self) -> Commanded:
         """Return what the user lets the machine drive, checked against its travel."""
-        commanded = decode_commanded_json(
-            self.context.store.read_plan(self.job.id) or {}
-        )
+        plan = self.context.store.read_plan(self.job.id) or {}
+        commanded = decode_commanded_json(plan)
         check_travel(self.context.require_machine(), commanded)
         self.context.require_cell().connect()
         self.active.checkpoint()
         begin_at_station(self.active, self.context.store)
         self.active.enter(State.READY, Stage.MEASURING)
-        self.active.wait_until_armed()
+        self.active.wait_until_armed(hash_commanded(list_commanded(plan)))
         return commanded
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:

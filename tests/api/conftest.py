@@ -13,6 +13,7 @@ from pathlib import Path
 import httpx2
 import pytest
 import uvicorn
+from arming import arm_over_http
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -262,9 +263,7 @@ def ready(client, order, until):
 @pytest.fixture
 def armed(client, ready, make_cell):
     """A job whose machine moves."""
-    answer = client.post(
-        f"/api/v1/jobs/{ready['id']}/arm", headers={"If-Match": f'"{ready["version"]}"'}
-    )
+    answer = arm_over_http(client, ready)
     assert answer.status_code == 202, answer.text
     assert make_cell.cell.begun.wait(5)
     return answer.json()

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import anyio
 import pytest
+from arming import arm_at_once
 from fastapi.routing import iter_route_contexts
 from pydantic import TypeAdapter
 from scripted_cell import wait_until
@@ -248,7 +249,7 @@ def armed_by_hand(service, make_cell, order, rows_of_order):
     ready = wait_until(
         lambda: (now := service.store.get(job.id)).state == "ready" and now
     )
-    service.dispatcher.arm(job.id, ready.version)
+    arm_at_once(service.dispatcher, job.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     return job.id
 

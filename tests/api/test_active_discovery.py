@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arming import arm_over_http
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -64,8 +65,7 @@ class Shop:
         job = self._followed(at, {"ready", *ENDS})
         if job["state"] == "ready":
             assert self.client.get(job["links"]["plan"]).json()["position"]
-            version = {"If-Match": f'"{job["version"]}"'}
-            assert self.client.post(f"{at}/arm", headers=version).status_code == 202
+            assert arm_over_http(self.client, job).status_code == 202
             job = self._followed(at, ENDS)
         return job
 

@@ -7,6 +7,7 @@ import socket
 import time
 
 import pytest
+from arming import arm_over_http
 from service_process import ROWS, arm, create, follow, process, wait_for
 
 from truepath.simulators.rig import running_rig
@@ -49,8 +50,7 @@ def test_a_job_is_not_armed_while_a_door_is_open(tmp_path, machine_file):
             rig.inject("cnc:door@0s+60s")  # of the machine: 5 s
             able = "controller-able"
             wait_for(lambda: levels(client)[able] == "false", "the open door")
-            version = {"If-Match": f'"{job["version"]}"'}
-            refused = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+            refused = arm_over_http(client, job)
             assert refused.status_code == 409
             assert refused.json()["code"] == "not-in-order"
             assert refused.json()["conditions"] == [able]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from arming import arm_over_http
 from scripted_cell import wait_until
 
 JOBS, MODELS = "/api/v1/jobs", "/api/v1/models"
@@ -91,8 +92,7 @@ def test_extra_lines_end_with_a_discovery_and_a_model_of_their_own(
     plan = client.get(job["links"]["plan"]).json()
     assert plan["position"][1] == [400.0, 10.0, 10.0]
     assert plan["discovery_id"] == first["id"]
-    version = {"If-Match": f'"{job["version"]}"'}
-    client.post(f"{JOBS}/{job['id']}/arm", headers=version)
+    arm_over_http(client, job)
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
     job = until(job, "succeeded")

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import pytest
+from arming import arm_over_http
 from scripted_cell import wait_until
 
 from truepath.app.api import events
@@ -155,14 +156,13 @@ def test_a_measurement_can_be_followed_to_its_result(live, make_cell, order, ser
     heard = []
     with stream(live) as found:
         read(found, 1, ("tick",))
-        job = live.post("/api/v1/jobs", json=order).json()
+        live.post("/api/v1/jobs", json=order)
         for event in found:
             heard.append(event)
             if event.type != "job":
                 continue
             if event.data["state"] == "ready":
-                version = {"If-Match": f'"{event.data["version"]}"'}
-                live.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+                arm_over_http(live, event.data)
                 assert make_cell.cell.begun.wait(5)
                 make_cell.cell.end()
             if event.data["state"] == "succeeded":
@@ -187,7 +187,7 @@ def test_what_a_full_disk_does_not_take_is_told_and_shown(
         address = f"/api/v1/jobs/{job['id']}"
         while (now := read(found, 1)[0]).data["state"] != "ready":
             pass
-        live.post(f"{address}/arm", headers={"If-Match": f'"{now.data["version"]}"'})
+        arm_over_http(live, now.data)
         assert make_cell.cell.begun.wait(5)
         service.store.change = full
         make_cell.cell.say_state("paused")

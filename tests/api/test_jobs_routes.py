@@ -5,9 +5,15 @@ import time
 from datetime import datetime, timedelta, timezone
 
 import pytest
+from arming import arm_over_http, request_token
 from scripted_cell import wait_until
 
-from truepath.app.jobs.errors import StorageUnavailable
+from truepath.app.jobs.arm_tokens import ArmTokens
+from truepath.app.jobs.errors import (
+    ArmTokenExpired,
+    ArmTokenUsed,
+    StorageUnavailable,
+)
 
 UNKNOWN = "/api/v1/jobs/019a0000-0000-7000-8000-000000000000"
 
@@ -81,7 +87,8 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
     is_problem(every, 428, "version-required")
     odd = client.post(address, headers={"If-Match": '"three"'})
     is_problem(odd, 412, "stale-version")
-    stale = client.post(address, headers={"If-Match": '"1"'})
+    body = {"token": "of nobody"}
+    stale = client.post(address, headers={"If-Match": '"1"'}, json=body)
     problem = is_problem(stale, 412, "stale-version")
     assert problem["current_version"] == ready["version"]
     assert "begin" not in make_cell.cell.heard
@@ -89,8 +96,42 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
 
 def test_a_weak_tag_of_the_right_version_is_taken(client, ready):
     headers = {"If-Match": f'W/"{ready["version"]}"'}
-    answer = client.post(f"/api/v1/jobs/{ready['id']}/arm", headers=headers)
+    body = {"token": request_token(client, ready["id"])}
+    answer = client.post(f"/api/v1/jobs/{ready['id']}/arm", headers=headers, json=body)
     assert answer.status_code == 202
+
+
+def test_arming_shows_what_moves_and_its_token_arms_once(
+    client, ready, is_problem, make_cell
+):
+    address = f"/api/v1/jobs/{ready['id']}"
+    shown = client.post(f"{address}/arming").json()
+    assert (shown["job"], shown["machine"]) == (ready["id"], "default")
+    assert {one["axis"] for one in shown["envelope"]} == {"X", "Y", "Z"}
+    assert (shown["obstacles"], shown["expires_in_s"]) == ([], 60.0)
+    headers = {"If-Match": f'"{shown["version"]}"'}
+    body = {"token": shown["token"]}
+    other = client.post(f"{address}/arm", headers=headers, json={"token": "other"})
+    is_problem(other, 409, "arm-token-other")
+    is_problem(client.post(f"{address}/arm", headers=headers), 422, "validation")
+    assert "begin" not in make_cell.cell.heard
+    assert client.post(f"{address}/arm", headers=headers, json=body).status_code == 202
+    again = client.post(f"{address}/arm", headers=headers, json=body)
+    is_problem(again, 409, "illegal-transition")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(ArmTokenExpired, "arm-token-expired"), (ArmTokenUsed, "arm-token-used")],
+)
+def test_a_token_that_is_no_longer_good_is_a_problem(
+    client, ready, is_problem, service, monkeypatch, error, code
+):
+    def refuse(*_):
+        raise error("it is not good any more")
+
+    monkeypatch.setattr(ArmTokens, "use", refuse)
+    is_problem(arm_over_http(client, ready), 409, code)
 
 
 def test_pause_and_resume(client, armed, until):
@@ -192,9 +233,11 @@ def test_an_unknown_job_is_not_found(client, is_problem, path):
     is_problem(client.get(UNKNOWN + path), 404, "not-found")
 
 
-@pytest.mark.parametrize("verb", ["arm", "pause", "resume", "abort"])
+@pytest.mark.parametrize("verb", ["arming", "arm", "pause", "resume", "abort"])
 def test_verbs_of_an_unknown_job_are_not_found(client, is_problem, verb):
-    answer = client.post(f"{UNKNOWN}/{verb}", headers={"If-Match": '"1"'})
+    answer = client.post(
+        f"{UNKNOWN}/{verb}", headers={"If-Match": '"1"'}, json={"token": "of nobody"}
+    )
     is_problem(answer, 404, "not-found")
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import httpx2
 import psutil
 import pytest
+from arming import arm_over_http
 from service_process import ENDS, SPEED, process, wait_for
 
 from truepath.simulators.rig import Rig, running_rig
@@ -173,8 +174,7 @@ def work(client, ledger, end_s) -> None:
         job = client.get(address).json()
         ledger.note(job)
         if job["state"] == "ready" and not armed:
-            version = {"If-Match": f'"{job["version"]}"'}
-            armed = client.post(f"{address}/arm", headers=version).status_code == 202
+            armed = arm_over_http(client, job).status_code == 202
         time.sleep(0.01)
 
 

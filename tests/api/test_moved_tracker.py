@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from arming import arm_over_http
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -103,8 +104,7 @@ def begin(client, planned):
 
 
 def arm(client, job):
-    version = {"If-Match": f'"{job["version"]}"'}
-    answer = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+    answer = arm_over_http(client, job)
     assert answer.status_code == 202, answer.text
     assert answer.json()["state"] == "running"
 

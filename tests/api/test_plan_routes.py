@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from arming import arm_over_http
 from scripted_cell import wait_until
 
 from truepath.app.files.machine_file import machine_from_json
@@ -137,9 +138,7 @@ def test_a_measuring_job_drives_a_plan(plan, client, until, make_cell):
     predicted = plan["document"]["predicted"]["volumetric_uncertainty_um"]
     assert driven["predicted_um"] == predicted
     assert job["target_um"] == 1.0
-    client.post(
-        f"/api/v1/jobs/{job['id']}/arm", headers={"If-Match": f'"{job["version"]}"'}
-    )
+    arm_over_http(client, job)
     assert make_cell.cell.begun.wait(5)
     stops = make_cell.cell.order.commanded.position
     np.testing.assert_array_equal(stops, plan["commanded"]["position"])

@@ -114,7 +114,9 @@ def test_the_address_of_the_examples_is_the_default():
 def test_a_machine_is_measured_and_its_result_taken_away(
     curl, follow, make_cell, tmp_path
 ):
-    connect, create, plan, look, arm, again, *own_rows = section("Measure a machine")
+    connect, create, plan, look, show, arm, again, *own_rows = section(
+        "Measure a machine"
+    )
     assert curl(connect).json()["connected"]
     answer = curl(create)
     assert answer.status_code == 202
@@ -122,6 +124,7 @@ def test_a_machine_is_measured_and_its_result_taken_away(
     follow("ready")
     assert len(curl(plan).json()["position"]) > 2
     assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
+    curl.names["TOKEN"] = curl(show).json()["token"]
     assert curl(arm).status_code == 202
     assert curl(again).json()["state"] == "running"
     assert make_cell.cell.begun.wait(5)
@@ -309,13 +312,14 @@ def test_the_machine_is_asked_for_extra_lines(
     curl.take(curl(section("Discover what the model lacks")[0]).json())
     follow("succeeded")
     discovery_id = curl.names["JOB"]
-    create, plan, look, arm, found = section("Ask the machine")
+    create, plan, look, show, arm, found = section("Ask the machine")
     answer = curl(create)
     assert answer.status_code == 202, answer.text
     curl.take(answer.json())
     follow("ready")
     assert curl(plan).json()["discovery_id"] == discovery_id
     assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
+    curl.names["TOKEN"] = curl(show).json()["token"]
     assert curl(arm).status_code == 202
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()

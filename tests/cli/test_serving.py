@@ -200,6 +200,7 @@ def job(state, **more):
 PATHS = {
     "/api/v1/machines/current:connect": (200, [{}]),
     "/api/v1/jobs": (202, [job("queued")]),
+    "/api/v1/jobs/7/arming": (200, [{"token": "once"}]),
     "/api/v1/jobs/7/arm": (202, [job("running")]),
 }
 
@@ -209,7 +210,7 @@ def test_motion_starts_by_arming_the_version_that_was_ready():
     with scripted({**PATHS, "/api/v1/jobs/7": (200, states)}) as (client, asked):
         assert measure_on_the_fly(client) == "7"
     assert asked[1] == ("POST", "/api/v1/jobs", {"kind": "measure-otf"}, None)
-    assert asked[-1] == ("POST", "/api/v1/jobs/7/arm", {}, '"5"')
+    assert asked[-1] == ("POST", "/api/v1/jobs/7/arm", {"token": "once"}, '"5"')
 
 
 def test_a_job_that_fails_before_it_is_ready_is_never_armed():

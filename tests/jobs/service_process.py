@@ -9,6 +9,7 @@ import time
 from contextlib import contextmanager
 
 import httpx2
+from arming import arm_over_http
 from scripted_cell import wait_until
 
 PROGRAM = """
@@ -81,8 +82,7 @@ def create(client, **order):
 
 
 def arm(client, job):
-    version = {"If-Match": f'"{job["version"]}"'}
-    answer = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+    answer = arm_over_http(client, job)
     assert answer.status_code == 202, answer.text
 
 

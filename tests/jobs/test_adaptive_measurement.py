@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from arming import arm_at_once
 from scripted_cell import Inline
 
 from truepath.app.cli.demo import compare_with_truth
@@ -57,7 +58,7 @@ class Followed:
         job, _ = self.dispatcher.create(request)
         ready = wait_until(lambda: self._in(job.id, State.READY), "the first part")
         self.first = self.context.store.read_plan(job.id)
-        self.dispatcher.arm(job.id, ready.version)
+        arm_at_once(self.dispatcher, job.id, ready.version)
         return wait_until(lambda: self._ended(job.id), "the end")
 
     def notices(self, kind):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from arming import arm_at_once
 from scripted_cell import wait_until
 
 from truepath.app.errors import BundleError, NotFound
@@ -206,7 +207,7 @@ def test_a_measured_run_is_packed_once_as_a_bundle(context, run, dispatcher, mak
     ready = wait_until(
         lambda: (now := context.store.get(job.id)).state == "ready" and now
     )
-    dispatcher.arm(job.id, ready.version)
+    arm_at_once(dispatcher, job.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
     wait_until(lambda: context.store.get(job.id).is_final)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arming import arm_at_once
 from scripted_cell import Explorer
 
 from truepath.app.errors import NotFound, OutOfTravel, PlanningError
@@ -77,7 +78,7 @@ def drive(asking, until, make_cell):
         request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discovery.id)
         job = until(asking.create(request)[0], State.READY)
         make_cell.cell.begun.clear()
-        asking.arm(job.id, job.version)
+        arm_at_once(asking, job.id, job.version)
         assert make_cell.cell.begun.wait(5)
         make_cell.cell.end()
         return until(job, State.SUCCEEDED)

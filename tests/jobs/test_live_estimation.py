@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from arming import arm_at_once
 
 from truepath.app.jobs.event_bus import JOBS, EventBus
 from truepath.app.jobs.job import JobEvent, JobKind
@@ -175,7 +176,7 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
         request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
         job, _ = service.dispatcher.create(request)
         wait_until(lambda: service.store.get(job.id).state == "ready")
-        service.dispatcher.arm(job.id, service.store.get(job.id).version)
+        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
         wait_until(lambda: service.store.get(job.id).is_final, 100.0)
         ended = service.store.get(job.id)
         assert ended.state == "succeeded"
@@ -209,7 +210,7 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
             RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
         )
         wait_until(lambda: service.store.get(job.id).state == "ready")
-        service.dispatcher.arm(job.id, service.store.get(job.id).version)
+        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
         wait_until(lambda: service.store.get(job.id).is_final, 100.0)
         assert service.store.get(job.id).state == "succeeded"
         last = service.event_bus.estimates.newest(job.id)

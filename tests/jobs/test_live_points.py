@@ -6,6 +6,7 @@ import json
 import time
 
 import pytest
+from arming import arm_at_once
 
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.requested_job import RequestedJob
@@ -50,7 +51,7 @@ def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
             request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
             job, _ = service.dispatcher.create(request)
             wait_until(lambda: service.store.get(job.id).state == "ready", 60.0)
-            service.dispatcher.arm(job.id, service.store.get(job.id).version)
+            arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
             wait_until(lambda: service.store.get(job.id).is_final, 150.0)
             ended = service.store.get(job.id)
     assert ended.state == "succeeded"

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from arming import arm_at_once
 from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import event, text
 
@@ -62,7 +63,7 @@ def ready(dispatcher, until):
 @pytest.fixture
 def running(dispatcher, ready, make_cell):
     """A job whose machine moves."""
-    job = dispatcher.arm(ready.id, ready.version)
+    job = arm_at_once(dispatcher, ready.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     return job
 
@@ -81,7 +82,7 @@ def followed(context, event_bus, make_cell, until):
 
     def begin(request):
         job, _ = dispatcher.create(request)
-        dispatcher.arm(job.id, until(job, "ready").version)
+        arm_at_once(dispatcher, job.id, until(job, "ready").version)
         assert make_cell.cell.begun.wait(5)
         return job, estimates[-1]
 
@@ -154,7 +155,7 @@ def test_a_standstill_job_steps_through_its_points(
     points = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "dwell_s": 0.5}]
     job, _ = dispatcher.create(replace(STANDSTILL, rows=points))
     ready = until(job, "ready")
-    dispatcher.arm(job.id, ready.version)
+    arm_at_once(dispatcher, job.id, ready.version)
     order = wait_until(lambda: make_cell.cell.order)
     assert order.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
     assert order.commanded.dwell_s.tolist() == [0.5]
@@ -170,7 +171,7 @@ def test_nothing_moves_before_the_job_is_armed(ready, make_cell):
 
 def test_arming_needs_the_version_that_was_read(dispatcher, ready, make_cell):
     with pytest.raises(StaleVersion):
-        dispatcher.arm(ready.id, ready.version - 1)
+        arm_at_once(dispatcher, ready.id, ready.version - 1)
     assert "begin" not in make_cell.cell.heard
 
 
@@ -178,7 +179,7 @@ def test_a_job_is_armed_by_its_stored_state_which_a_thread_may_not_know_yet(
     dispatcher, ready, make_cell
 ):
     dispatcher._active[ready.id].state = State.PREPARING
-    assert dispatcher.arm(ready.id, ready.version).state is State.RUNNING
+    assert arm_at_once(dispatcher, ready.id, ready.version).state is State.RUNNING
     assert make_cell.cell.begun.wait(5)
 
 
@@ -194,7 +195,7 @@ def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
         job, _ = dispatcher.create(OTF)
         job = until(job, "ready")
         with pytest.raises(NotInOrder, match="connect them") as refused:
-            dispatcher.arm(job.id, job.version)
+            arm_at_once(dispatcher, job.id, job.version)
         (obstacle,) = refused.value.obstacles
         assert obstacle.type is ConditionType.DEVICES_CONNECTED
         assert context.store.get(job.id) == job
@@ -205,7 +206,7 @@ def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
 
 def test_arming_twice_is_refused(dispatcher, running):
     with pytest.raises(IllegalTransition, match="cannot arm a job that is running"):
-        dispatcher.arm(running.id, running.version)
+        arm_at_once(dispatcher, running.id, running.version)
 
 
 def test_the_cell_drives_what_was_planned(dispatcher, running, make_cell):
@@ -315,7 +316,7 @@ def test_a_pause_that_came_too_early_is_repeated(dispatcher, context, until, mak
     job, _ = dispatcher.create(OTF)
     ready = until(job, "ready")
     make_cell.cell.deaf.add("pause")
-    dispatcher.arm(job.id, ready.version)
+    arm_at_once(dispatcher, job.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     dispatcher.pause(job.id)
     wait_until(lambda: make_cell.cell.heard.count("pause") > 1, "a second pause")
@@ -416,7 +417,7 @@ def test_an_abort_overtakes_a_cancelling_that_takes_long(
     dispatcher.abort(running.id)
     assert until(running, "aborted").desired_state == "aborted"
     with pytest.raises(IllegalTransition):
-        dispatcher.arm(running.id, 99)
+        arm_at_once(dispatcher, running.id, 99)
 
 
 def test_a_job_that_computes_is_cancelled_at_once(
@@ -447,7 +448,7 @@ def test_a_held_machine_is_not_let_go_on_while_a_required_condition_is_wrong(
     dispatcher = Dispatcher(replace(context, machines=Machines([watched])), event_bus)
     context.require_cell().start()
     job, _ = dispatcher.create(OTF)
-    dispatcher.arm(job.id, until(job, "ready").version)
+    arm_at_once(dispatcher, job.id, until(job, "ready").version)
     assert make_cell.cell.begun.wait(5)
     dispatcher.pause(job.id)
     held = until(job, "paused")
@@ -467,7 +468,7 @@ def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
     dispatcher, ready, make_cell, until, context, moment
 ):
     if moment != "ready":
-        dispatcher.arm(ready.id, ready.version)
+        arm_at_once(dispatcher, ready.id, ready.version)
         assert make_cell.cell.begun.wait(5)
     if moment == "paused":
         dispatcher.pause(ready.id)
@@ -501,7 +502,7 @@ def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, con
 def test_an_abort_on_the_heels_of_arming_begins_nothing_or_ends_it(
     dispatcher, ready, make_cell, until
 ):
-    dispatcher.arm(ready.id, ready.version)
+    arm_at_once(dispatcher, ready.id, ready.version)
     dispatcher.abort(ready.id)
     until(ready, "aborted")
     heard = make_cell.cell.heard
@@ -981,7 +982,7 @@ def test_a_job_that_ended_can_only_be_looked_at(
     assert dispatcher.abort(job.id) == job
     for verb in (
         dispatcher.pause,
-        lambda id: dispatcher.arm(id, job.version),
+        lambda id: arm_at_once(dispatcher, id, job.version),
         lambda id: dispatcher.resume(id, job.version),
     ):
         with pytest.raises(IllegalTransition, match="a job that is succeeded"):
@@ -995,7 +996,7 @@ def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
     context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
     ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
     with pytest.raises(IllegalTransition, match="not under way any more"):
-        dispatcher.arm(job.id, ready.version)
+        arm_at_once(dispatcher, job.id, ready.version)
 
 
 def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):

@@ -7,6 +7,7 @@ import threading
 from dataclasses import replace
 
 import pytest
+from arming import arm_at_once
 from scripted_cell import DEVICES, wait_until
 
 from truepath.app.errors import IllegalTransition
@@ -185,7 +186,7 @@ def test_a_catalogue_that_does_not_answer_ends_no_reconciliation(
 
 def test_a_run_names_the_job_that_recorded_it(context, dispatcher, make_cell, until):
     job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, rows=ROWS))
-    dispatcher.arm(job.id, until(job, State.READY).version)
+    arm_at_once(dispatcher, job.id, until(job, State.READY).version)
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
     until(job, State.SUCCEEDED)

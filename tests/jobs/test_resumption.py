@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from arming import arm_at_once
 
 from truepath.app.errors import IllegalTransition
 from truepath.app.jobs.dispatcher import Dispatcher
@@ -74,7 +75,7 @@ def faulted(going_on, until, make_cell):
 
     def make(request=OTF):
         job, _ = going_on.create(request)
-        going_on.arm(job.id, until(job, "ready").version)
+        arm_at_once(going_on, job.id, until(job, "ready").version)
         cell = make_cell.cell
         assert cell.begun.wait(5)
         cell.fault()
@@ -88,7 +89,7 @@ def drive(going_on, until, cell, job):
     """Acknowledge and arm; let the closure be measured."""
     going_on.acknowledge(job.id)
     cell.begun.clear()
-    going_on.arm(job.id, until(job, "ready").version)
+    arm_at_once(going_on, job.id, until(job, "ready").version)
     assert cell.begun.wait(5)
     closure = cell.order
     cell.begun.clear()
@@ -170,7 +171,7 @@ def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     job, cell = faulted(), make_cell.cell
     going_on.acknowledge(job.id)
     cell.begun.clear()
-    going_on.arm(job.id, until(job, "ready").version)
+    arm_at_once(going_on, job.id, until(job, "ready").version)
     assert cell.begun.wait(5)
     assert len(cell.order.commanded) == len(PATH)
     cell.end()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from arming import arm_at_once
 from scripted_cell import wait_until
 
 from truepath.app.jobs.job import JobKind
@@ -23,7 +24,7 @@ def begin(service, machine):
     request = RequestedJob(JobKind.MEASURE_OTF, rows=ROWS, machine=machine)
     job, _ = service.dispatcher.create(request)
     wait_until(lambda: service.store.get(job.id).state == "ready", f"{machine} ready")
-    service.dispatcher.arm(job.id, service.store.get(job.id).version)
+    arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
 
     def streams():
         now = service.dispatcher.show(service.store.get(job.id))

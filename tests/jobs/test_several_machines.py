@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from arming import arm_at_once
 from scripted_cell import CellMaker, wait_until
 
 from truepath.app.errors import BadInput, NotFound
@@ -47,7 +48,7 @@ class Fleet:
     def begin(self, machine):
         job, _ = self.dispatcher.create(measure(machine))
         ready = self.until(job, State.READY)
-        self.dispatcher.arm(ready.id, ready.version)
+        arm_at_once(self.dispatcher, ready.id, ready.version)
         assert self.makers[machine].cell.begun.wait(25)
         return self.until(job, State.RUNNING)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from arming import arm_at_once
 from scripted_cell import wait_until
 
 from truepath.app.errors import IllegalTransition, NotFound, PlanningError
@@ -106,7 +107,7 @@ def measure(dispatcher, make_cell, until):
     """Arm a job and let the cell finish so many Runs; return the job then."""
 
     def measured(job, *runs, then=State.AWAITING_MOVE, dispatcher=dispatcher):
-        armed = dispatcher.arm(job.id, job.version)
+        armed = arm_at_once(dispatcher, job.id, job.version)
         for kind in runs:
             cell = make_cell.cell
             wait_until(cell.begun.is_set, "a measurement")
@@ -156,7 +157,7 @@ def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
     begin, dispatcher, make_cell, until
 ):
     job = begin()
-    dispatcher.arm(job.id, job.version)
+    arm_at_once(dispatcher, job.id, job.version)
     wait_until(lambda: make_cell.cell.begun.is_set(), "the known points")
     make_cell.cell.begun.clear()
     make_cell.cell.fault("beam-lost")

@@ -121,7 +121,9 @@ def measure(get):
     job = json.loads(get("/api/v1/jobs", json={"kind": "measure-otf"}))
     ready = wait_for(job["id"], get, "ready")
     version = {"If-Match": f'"{ready["version"]}"'}
-    get(f"/api/v1/jobs/{job['id']}/arm", json={}, headers=version)
+    arming = json.loads(get(f"/api/v1/jobs/{job['id']}/arming", json={}))
+    token = {"token": arming["token"]}
+    get(f"/api/v1/jobs/{job['id']}/arm", json=token, headers=version)
     return wait_for(job["id"], get, "succeeded")
 
 

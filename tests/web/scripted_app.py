@@ -6,6 +6,7 @@ import copy
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, UploadFile
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from scripted_data import (
     FORMATS,
@@ -238,8 +239,14 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
         return Response(b"PK", media_type="application/zip", headers=headers)
 
+    @app.post(f"{API}/jobs/{{job_id}}/arming")
+    def prepare_arming(job_id: str) -> Any:
+        return {"job": job_id, "token": f"for {job_id}"}
+
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
-    def act(job_id: str, verb: str, request: Request) -> Any:
+    async def act(job_id: str, verb: str, request: Request) -> Any:
+        if verb == "arm":
+            assert await request.json() == {"token": f"for {job_id}"}
         version = request.headers.get("if-match")
         query = f"?{request.url.query}" if request.url.query else ""
         service.requests.append(("POST", f"/jobs/{job_id}/{verb}{query}", version))
@@ -249,7 +256,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
             held = {"controller": service.controller}
             said = f"{service.controller} has this job under control; ask"
             return problem(409, "not-in-control", "Somebody else", said, "Ask", **held)
-        return service.act(job_id, verb)
+        return await run_in_threadpool(service.act, job_id, verb)
 
     @app.post(f"{API}/stop", status_code=202)
     def stop() -> Any:

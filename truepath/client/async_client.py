@@ -12,6 +12,7 @@ import httpx2
 
 from truepath.client import requests
 from truepath.client.bodies import (
+    Arming,
     Condition,
     ErrorTables,
     Estimate,
@@ -24,7 +25,7 @@ from truepath.client.bodies import (
 from truepath.client.events import SILENCE_S, Event, EventStream
 from truepath.client.problems import Unreachable
 from truepath.client.requests import Answer, Filters, Request, make_tls_context
-from truepath.client.steps import Pause, Steps, ask, read_page, wait_for
+from truepath.client.steps import Pause, Steps, arm, ask, read_page, wait_for
 
 T = TypeVar("T")
 
@@ -110,9 +111,16 @@ class AsyncClient:
         """Return a job."""
         return await self._run(ask(requests.get_job(job_id)))
 
-    async def arm(self, job: Job) -> Job:
-        """Let a job move the machine, as it was read. Raises StaleVersion."""
-        return await self._run(ask(requests.arm(job)))
+    async def prepare_arming(self, job_id: str) -> Arming:
+        """Return what a job will move, to be looked at, and the token to arm it."""
+        return await self._run(ask(requests.prepare_arming(job_id)))
+
+    async def arm(self, job: Job, token: str | None = None) -> Job:
+        """Let a job move the machine, as it was read. Raises StaleVersion.
+
+        token : of an arming that was looked at; without it one is asked for and used
+        """
+        return await self._run(arm(job, token))
 
     async def pause(self, job_id: str) -> Job:
         """Hold the feed."""

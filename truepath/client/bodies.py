@@ -185,6 +185,29 @@ class Condition(TypedDict):
     since: str
 
 
+class Arming(TypedDict):
+    """What will move once a job is armed. Further keys are in it.
+
+    envelope : of each axis `axis`, `unit`, `low`, `high`; obstacles : types of the
+    conditions that stand in the way
+    """
+
+    job: str
+    version: int
+    machine: str
+    targets: list[Json]
+    envelope: list[Json]
+    max_feed_mm_min: float
+    duration_s: float
+    rows: int
+    grows: bool
+    conditions: list[Condition]
+    obstacles: list[str]
+    token: str
+    expires: str
+    expires_in_s: float
+
+
 class System(TypedDict):
     """The service."""
 

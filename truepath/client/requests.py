@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Any, Generic, TypeVar, cast
 
 from truepath.client.bodies import (
+    Arming,
     Condition,
     ErrorTables,
     Estimate,
@@ -110,11 +111,13 @@ def _get(path: str, read: Callable[[Answer], T], **query: Any) -> Request[T]:
     return Request("GET", f"{PREFIX}{path}", read, query=query)
 
 
-def _verb(job_id: str, verb: str, version: int | None = None) -> Request[Job]:
+def _verb(
+    job_id: str, verb: str, version: int | None = None, body: Json | None = None
+) -> Request[Job]:
     """Ask something of a job. What moves the machine is never sent twice."""
     headers = {} if version is None else {"If-Match": f'"{version}"'}
     path, again = f"{PREFIX}/jobs/{job_id}/{verb}", version is None
-    return Request("POST", path, _json, headers=headers, may_repeat=again)
+    return Request("POST", path, _json, body=body, headers=headers, may_repeat=again)
 
 
 def _create(path: str, body: Json, key: str | None) -> Request[Any]:
@@ -158,9 +161,14 @@ def list_jobs(filters: Filters) -> Request[Json]:
     return Request("GET", f"{PREFIX}/jobs", _json, query=filters)
 
 
-def arm(job: Job) -> Request[Job]:
-    """Let a job move the machine, as it was read."""
-    return _verb(job["id"], "arm", job["version"])
+def prepare_arming(job_id: str) -> Request[Arming]:
+    """Ask what a job will move, and for the token to arm it."""
+    return Request("POST", f"{PREFIX}/jobs/{job_id}/arming", _json)
+
+
+def arm(job: Job, token: str) -> Request[Job]:
+    """Let a job move the machine, as it was read and as the token's arming showed."""
+    return _verb(job["id"], "arm", job["version"], {"token": token})
 
 
 def resume(job: Job) -> Request[Job]:

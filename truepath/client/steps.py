@@ -48,6 +48,14 @@ def ask(request: Request[T]) -> Steps[T]:
     return request.decode(answer)
 
 
+def arm(job: Job, token: str | None) -> Steps[Job]:
+    """Arm a job, with the token of an arming that was looked at, or of a new one."""
+    if token is None:
+        arming = yield from ask(requests.prepare_arming(job["id"]))
+        token = arming["token"]
+    return (yield from ask(requests.arm(job, token)))
+
+
 def wait_for(
     job_id: str, wanted: tuple[str, ...], timeout_s: float | None, period_s: float
 ) -> Steps[Job]:

@@ -13,6 +13,8 @@ export const NO_COURSE = Object.fromEntries(COURSE.map((name) => [name, []]));
 
 /** Bind the actions to a store; `go(address)` changes the step. */
 export function createActions(store, go) {
+  let arming = null;
+
   /** Run one request at a time under a name; a refusal becomes the problem shown. */
   async function during(busy, work) {
     if (store.get().busy) return null;
@@ -197,7 +199,12 @@ export function createActions(store, go) {
         return null;
       }
     },
-    arm: () => verb("arm", api.arm),
+    /** Ask for the token as the hold begins; a refusal is shown once the hold is done. */
+    beginHold() {
+      arming = api.prepareArming(store.get().job);
+      arming.catch(() => {});
+    },
+    arm: () => verb("arm", async (job) => api.arm(job, await arming)),
     pause: () => verb("pause", api.pause),
     /** Go on; `then` says what to do first about what was noticed. */
     resume: (then = "note") => verb("resume", (job) => api.resume(job, then)),

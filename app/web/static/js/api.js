@@ -141,7 +141,10 @@ export async function certificatePage({ links: { html } }) {
   return answer.text();
 }
 
-export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
+/** What a job will move, and the token that arms it. */
+export const prepareArming = ({ id }) => call("POST", `/jobs/${id}/arming`);
+export const arm = ({ id, version }, { token }) =>
+  call("POST", `/jobs/${id}/arm`, { version, json: { token } });
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>
   call("POST", `/jobs/${id}/resume${then === "note" ? "" : `?then=${then}`}`, { version });

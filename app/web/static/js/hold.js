@@ -1,8 +1,11 @@
 /* Hold to confirm: for what starts motion. */
 const HOLD_MS = 1500;
 
-/** Call `done` once the button was held for 1.5 s by finger, mouse, Enter or Space. */
-export function holdToConfirm(button, done) {
+/** Call `begin` as the hold begins and `done` once the button was held for 1.5 s.
+ *
+ * By finger, mouse, Enter or Space.
+ */
+export function holdToConfirm(button, begin, done) {
   let begun = null;
   let frame = 0;
 
@@ -20,6 +23,7 @@ export function holdToConfirm(button, done) {
   function press() {
     if (begun !== null || button.disabled) return;
     begun = performance.now();
+    begin();
     frame = requestAnimationFrame(step);
   }
 

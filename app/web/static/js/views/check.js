@@ -23,7 +23,7 @@ export function lead({ job, plan, link, asked, conditions }, { actions, go }) {
   const back = { label: t("check.discard"), run: () => discard(actions, again(job, plan, go)) };
   return { back, reason: reason || t("check.hold_reason"),
     next: { key: "arm", label: t("check.hold"), icon: "hold", hold: true,
-      disabled: Boolean(reason), run: actions.arm } };
+      disabled: Boolean(reason), begin: actions.beginHold, run: actions.arm } };
 }
 
 function refusal(job, link, asked, conditions) {
