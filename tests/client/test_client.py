@@ -106,13 +106,27 @@ def test_every_job_has_a_key_of_its_own():
     assert first != second
 
 
-@pytest.mark.parametrize("verb", ["arm", "resume"])
-def test_what_moves_the_machine_is_never_sent_twice(verb):
+@pytest.mark.parametrize(("verb", "given"), [("arm", ["once"]), ("resume", [])])
+def test_what_moves_the_machine_is_never_sent_twice(verb, given):
     script = Script(LOST)
     with script.open() as client, pytest.raises(Unreachable, match="does not answer"):
-        getattr(client, verb)(job("ready", version=5))
+        getattr(client, verb)(job("ready", version=5), *given)
     (request,) = script.requests
     assert request.headers["If-Match"] == '"5"'
+
+
+def test_arming_asks_for_a_token_unless_one_is_given():
+    arming = answer(200, {"token": "once"})
+    script = Script(arming, *[answer(202, job("running"))] * 2)
+    with script.open() as client:
+        client.arm(job("ready"))
+        client.arm(job("ready"), "shown")
+    asked = [(r.url.path.rsplit("/")[-1], r.content) for r in script.requests]
+    assert asked == [
+        ("arming", b""),
+        ("arm", b'{"token":"once"}'),
+        ("arm", b'{"token":"shown"}'),
+    ]
 
 
 def test_an_abort_is_sent_again():

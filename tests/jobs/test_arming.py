@@ -146,7 +146,7 @@ def test_a_plan_that_has_changed_since_moves_nothing(
 def test_rows_that_are_not_those_armed_are_not_driven(
     dispatcher, ready, context, until, make_cell
 ):
-    """A plan changed before the summary is asked for is not what the job would drive."""
+    """The plan was changed before the summary was asked for, after the job read it."""
     plan = dict(context.store.read_plan(ready.id))
     plan["position"][1][0] += 0.001
     context.store.keep_plan(ready.id, plan)

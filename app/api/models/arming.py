@@ -59,7 +59,7 @@ class ArmingOut(BaseModel):
     )
     conditions: list[ConditionOut]
     obstacles: list[ConditionType] = Field(
-        description="Conditions that stand in the way; while one does, arming is refused."
+        description="Conditions that stand in the way; arming is refused while one does"
     )
     plan_sha256: str = Field(description="Of the rows that the token is for.")
     token: str = Field(examples=[_TOKEN], description="To POST with the arming.")
