@@ -165,8 +165,7 @@ def test_a_plan_for_a_machine_that_has_changed_is_refused(
 ):
     axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
-    context = dataclasses.replace(service.dispatcher._context, machine=changed)
-    service.dispatcher._context = context
+    service.machines.put(dataclasses.replace(service.machines.first, machine=changed))
     order = {"kind": "measure-otf", "plan_id": plan["id"]}
     problem = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
     assert "plan again" in problem["detail"]

@@ -1,11 +1,11 @@
 /* Hold to confirm: for what starts motion. */
 const HOLD_MS = 1500;
 
-/** Call `begin` as the hold begins and `done` once the button was held for 1.5 s.
+/** Call `done` once the button was held for 1.5 s by finger, mouse, Enter or Space.
  *
- * By finger, mouse, Enter or Space.
+ * `begin`, where it is given, is called as the hold begins.
  */
-export function holdToConfirm(button, begin, done) {
+export function holdToConfirm(button, done, begin = () => {}) {
   let begun = null;
   let frame = 0;
 

@@ -114,7 +114,7 @@ function place(container, wanted, make) {
   }
   if (button && !button.bound) {
     button.bound = true;
-    if (wanted.hold) holdToConfirm(button, () => container.wanted.begin(), fresh);
+    if (wanted.hold) holdToConfirm(button, fresh, () => container.wanted.begin?.());
     else button.addEventListener("click", fresh);
     button.prepend(...(wanted.icon ? [icon(wanted.icon)] : []));
     button.append(h("span", {}, wanted.label));
