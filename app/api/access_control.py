@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from typing import Any, Protocol
 
 from anyio.to_thread import run_sync
 from starlette.datastructures import Headers, State
@@ -120,6 +120,24 @@ def note_change(
     """Say for the audit log what the request changes."""
     state: State = request.state
     state.old, state.new = old, new
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def note(self) -> str | None: ...
+
+
+def note_naming(request: HTTPConnection, before: _Named, after: _Named) -> None:
+    """Say for the audit log which names and notes the request changes."""
+    old, new = ({"name": one.name, "note": one.note or ""} for one in (before, after))
+    changed = {key for key in old if old[key] != new[key]}
+    note_change(
+        request,
+        old={key: old[key] for key in changed},
+        new={key: new[key] for key in changed},
+    )
 
 
 class _AuditedAnswer:

@@ -70,6 +70,7 @@ def _read_answers() -> dict[str, Any]:
         "create_job": _make_job(State.QUEUED),
         "list_jobs": {"items": [ready], "next": "czoxMg=="},
         "get_job": ready,
+        "rename_job": _make_job(State.READY, name="As found"),
         "arm_job": running,
         "pause_job": pausing,
         "resume_job": resuming,
@@ -82,7 +83,7 @@ def _read_answers() -> dict[str, Any]:
     }
 
 
-def _make_job(state: State) -> dict[str, Any]:
+def _make_job(state: State, name: str = "") -> dict[str, Any]:
     """Return a job that measures on the fly, as clients see it."""
     moves = state not in (State.QUEUED, State.PREPARING, State.READY)
     job = Job(
@@ -97,5 +98,6 @@ def _make_job(state: State) -> dict[str, Any]:
         run_id=OTHER_ID if moves else None,
         progress=Progress(4, 22, "lines", 62.5, 14.0, (100.0, 50.0, 20.0)),
         owner="anna",
+        name=name,
     )
     return describe_job(job).model_dump(mode="json", by_alias=True)

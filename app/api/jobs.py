@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.access_control import note_change
+from truepath.app.api.access_control import note_change, note_naming
 from truepath.app.api.models.arming import ArmRequest
 from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
 from truepath.app.api.models.job import (
@@ -29,6 +29,7 @@ from truepath.app.api.models.job import (
     VerificationLinks,
 )
 from truepath.app.api.models.job_request import JobRequest
+from truepath.app.api.models.naming import JobNaming, Name
 from truepath.app.api.models.plan import PlanOut
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems, describe_failure
@@ -49,6 +50,14 @@ from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.transitions import State, Verb
 
 _WHEN = ["2026-01-31T08:00:00Z"]
+NamePart = Annotated[
+    Name | SkipJsonSchema[None],
+    Query(
+        description="Only those whose name has this in it, in small letters or "
+        "capitals.",
+        examples=["spindle"],
+    ),
+]
 Since = Annotated[
     AwareDatetime | SkipJsonSchema[None],
     Query(description="Created not before this time.", examples=_WHEN),
@@ -97,6 +106,7 @@ def list_jobs(
     machine: Annotated[
         MachineId | SkipJsonSchema[None], Query(description="Only of this machine.")
     ] = None,
+    name: NamePart = None,
     since: Since = None,
     until: Until = None,
 ) -> JobPage:
@@ -106,6 +116,7 @@ def list_jobs(
         states=state,
         kinds=kind,
         machine=machine,
+        name=name,
         since=since,
         until=until,
     )
@@ -119,6 +130,21 @@ def get_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
     job = service.dispatcher.show(service.store.get(job_id))
     return _describe(job, response)
+
+
+@router.patch("/{job_id}", responses=declare_problems(404, 422))
+def rename_job(
+    job_id: JobId,
+    body: JobNaming,
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+) -> JobOut:
+    """Change name and note of a job, in any state. Its version stays as it is."""
+    before = service.store.get(job_id)
+    job = service.store.rename(job_id, body.name, body.note)
+    note_naming(request, before, job)
+    return _describe(service.dispatcher.show(job), response)
 
 
 @router.post(

@@ -5,19 +5,25 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Annotated
+from typing import Annotated, Literal
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, File, Response, UploadFile
+from fastapi import APIRouter, File, Query, Request, Response, UploadFile
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
+from pydantic.json_schema import SkipJsonSchema
 
+from truepath.app.api.access_control import note_naming
+from truepath.app.api.jobs import NamePart, Since, Until
 from truepath.app.api.models.base import PREFIX, Links, RunId
+from truepath.app.api.models.naming import Name, RunNaming
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from truepath.app.errors import NotFound
 from truepath.app.jobs.errors import DiskFull
 from truepath.app.jobs.runs import RunRecord
 
@@ -42,6 +48,7 @@ class RunOut(BaseModel):
 
     id: str
     name: str = Field(examples=["mill-3 2026-05-04T09:30:00.000Z"])
+    note: str = Field(description="What people remark on it; often nothing.")
     origin: str = Field(examples=["measured"])
     mode: str = Field(examples=["otf"])
     machine: str = Field(examples=["mill-3"])
@@ -62,9 +69,30 @@ class RunPage(BaseModel):
 
 
 @router.get("", responses=declare_problems(422))
-def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
+def list_runs(
+    paging: PagingDep,
+    service: ServiceDep,
+    name: NamePart = None,
+    machine: Annotated[
+        Name | SkipJsonSchema[None],
+        Query(description="Only of this machine: its `id`, or the name in its file."),
+    ] = None,
+    mode: Annotated[
+        list[Literal["otf", "standstill"]], Query(description="Only of these modes.")
+    ] = [],  # noqa: B006
+    since: Since = None,
+    until: Until = None,
+) -> RunPage:
     """List Runs, the newest first."""
-    runs, after = paging.read(service.runs.list_page)
+    list_page = partial(
+        service.runs.list_page,
+        name=name,
+        machines=None if machine is None else _list_names(machine, service),
+        modes=mode,
+        since=since,
+        until=until,
+    )
+    runs, after = paging.read(list_page)
     return RunPage(items=[_describe(run) for run in runs], next=after)
 
 
@@ -72,6 +100,17 @@ def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
 def get_run(run_id: RunId, service: ServiceDep) -> RunOut:
     """Return a Run."""
     return _describe(service.runs.get(run_id))
+
+
+@router.patch("/{run_id}", responses=declare_problems(404, 422))
+def rename_run(
+    run_id: RunId, body: RunNaming, request: Request, service: ServiceDep
+) -> RunOut:
+    """Change name and note of a Run. What was recorded stays as it is."""
+    before = service.runs.get(run_id)
+    run = service.runs.rename(run_id, body.name, body.note)
+    note_naming(request, before, run)
+    return _describe(run)
 
 
 @router.get(
@@ -130,5 +169,15 @@ def _require_space(service: Service, size: int) -> None:
         raise DiskFull("too little room is left on the disk of the data folder")
 
 
+def _list_names(machine: str, service: Service) -> list[str]:
+    """Return the names that the files of a machine had; Runs know no other."""
+    try:
+        record = service.setup.registry.get(machine)
+    except NotFound:
+        return [machine]
+    return [machine, *(str(v.machine_file["name"]) for v in record.versions)]
+
+
 def _describe(run: RunRecord) -> RunOut:
-    return RunOut(**asdict(run), links=RunLinks.of(id=run.id))
+    content = {**asdict(run), "note": run.note or ""}
+    return RunOut(**content, links=RunLinks.of(id=run.id))

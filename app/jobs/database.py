@@ -261,8 +261,14 @@ def _is_psycopg(engine: Engine) -> bool:
 def _prepare_sqlite(dbapi_connection: Any, _: ConnectionPoolEntry) -> None:
     # Transactions are begun by `_begin_sqlite`, not by the module behind our back.
     dbapi_connection.isolation_level = None
+    # Its own knows no letters beyond ASCII: who seeks "müller" finds "Müller".
+    dbapi_connection.create_function("lower", 1, _fold_case, deterministic=True)
     for pragma in _PRAGMAS:
         dbapi_connection.execute(f"PRAGMA {pragma}")
+
+
+def _fold_case(text: Any) -> Any:
+    return text.lower() if isinstance(text, str) else text
 
 
 def _begin_sqlite(connection: Connection) -> None:

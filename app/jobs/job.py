@@ -182,6 +182,7 @@ class Job:
         which configuration of it
     owner : name of the user who asked for it; None where nobody logs in
     attempts : how often it was begun, restarts of the service in between
+    name, note : what people call it, and remark on it
     """
 
     kind: JobKind
@@ -211,6 +212,8 @@ class Job:
     attempts: int = 0
     machine: str | None = None
     machine_version: int | None = None
+    name: str = ""
+    note: str = ""
 
     @property
     def run_ids(self) -> tuple[str, ...]:

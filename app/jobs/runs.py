@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-from sqlalchemy import insert, select
+from sqlalchemy import insert, select, update
 
 from truepath.app.errors import NotFound
 from truepath.app.files.bundle import MAX_BYTES, zip_bundle
@@ -64,6 +64,7 @@ class RunRecord:
     complete: bool
     plan: Mapping[str, Any]
     created: str
+    note: str | None = None
 
 
 class RunCatalogue:
@@ -191,14 +192,46 @@ class RunCatalogue:
             return list(connection.execute(query).scalars())
 
     def list_page(
-        self, limit: int, *, before_seq: int | None = None
+        self,
+        limit: int,
+        *,
+        before_seq: int | None = None,
+        name: str | None = None,
+        machines: Collection[str] | None = None,
+        modes: Collection[str] = (),
+        since: datetime | None = None,
+        until: datetime | None = None,
     ) -> list[RunRecord]:
-        """Return Runs, the newest first, older than `before_seq`."""
+        """Return Runs, the newest first, older than `before_seq`.
+
+        name : a part of it, in small letters or capitals
+        machines : names in machine files
+        since, until : created not before the one and before the other, with a zone
+        """
         query = select(runs).order_by(runs.c.seq.desc()).limit(limit)
         if before_seq is not None:
             query = query.where(runs.c.seq < before_seq)
+        if name is not None:
+            query = query.where(runs.c.name.icontains(name, autoescape=True))
+        if machines is not None:
+            query = query.where(runs.c.machine.in_(machines))
+        if modes:
+            query = query.where(runs.c.mode.in_(modes))
+        if since is not None:
+            query = query.where(runs.c.created >= format_utc(since))
+        if until is not None:
+            query = query.where(runs.c.created < format_utc(until))
         with self._database.read() as connection:
             return [RunRecord(**row) for row in connection.execute(query).mappings()]
+
+    def rename(self, run_id: str, name: str | None, note: str | None) -> RunRecord:
+        """Change name and note of a Run; None leaves one. Raises NotFound."""
+        given = {"name": name, "note": note}
+        values = {column: text for column, text in given.items() if text is not None}
+        if values:
+            query = update(runs).where(runs.c.id == run_id).values(**values)
+            self._database.write(lambda connection: connection.execute(query).rowcount)
+        return self.get(run_id)
 
     def list_all(self) -> list[RunRecord]:
         """Return all Runs, in the order of their identifiers, which is that of time."""

@@ -26,6 +26,7 @@ runs = sa.Table(
     sa.Column("complete", sa.Boolean, nullable=False),
     sa.Column("plan", sa.JSON, nullable=False),
     sa.Column("created", sa.String(32), nullable=False),
+    sa.Column("note", sa.String(2000), nullable=True),
     sqlite_autoincrement=True,
 )
 
@@ -57,6 +58,8 @@ jobs = sa.Table(
     sa.Column("failure", sa.JSON, nullable=True),
     sa.Column("owner", sa.String(64), nullable=True),
     sa.Column("attempts", sa.Integer, nullable=True),
+    sa.Column("name", sa.String(200), nullable=True),
+    sa.Column("note", sa.String(2000), nullable=True),
     sa.Column("created", sa.String(32), nullable=False),
     sa.Column("started", sa.String(32), nullable=True),
     sa.Column("ended", sa.String(32), nullable=True),

@@ -158,11 +158,13 @@ class Store:
         states: Sequence[State] = (),
         kinds: Sequence[JobKind] = (),
         machine: str | None = None,
+        name: str | None = None,
         since: datetime | None = None,
         until: datetime | None = None,
     ) -> list[Job]:
         """Return jobs, the newest first, older than `before_seq`.
 
+        name : a part of it, in small letters or capitals
         since, until : created not before the one and before the other, with a zone
         """
         query = _JOBS.order_by(jobs.c.seq.desc()).limit(limit)
@@ -174,6 +176,8 @@ class Store:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
         if machine is not None:
             query = query.where(jobs.c.machine == machine)
+        if name is not None:
+            query = query.where(jobs.c.name.icontains(name, autoescape=True))
         if since is not None:
             query = query.where(jobs.c.created >= format_utc(since))
         if until is not None:
@@ -229,6 +233,25 @@ class Store:
             return after, _insert_event(connection, after)
 
         return self._database.write(apply, self._publish)[0]
+
+    def rename(self, job_id: str, name: str | None, note: str | None) -> Job:
+        """Change name and note of a job, without a new version; None leaves one.
+
+        Raises NotFound.
+        """
+        given = {"name": name, "note": note}
+        values = {column: text for column, text in given.items() if text is not None}
+
+        def change(connection: Connection) -> tuple[Job, JobEvent | None]:
+            before = _read_job(connection, job_id)
+            after = replace(before, **values)
+            if after == before:
+                return before, None
+            query = update(jobs).where(jobs.c.id == job_id)
+            connection.execute(query.values(**values))
+            return after, _insert_event(connection, after)
+
+        return self._database.write(change, self._publish)[0]
 
     def keep_progress(
         self, job_id: str, stage: Stage, progress: Progress, health: Health
@@ -331,7 +354,10 @@ def _insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
 def _update_job(connection: Connection, before: Job, after: Job) -> None:
     """Write a job over its version before. Raises StaleVersion."""
     same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
-    query = update(jobs).where(same).values(**_encode_columns(after))
+    columns = _encode_columns(after)
+    for given_by_people in ("name", "note"):  # changed without a new version
+        del columns[given_by_people]
+    query = update(jobs).where(same).values(**columns)
     if connection.execute(query).rowcount != 1:
         now = _read_job(connection, before.id)
         raise StaleVersion(before.version, now.version, now.state)

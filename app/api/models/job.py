@@ -163,6 +163,10 @@ class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
     id: str = Field(examples=[JOB_ID])
+    name: str = Field(
+        examples=["As found"], description="What people call it; often nothing."
+    )
+    note: str = Field(description="What people remark on it; often nothing.")
     kind: JobKind = Field(examples=["measure-otf"])
     machine: str | None = Field(
         examples=["default"],
