@@ -152,7 +152,9 @@ def _make_context(
     runs = RunCatalogue(database, settings.data_dir / "runs", reader)
     registry = MachineRegistry(database)
     calibrations = Calibrations(registry, store, runs, results, event_bus.publish)
-    cells = CellSetup(settings.data_dir, LEAST_FREE_BYTES, calibrations)
+    cells = CellSetup(
+        settings.data_dir, LEAST_FREE_BYTES, calibrations, event_bus.publish
+    )
     setup = MachineSetup(registry, store, cells, calibrations)
     setup.load(_load_machines(settings, stack))
     machines = setup.machines

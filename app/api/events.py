@@ -2,8 +2,8 @@
 
 `job` events have identifiers of the catalogue; a client that comes back with
 Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
-events (`progress`, `live`, `estimate`, `notice`, `tick`) are for now only: the newest
-count.
+events (`progress`, `live`, `estimate`, `notice`, `condition`, `tick`) are for now only:
+the newest count.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ TICK_S = 1.0
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
-_LIVE = ("job", "progress", "live", "estimate", "plan", "notice", "machine")
+_OF_MACHINE = ("machine", "condition")
+_LIVE = ("job", "progress", "live", "estimate", "plan", "notice", *_OF_MACHINE)
 
 router = APIRouter(tags=["events"])
 
@@ -47,7 +48,7 @@ _STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Events `job` (kept, with id; without one where the catalogue "
         "cannot be written), and for now only: `progress`, "
-        "`live`, `estimate`, `plan`, `notice`, `tick`.",
+        "`live`, `estimate`, `plan`, `notice`, `machine`, `condition`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
     **declare_problems(404, 429),
@@ -73,7 +74,7 @@ class Subscription:
     def put(self, job_event: JobEvent) -> None:
         """Accept an event. Never waits; the oldest live one is dropped if need be."""
         job_id = job_event.job_id
-        if job_event.type == "machine" and self._job_id is not None:
+        if job_event.type in _OF_MACHINE and self._job_id is not None:
             return
         if job_id is not None and self._job_id not in (None, job_id):
             return

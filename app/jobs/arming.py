@@ -10,18 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from truepath.app.errors import NotFound
+from truepath.app.errors import NotFound, OutOfTravel, PlanningError
 from truepath.app.files.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
-from truepath.app.jobs.conditions import Condition
+from truepath.app.jobs.conditions import Condition, Finding, Level
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.resumption import Resumption
 from truepath.app.kinematics.machine import Machine, Target, position_unit
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
+from truepath.app.motion.travel import check_travel
+from truepath.app.motion.workspace import Workspace
 from truepath.drivers.interfaces.records import Path
 
 
@@ -67,6 +69,21 @@ class Arming:
     plan_sha256: str
     token: str
     valid_s: float
+
+
+def judge_path(
+    machine: Machine, parts: Sequence[Commanded], workspace: Workspace
+) -> Finding:
+    """Tell whether all parts stay in the travel and out of what is kept clear."""
+    try:
+        for part in parts:
+            check_travel(machine, part)
+            workspace.refuse(machine, part)
+    except OutOfTravel as error:
+        return Finding(Level.FALSE, "out-of-travel", str(error))
+    except PlanningError as error:
+        return Finding(Level.FALSE, "keep-out", str(error))
+    return Finding(Level.TRUE)
 
 
 def list_commanded(plan: Mapping[str, Any] | None) -> list[Commanded]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from truepath.app.device_options import DEVICES, list_options
 from truepath.app.errors import BadInput
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import ConditionBoard, Observed
+from truepath.app.jobs.conditions import Condition, ConditionBoard, Observed
+from truepath.app.jobs.job import JobEvent
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.kinematics.machine import Machine
 from truepath.app.machine_settings import DeviceConfiguration
@@ -107,12 +108,14 @@ class CellSetup:
 
     folder : on the disk of the Runs; least_bytes : that have to stay free there
     calibrations : by which the machines stand
+    publish : tells of changes
     begun_s : wall clock less monotonic clock when the service began
     """
 
     folder: Path
     least_bytes: int
     calibrations: Calibrations | None = None
+    publish: Callable[[JobEvent], None] = lambda _: None
     begun_s: float = field(default_factory=_read_clock_difference_s)
 
     def make(
@@ -131,7 +134,12 @@ class CellSetup:
                 clock_step_s=_read_clock_difference_s() - self.begun_s,
                 standing=self.calibrations
                 and self.calibrations.find_standing(machine_id),
+                stream=cell.stream.read(),
             )
 
-        board = ConditionBoard(observe)
+        def publish(condition: Condition) -> None:
+            body = {"machine": machine_id, **asdict(condition)}
+            self.publish(JobEvent("condition", None, body))
+
+        board = ConditionBoard(observe, on_change=publish)
         return MachineCell(machine_id, machine, cell, board, version)

@@ -22,6 +22,7 @@ import structlog
 from truepath.app.errors import MeasurementFailed, TruepathError
 from truepath.app.jobs.cell_counters import CellCounters
 from truepath.app.jobs.errors import CellDown, DeviceSettings
+from truepath.app.jobs.stream_watch import StreamWatch
 from truepath.app.measurement.cell import Cell
 from truepath.app.measurement.messages import (
     CellEvent,
@@ -96,6 +97,7 @@ class CellSupervisor:
     status : the cell's last known state, for any thread
     controller : what the controller showed last at rest; None before and after that
     counters : what all its measurements have counted so far
+    stream : what their events tell of beam, stream and temperatures
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class CellSupervisor:
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
         self.counters = CellCounters()
+        self.stream = StreamWatch()
         self._closing = threading.Event()
         self._must_kill = threading.Event()
         self._thread = threading.Thread(
@@ -261,6 +264,7 @@ class CellSupervisor:
 
     def _handle(self, event: CellEvent) -> None:
         self.counters.count(event)
+        self.stream.follow(event)
         match event:
             case StateChanged(state):
                 self._follow_state(state)

@@ -20,6 +20,7 @@ import structlog
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import MOVING, CellStatus, ControllerLevels
 from truepath.app.jobs.job import format_utc_now
+from truepath.app.jobs.stream_watch import COURSE_S, LATELY_S, StreamLevels
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
 log = structlog.get_logger(__name__)
@@ -29,6 +30,8 @@ LATE_S = 10.0
 LOOK_S = 1.0
 FULL_OVERRIDE = (0.9995, 1.0005)
 CLOCK_STEP_S = 2.0
+STEADY_DEGC = 1.0
+"""A steel machine of a metre grows by 12 µm in that."""
 
 
 class Level(StrEnum):
@@ -52,6 +55,10 @@ class ConditionType(StrEnum):
     CLOCK_STEADY = "clock-steady"
     WITHIN_TOLERANCE = "within-tolerance"
     UNCHANGED = "unchanged"
+    TARGET_IN_SIGHT = "target-in-sight"
+    STREAM_HEALTHY = "stream-healthy"
+    TEMPERATURE_STEADY = "temperature-steady"
+    PATH_WITHIN_TRAVEL = "path-within-travel"
 
 
 REQUIRED = frozenset(
@@ -62,6 +69,7 @@ REQUIRED = frozenset(
         ConditionType.CONTROLLER_FREE,
         ConditionType.WATCHDOG_THERE,
         ConditionType.DISK_HAS_ROOM,
+        ConditionType.PATH_WITHIN_TRAVEL,
     }
 )
 
@@ -106,6 +114,7 @@ class Observed:
     free_bytes, least_bytes : room on the disk, and how much has to stay
     clock_step_s : by how much the wall clock has left the monotonic one
     standing : of the machine by its calibrations; None where nobody has looked
+    stream : what was seen of the tracker's stream lately
     """
 
     cell: CellStatus
@@ -115,9 +124,12 @@ class Observed:
     least_bytes: int
     clock_step_s: float = 0.0
     standing: Standing | None = None
+    stream: StreamLevels = field(default_factory=StreamLevels)
 
 
 YES, UNTOLD = Finding(Level.TRUE), Finding(Level.UNKNOWN, "not-told")
+NO_JOB = Finding(Level.UNKNOWN, "no-job")
+"""Of the path, while no job waits to be armed."""
 
 
 def find_conditions(seen: Observed, now_s: float) -> Mapping[ConditionType, Finding]:
@@ -132,6 +144,9 @@ def find_conditions(seen: Observed, now_s: float) -> Mapping[ConditionType, Find
         ConditionType.WATCHDOG_THERE: _find_watchdog(seen),
         ConditionType.DISK_HAS_ROOM: _find_room(seen),
         ConditionType.CLOCK_STEADY: _find_clock(seen.clock_step_s),
+        ConditionType.TARGET_IN_SIGHT: _find_beam(seen.stream),
+        ConditionType.STREAM_HEALTHY: _find_stream(seen.stream),
+        ConditionType.TEMPERATURE_STEADY: _find_drift(seen.stream),
         **_find_standing(seen.standing),
     }
 
@@ -243,17 +258,54 @@ def _find_standing(standing: Standing | None) -> Mapping[ConditionType, Finding]
     return found
 
 
+def _find_beam(stream: StreamLevels) -> Finding:
+    if stream.has_beam is None:
+        return UNTOLD
+    text = "the tracker does not see its target; lock the beam on the reflector"
+    return YES if stream.has_beam else Finding(Level.FALSE, "beam-lost", text)
+
+
+def _find_stream(stream: StreamLevels) -> Finding:
+    lost, damaged = stream.lost_samples, stream.crc_errors
+    if lost is None or damaged is None:
+        return UNTOLD
+    if not lost and not damaged:
+        return YES
+    text = (
+        f"in the last {LATELY_S:.0f} s {lost} samples were lost and {damaged} frames "
+        "damaged; look at the tracker's cable and at the load of this computer"
+    )
+    return Finding(Level.FALSE, "stream-damaged", text)
+
+
+def _find_drift(stream: StreamLevels) -> Finding:
+    if stream.drift_degC is None:
+        return UNTOLD
+    if stream.drift_degC <= STEADY_DEGC:
+        return YES
+    text = (
+        f"{stream.drifting.removesuffix('_degC')} has changed by "
+        f"{stream.drift_degC:.1f} °C in {COURSE_S / 60.0:.0f} min; let the machine "
+        "reach its temperature"
+    )
+    return Finding(Level.FALSE, "temperature-drifts", text)
+
+
 @dataclass(slots=True)
 class ConditionBoard:
     """Keeps since when each condition is as it is; for any thread.
 
     observe : reads what there is, at once
     look_s : between two looks, once it has been started
+    on_change : receives each condition whose level has changed; returns at once
+    path : of the job that waits to be armed, as its thread has judged it
     """
 
     observe: Callable[[], Observed]
     clock: Callable[[], float] = time.monotonic
     look_s: float = LOOK_S
+    on_change: Callable[[Condition], None] = lambda _: None
+    path: Finding = NO_JOB
     _since: dict[ConditionType, tuple[Level, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _closing: threading.Event = field(default_factory=threading.Event)
@@ -278,7 +330,10 @@ class ConditionBoard:
         """Return every condition as it is now."""
         with self._lock:
             now_s = self.clock()
-            found = find_conditions(self.observe(), now_s)
+            found = {
+                **find_conditions(self.observe(), now_s),
+                ConditionType.PATH_WITHIN_TRAVEL: self.path,
+            }
             return [self._note(kind, one) for kind, one in found.items()]
 
     def list_obstacles(self) -> list[Condition]:
@@ -291,6 +346,9 @@ class ConditionBoard:
             since = format_utc_now()
             self._since[kind] = (found.level, since)
         is_required = kind in REQUIRED
-        return Condition(
+        condition = Condition(
             kind, found.level, found.reason, found.message, is_required, since
         )
+        if level not in (None, found.level):
+            self.on_change(condition)
+        return condition

@@ -15,8 +15,10 @@ import structlog
 
 from truepath.app.errors import TruepathError
 from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.arming import hash_commanded, list_commanded
+from truepath.app.jobs.arming import hash_commanded, judge_path, list_commanded
+from truepath.app.jobs.conditions import NO_JOB
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.driving_steps import DrivingSteps
 from truepath.app.jobs.errors import (
@@ -177,9 +179,24 @@ class _JobSteps:
         self.context.require_cell().connect()
         self.active.checkpoint()
         begin_at_station(self.active, self.context.store)
+        parts = list_commanded(plan)
+        self._show_path(parts)
         self.active.enter(State.READY, Stage.MEASURING)
-        self.active.wait_until_armed(hash_commanded(list_commanded(plan)))
+        try:
+            self.active.wait_until_armed(hash_commanded(parts))
+        finally:
+            self._show_path(())
         return commanded
+
+    def _show_path(self, parts: Sequence[Commanded]) -> None:
+        """Show how the path lies that waits to be armed; nothing where none does."""
+        driven = self.context.driven or self.context.machines.choose(None)
+        if driven.conditions is None:
+            return
+        workspace = workspace_from_json(self._plan_order().get("workspace") or {})
+        driven.conditions.path = (
+            judge_path(driven.machine, parts, workspace) if parts else NO_JOB
+        )
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
         """Measure, from every station of the plan; return the Runs to go by."""

@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 from scripted_cell import wait_until
 
+from truepath.app.files.workspace_file import workspace_from_json
+from truepath.app.jobs.arming import judge_path
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
 from truepath.app.jobs.conditions import (
@@ -18,6 +20,8 @@ from truepath.app.jobs.conditions import (
     Observed,
     find_conditions,
 )
+from truepath.app.jobs.stream_watch import StreamLevels
+from truepath.app.motion.commanded_rows import command_rows
 from truepath.app.results.machine_documents import ToleranceJudgement
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
@@ -30,7 +34,8 @@ def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S):
     return ControllerLevels(status, "", read_s)
 
 
-GOOD = Observed(CONNECTED, shown(), False, 10**9, 10**8)
+STREAM = StreamLevels(True, 0, 0, 0.2, "X_degC")
+GOOD = Observed(CONNECTED, shown(), False, 10**9, 10**8, stream=STREAM)
 
 
 def levels(seen):
@@ -136,6 +141,58 @@ def test_a_full_disk_stands_in_the_way():
     assert "10 MB" in found.message
 
 
+@pytest.mark.parametrize(
+    ("change", "condition", "said"),
+    [
+        ({"has_beam": False}, ConditionType.TARGET_IN_SIGHT, "lock the beam"),
+        ({"lost_samples": 3}, ConditionType.STREAM_HEALTHY, "3 samples were lost"),
+        ({"crc_errors": 2}, ConditionType.STREAM_HEALTHY, "2 frames"),
+        ({"drift_degC": 1.4}, ConditionType.TEMPERATURE_STEADY, "X has changed by 1.4"),
+    ],
+)
+def test_what_the_stream_tells_is_shown_and_stands_in_no_way(change, condition, said):
+    seen = replace(GOOD, stream=replace(STREAM, **change))
+    kind, found = only_false(seen)
+    assert kind is condition
+    assert kind not in REQUIRED
+    assert said in found.message
+    untold = levels(replace(GOOD, stream=StreamLevels()))
+    assert untold[condition] is Level.UNKNOWN
+
+
+def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machine):
+    board = ConditionBoard(lambda: GOOD, lambda: NOW_S)
+    assert not board.list_obstacles()
+    rows = command_rows(
+        machine, [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)], is_path=True
+    )
+    wrong = replace(rows, position=rows.position + 1000.0)
+    box = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
+    clear = workspace_from_json({"schema": "workspace/1", "keep_out": [box]})
+    for parts, workspace, reason in (
+        ([rows, wrong], workspace_from_json({}), "out-of-travel"),
+        ([rows], clear, "keep-out"),
+    ):
+        board.path = judge_path(machine, parts, workspace)
+        (obstacle,) = board.list_obstacles()
+        assert obstacle.type is ConditionType.PATH_WITHIN_TRAVEL
+        assert obstacle.reason == reason
+    board.path = judge_path(machine, [rows], workspace_from_json({}))
+    assert not board.list_obstacles()
+
+
+def test_a_change_of_a_level_is_told_once():
+    changes = []
+    seen = [GOOD]
+    board = ConditionBoard(lambda: seen[0], lambda: NOW_S, on_change=changes.append)
+    board.read()
+    seen[0] = replace(GOOD, controller=shown(MotionState.DOOR))
+    board.read()
+    board.read()
+    (told,) = changes
+    assert (told.type, told.level) == (ConditionType.CONTROLLER_ABLE, Level.FALSE)
+
+
 @pytest.mark.fault_row(29)
 def test_a_clock_that_was_set_is_told():
     kind, found = only_false(replace(GOOD, clock_step_s=-3600.0))
@@ -145,7 +202,7 @@ def test_a_clock_that_was_set_is_told():
 
 
 def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
-    times = iter(f"2026-01-01T00:00:0{n}.000Z" for n in range(10))
+    times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
     monkeypatch.setattr(
         "truepath.app.jobs.conditions.format_utc_now", lambda: next(times)
     )

@@ -1,0 +1,97 @@
+"""What the events of a cell tell of beam, stream and temperatures."""
+
+from __future__ import annotations
+
+import pytest
+
+from truepath.app.jobs.stream_watch import COURSE_S, StreamLevels, StreamWatch
+from truepath.app.measurement.messages import (
+    CellState,
+    FaultReported,
+    LivePoints,
+    MeasurementProgress,
+    StateChanged,
+)
+
+
+class Clock:
+    """Monotonic seconds that a test sets."""
+
+    now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def watch(clock):
+    watch = StreamWatch(clock)
+    watch.follow(StateChanged(CellState.RUNNING))
+    return watch
+
+
+def progress(lost=0, damaged=0):
+    return MeasurementProgress(
+        1, 4, "lines", "measuring", 1.0, 3.0, lost_samples=lost, crc_errors=damaged
+    )
+
+
+def seen(**readings):
+    return LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
+
+
+def test_at_rest_nothing_is_told():
+    assert StreamWatch().read() == StreamLevels()
+
+
+def test_a_stream_with_valid_points_has_its_beam(watch, clock):
+    watch.follow(seen())
+    assert watch.read().has_beam is True
+    clock.now_s += 60.0
+    assert watch.read().has_beam is None
+
+
+def test_a_lost_beam_is_told_until_the_machine_moves_again(watch):
+    watch.follow(seen())
+    watch.follow(FaultReported("beam-lost", "the beam is lost", "lock it"))
+    watch.follow(StateChanged(CellState.PAUSED))
+    assert watch.read().has_beam is False
+    watch.follow(StateChanged(CellState.RUNNING))
+    watch.follow(seen())
+    assert watch.read().has_beam is True
+
+
+@pytest.mark.fault_row(31)
+def test_losses_of_the_last_seconds_are_counted_and_older_ones_are_not(watch, clock):
+    for second, lost in enumerate((0, 0, 7, 7, 7, 7, 7, 7, 7, 7)):
+        clock.now_s = 200.0 + second
+        watch.follow(progress(lost, damaged=lost // 7))
+        if second == 3:
+            assert (watch.read().lost_samples, watch.read().crc_errors) == (7, 1)
+    assert (watch.read().lost_samples, watch.read().crc_errors) == (0, 0)
+    clock.now_s += 60.0
+    assert watch.read().lost_samples is None
+
+
+def test_another_measurement_counts_from_nothing(watch, clock):
+    watch.follow(progress(50))
+    clock.now_s += 1.0
+    watch.follow(progress(0))
+    assert watch.read().lost_samples == 0
+
+
+def test_the_thermometer_that_changes_most_is_named(watch, clock):
+    for step in range(20):
+        clock.now_s = 300.0 + 5.0 * step
+        watch.follow(seen(X_degC=20.0 + 0.1 * step, Y_degC=21.0, air_hPa=990.0 + step))
+        known = watch.read()
+        assert (known.drift_degC is None) == (step < 12)
+    assert known.drift_degC == pytest.approx(1.9)
+    assert known.drifting == "X_degC"
+    clock.now_s += COURSE_S + 1.0
+    assert watch.read().drift_degC is None
