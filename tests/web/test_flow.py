@@ -497,6 +497,29 @@ def held(page: Page, button: Locator) -> Iterator[None]:
     page.mouse.up()
 
 
+def test_the_hold_waits_until_the_safety_text_was_in_sight(panel, service):
+    service.connected = True
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}", size=(390, 420))
+    expect(page.locator("#reason")).to_contain_text("Before you start")
+    expect(page.locator(NEXT)).to_be_disabled()
+    for text in page.locator(".before li").all():
+        text.evaluate("item => item.scrollIntoView({ block: 'center' })")
+        page.wait_for_timeout(100)
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_safety_text_is_in_sight_at_once_on_a_panel(panel, service, size, language):
+    service.connected = True
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}", size=size, language=language)
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
 DOOR = {
     "type": "controller-able",
     "level": "false",

@@ -85,7 +85,7 @@ def test_numbers_of_a_fault_stay_beside_its_translation(panel, service):
     service.change(measuring(service), error=fault)
     page = panel.open(language="de")
     said = page.locator(".notice.is-held")
-    expect(said.locator("strong")).to_contain_text("Vorschubregler")
+    expect(said.locator("strong")).to_contain_text("Vorschub-Override")
     expect(said.locator("[lang=en]")).to_contain_text("70 %")
 
 

@@ -1,5 +1,5 @@
 /* Step 3: what will move, and the hold that starts it. */
-import { h, icon } from "../dom.js";
+import { h } from "../dom.js";
 import { addressOf, hasEnded, isExtra, rowsNow, stepOf, waitsForArming } from "../flow.js";
 import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
@@ -10,28 +10,31 @@ import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
+import { isSafetyRead, safetyCard } from "./safety-card.js";
 import { stationNotices } from "./station-notice.js";
 import { again } from "./run.js";
 
 /** Button that leads on: held, because the machine moves. */
-export function lead({ job, plan, link, asked, conditions }, { actions, go }) {
+export function lead(state, { actions, go }) {
+  const { job, plan } = state;
   if (!job || hasEnded(job)) return { next: again(job, plan, go) };
   if (stepOf(job) !== "check") {
     return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
   }
-  const reason = refusal(job, link, asked, conditions);
+  const reason = refusal(state);
   const back = { label: t("check.discard"), run: () => discard(actions, again(job, plan, go)) };
   return { back, reason: reason || t("check.hold_reason"),
     next: { key: "arm", label: t("check.hold"), icon: "hold", hold: true,
       disabled: Boolean(reason), begin: actions.beginHold, run: actions.arm } };
 }
 
-function refusal(job, link, asked, conditions) {
+function refusal({ job, link, asked, conditions, safetyRead }) {
   if (asked) return t("check.asked");
   if (!waitsForArming(job)) return t("check.preparing");
   if (link.stale) return t("check.stale");
   const first = obstacle(conditions);
-  return first ? wordsOf(first) : "";
+  if (first) return wordsOf(first);
+  return isSafetyRead(safetyRead, job) ? "" : t("check.read_first");
 }
 
 async function discard(actions, { run }) {
@@ -47,18 +50,20 @@ export function mount(root, { store }) {
   const program = programCard();
   const facts = h("div");
   const reach = h("div", { class: "reach" });
+  const safety = safetyCard(store);
   const failure = h("div", { class: "stack below" });
   const advice = h("div", { class: "stack" });
   root.append(
     head(t("check.title"), t("check.text")), failure,
-    h("div", { class: "columns is-main-left" }, path.element,
-      h("div", { class: "stack" }, conditions.element, card(t("check.plan"), facts), advice, grade.element, card(t("check.reach"), reach),
-        card(t("check.before"), before()), program.element)),
+    h("div", { class: "columns is-main-left is-check" }, path.element,
+      h("div", { class: "stack" }, safety.element, conditions.element, card(t("check.plan"), facts), advice, card(t("check.reach"), reach),
+        grade.element, program.element)),
   );
   let described = "";
   return {
     update({ job, plan: whole, machine, conditions: held }) {
       conditions.update(held);
+      safety.update(job);
       const plan = rowsNow(whole, job);
       path.update(plan, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
@@ -74,6 +79,7 @@ export function mount(root, { store }) {
     close() {
       path.close();
       conditions.close();
+      safety.close();
     },
   };
 }
@@ -129,9 +135,4 @@ function rows({ axes, position }, machine) {
         low: quantity(low, kind, 1), high: quantity(high, kind, 1),
         from: quantity(from, kind, 1), to: quantity(to, kind, 1) })));
   });
-}
-
-function before() {
-  const keys = ["check.before_reflector", "check.before_sight", "check.before_clear"];
-  return h("ul", { class: "before" }, keys.map((key) => h("li", {}, icon("info"), t(key))));
 }

@@ -35,7 +35,7 @@ export function conditionsCard(store) {
       const key = JSON.stringify(conditions);
       if (key === shown) return;
       shown = key;
-      list.replaceChildren(...(conditions ? conditions.map(row)
+      list.replaceChildren(...(conditions ? [...conditions].sort(byUrgency).map(row)
         : [h("li", { class: "empty" }, t("condition.none"))]));
     },
     close() {
@@ -45,13 +45,22 @@ export function conditionsCard(store) {
   };
 }
 
+/** `told` is wrong and stands in nobody's way. */
+const stateOf = ({ level, is_required }) => (level === "false" && !is_required ? "told" : level);
+
+const ORDER = ["false", "told", "unknown", "true"];
+
+/** What stands in the way first; what is as it should be last. */
+const byUrgency = (a, b) => ORDER.indexOf(stateOf(a)) - ORDER.indexOf(stateOf(b));
+
 function row(condition) {
   const { type, level, is_required, since } = condition;
-  const state = level === "false" && !is_required ? "told" : level;
+  const state = stateOf(condition);
   const at = new Date(since).toLocaleTimeString(document.documentElement.lang);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
-    h("div", {}, h("b", {}, t(`condition.${type}`)),
-      level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition))),
+    h("div", {}, h("b", {}, known(`condition.${type}`, type.replaceAll("-", " "))),
+      level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition)),
+      state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle"))),
     h("span", { class: "condition-since" }, t("condition.since", { at })));
 }
