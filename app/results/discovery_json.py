@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from truepath.app.alignment.observations import Observations
 from truepath.app.discovery.discover import Discovery
 from truepath.app.discovery.findings import Finding
 from truepath.app.discovery.residual_location import RunResidual, Segment
@@ -46,6 +47,11 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "on": "held-out segments",
         },
         "where": _worst(found),
+        "lines": [
+            line
+            for k, one in enumerate(found.residuals)
+            for line in _list_lines(one, k)
+        ],
         "explained_by": _state_explanation(found.residuals[0]),
         "runs": [
             {
@@ -132,6 +138,40 @@ def _worst(found: Discovery) -> list[dict[str, Any]]:
     ]
     every.sort(key=lambda pair: -pair[0].rms_um)
     return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
+
+
+def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
+    """Return how far every line or point of a Run is off, in the order of time."""
+    seen = one.observations
+    after = {(s.row, s.time_s): s.rms_um for s in one.after.segments}
+    celsius = _average_temperatures(seen)
+    return [
+        {
+            "run": run,
+            "segment": s.row,
+            "axis": s.axis,
+            "direction": s.direction,
+            "time_s": s.time_s,
+            "feed_mm_min": s.feed_mm_min,
+            "before_um": s.rms_um,
+            "after_um": after[s.row, s.time_s],
+            "temperature_degC": celsius.get(s.time_s, {}),
+        }
+        for s in sorted(one.before.segments, key=lambda s: s.time_s)
+    ]
+
+
+def _average_temperatures(seen: Observations) -> dict[float, dict[str, float]]:
+    """Return the mean of each sensor on each line, by the middle of its time."""
+    recorded = seen.at.recorded
+    if recorded is None or recorded.temperature_degc is None:
+        return {}
+    means: dict[float, dict[str, float]] = {}
+    for first, last in seen.lines:
+        average = recorded.temperature_degc[first:last].mean(axis=0).tolist()
+        at_s = float(seen.at.time_s[first:last].mean())
+        means[at_s] = dict(zip(recorded.sensors, average, strict=True))
+    return means
 
 
 def _state_explanation(shown: RunResidual) -> dict[str, dict[str, float]]:

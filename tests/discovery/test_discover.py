@@ -88,4 +88,9 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
     assert content["unnamed"] == []
     worst = content["where"]
     assert [s["rms_um"] for s in worst] == sorted(s["rms_um"] for s in worst)[::-1]
+    lines = content["lines"]
+    assert max(line["before_um"] for line in lines) == worst[0]["rms_um"]
+    assert [line["time_s"] for line in lines] == sorted(
+        line["time_s"] for line in lines
+    )
     assert discovery_json(clean)["effects"] == []

@@ -14,6 +14,7 @@ from scripted_data import (
     MOTION,
     TRACKER,
     TRACKER_NOISE,
+    VERSIONS,
     certificate,
     compensation,
     plan_curve,
@@ -289,6 +290,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     @app.get(f"{API}/jobs/{{job_id}}/discovery")
     def job_discovery(job_id: str) -> Any:
         return service.discovery
+
+    @app.get(f"{API}/models/{{model_id}}/versions")
+    def versions(model_id: str) -> Any:
+        return VERSIONS
 
     @app.get(f"{API}/jobs/{{job_id}}/trend")
     def job_trend(job_id: str) -> Any:

@@ -57,12 +57,54 @@ GRADE = {
 }
 
 
+VERSIONS = [
+    {
+        "id": "job-1",
+        "version": 2,
+        "created": "2026-03-14T08:30:00.000Z",
+        "difference": [
+            {
+                "kind": "added",
+                "what": "backlash Y",
+                "text": "backlash Y: width 6.39 ± 0.15 µm",
+            }
+        ],
+    },
+    {
+        "id": "job-0",
+        "version": 1,
+        "created": "2026-03-13T08:30:00.000Z",
+        "difference": [],
+    },
+]
+
+
+def lines_off(lines: int = 22) -> list[dict[str, Any]]:
+    """Return how far each line is off: Y− most, the later ones more."""
+    return [
+        {
+            "run": 0,
+            "segment": row,
+            "axis": "XYZ"[row % 3],
+            "direction": "+-"[row % 2],
+            "time_s": 5.6 * row,
+            "feed_mm_min": 6000.0,
+            "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
+            "after_um": 1.2,
+            "temperature_degC": {"X": 20.0 + 0.05 * row},
+        }
+        for row in range(1, lines + 1)
+    ]
+
+
 DISCOVERY = {
     "schema": "discovery/1",
+    "lines": lines_off(),
     "effects": [
         {
             "name": "backlash",
             "axis": "Y",
+            "grade": "certain",
             "parameters": {"width_um": {"value": 6.385, "uncertainty": 0.076}},
             "evidence": {"log_bayes_factor": 512.0, "share_of_gap": 0.934},
             "indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}],

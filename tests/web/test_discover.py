@@ -92,6 +92,59 @@ def test_what_a_complete_model_would_leave_stands_beside_the_gap(panel, service)
     expect(gap).to_contain_text("A complete model would leave 1.19 µm")
 
 
+def test_where_it_disagrees_is_drawn_as_strips_with_their_numbers(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}", language="de")
+    strips = page.locator(".heat-strip")
+    expect(strips.locator("b")).to_contain_text(
+        ["Geraden", "Bewegte Achse", "Zeit", "Temperatur von X"]
+    )
+    lines = strips.first.locator(".strip-row").first.locator("i")
+    expect(lines).to_have_count(22)
+    heat = [
+        int(cell.evaluate("i => parseInt(i.style.getPropertyValue('--heat'))"))
+        for cell in lines.all()
+    ]
+    assert heat[18] == max(heat) == 100  # row 19 is off by 6.45 µm
+    assert heat[0] == round(100 * 5.55 / 6.45)
+    page.locator(".strips-table summary").click()
+    axes = page.locator(".strips-table table").nth(1)
+    expect(axes.locator("tbody tr", has_text="Y−")).to_contain_text("1,20 µm")
+
+
+def test_how_sure_an_effect_is_stands_before_its_evidence(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}")
+    graded = page.locator("[data-effect=backlash] .graded")
+    expect(graded.locator("p")).to_be_hidden()
+    graded.locator("summary", has_text="certain").click()
+    expect(graded.locator("p")).to_contain_text("log Bayes factor 512")
+
+
+def test_a_model_is_used_by_the_next_plan_until_that_is_ended(panel, service):
+    job = discovered(service)
+    page = panel.open(f"#/discover/{job}")
+    expect(page.get_by_role("link", name="Export with it")).to_have_attribute(
+        "href", f"#/export/{job}"
+    )
+    page.get_by_role("button", name="Use this model").click()
+    expect(page.locator("[data-closing]")).to_contain_text("In use")
+    page.evaluate("location.hash = '#/plan'")
+    expect(page.locator("[data-model]")).to_contain_text("in use")
+    page.locator(NEXT).click()
+    page.wait_for_url("**/#/check/*")
+    assert [body["model_id"] for _, path, body in service.requests] == [job]
+    page.evaluate("location.hash = '#/plan'")
+    page.locator("[data-model]").get_by_role("button").click()
+    expect(page.locator("[data-model]")).to_have_count(0)
+
+
+def test_versions_of_the_model_stand_with_what_they_added(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}", language="de")
+    versions = page.locator("[data-versions] .versions > li")
+    expect(versions).to_have_count(2)
+    expect(versions.first).to_contain_text("neu Umkehrspiel Y: width 6.39")
+    expect(versions.last).to_contain_text("Kein Unterschied")
+
+
 def test_where_it_disagrees_is_drawn_for_what_explains_most(panel, service):
     page = panel.open(f"#/discover/{discovered(service)}", language="de")
     names = ["Gerade", "Richtung von Y", "Bereich von X und Y", "Temperatur von X"]

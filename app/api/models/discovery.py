@@ -56,6 +56,22 @@ class SegmentOfRunOut(SegmentOut):
     run: int = Field(description="Of the Runs, from 0.")
 
 
+class LineOut(BaseModel):
+    """How far a line or point is off, before and after, in the order of time."""
+
+    run: int = Field(description="Of the Runs, from 0.")
+    segment: int = Field(description="Row of the path or of the points.")
+    axis: str = Field(description="That moves most; empty where none does.")
+    direction: str
+    time_s: float
+    feed_mm_min: float
+    before_um: float = Field(description="Root mean square, with the model as it was.")
+    after_um: float = Field(description="With the effects that were found.")
+    temperature_degC: dict[str, float] = Field(  # noqa: N815
+        description="Mean of each sensor; empty where none was recorded."
+    )
+
+
 class ExplanationOut(BaseModel):
     """Shares of the disagreement that go by line, axis, time and so on."""
 
@@ -120,6 +136,9 @@ class DiscoveryOut(BaseModel):
     unnamed: list[UnnamedOut]
     gap: GapOut
     where: list[SegmentOfRunOut]
+    lines: list[LineOut] = Field(
+        [], description="Of all Runs; missing in answers of earlier versions."
+    )
     explained_by: ExplanationOut
     runs: list[DiscoveryRunOut]
     compared: int = Field(description="Candidates that were compared.")

@@ -1,6 +1,7 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification } from "./flow.js";
+import { withModel } from "./model-choice.js";
 import { wordProblem } from "./problems.js";
 import { t } from "./texts.js";
 
@@ -163,8 +164,9 @@ export function createActions(store, go) {
   async function begin(order, request = null) {
     const tell = (planned) => store.set({ planned });
     tell(null);
-    const job = await during("prepare", async () =>
-      api.createJob(request ? { ...order, plan_id: (await makePlan(request, tell)).id } : order));
+    const { machine } = store.get();
+    const job = await during("prepare", async () => api.createJob(withModel(
+      request ? { ...order, plan_id: (await makePlan(withModel(request, machine), tell)).id } : order, machine)));
     if (!job) return null;
     hear(job);
     follow(job);
@@ -192,7 +194,7 @@ export function createActions(store, go) {
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
       try {
-        const plan = await makePlan(request, tell);
+        const plan = await makePlan(withModel(request, store.get().machine), tell);
         return { ...plan, curve: await api.planCurve(plan.id) };
       } catch (error) {
         refuse(error);

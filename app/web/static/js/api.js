@@ -111,6 +111,8 @@ export const estimate = async (id) => {
   return newest.error_tables ? newest : null;
 };
 export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
+/** A model and those it came from, the newest first. */
+export const modelVersions = (id) => call("GET", `/models/${id}/versions`);
 export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 

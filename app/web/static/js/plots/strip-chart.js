@@ -68,7 +68,7 @@ function options(element) {
   return {
     ...sizeOf(element),
     legend: { show: false },
-    padding: [6, 6, 0, 0],
+    padding: [8, 6, 8, 0],
     cursor: { show: false },
     scales: {
       x: { time: false, range: (_, low, high) => [Math.min(low, high - WINDOW_S), high] },

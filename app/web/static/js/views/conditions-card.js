@@ -59,8 +59,8 @@ function row(condition) {
   const at = new Date(since).toLocaleTimeString(document.documentElement.lang);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
-    h("div", {}, h("b", {}, known(`condition.${type}`, type.replaceAll("-", " "))),
-      level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition)),
-      state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle"))),
-    h("span", { class: "condition-since" }, t("condition.since", { at })));
+    h("b", {}, known(`condition.${type}`, type.replaceAll("-", " "))),
+    h("span", { class: "condition-since" }, t("condition.since", { at })),
+    level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition)),
+    state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle")));
 }

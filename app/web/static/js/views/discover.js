@@ -7,7 +7,9 @@ import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCard, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
+import { closingCard, versionsCard } from "./model-card.js";
 import { newMeasurement, onward } from "./onward.js";
+import { stripsCard } from "./strips-card.js";
 import { verdictBand } from "./verdict-band.js";
 import { whereCard } from "./where-card.js";
 
@@ -29,18 +31,23 @@ export function lead(state, { actions, go }) {
 }
 
 /** Show what was found; before that, what is going to be done. */
-export function mount(root) {
+export function mount(root, { actions }) {
   let drawn = null;
+  let closing = null;
   root.append(head(t("discover.title"), t("discover.text")));
   const body = h("div", { class: "stack" });
   root.append(body);
   return {
-    update({ job, discovery }) {
+    update(state) {
+      const { job, discovery } = state;
+      closing?.update(state);
       const shown = job && isDiscovery(job) ? discovery ?? "loading" : job?.id;
       if (!job || shown === drawn) return;
       drawn = shown;
+      closing = isDiscovery(job) && discovery ? closingCard(state, actions) : null;
+      closing?.update(state);
       if (!isDiscovery(job)) body.replaceChildren(prospect(job));
-      else if (discovery) body.replaceChildren(...found(job, discovery));
+      else if (discovery) body.replaceChildren(...found(job, discovery, closing.element));
       else body.replaceChildren(h("p", { class: "empty" }, t("discover.loading")));
     },
     close() {},
@@ -60,10 +67,11 @@ function prospect(job) {
   return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
 }
 
-function found(job, { verdict, effects, possible = [], unnamed, gap, ask, explained_by: explained }) {
+function found(job, { verdict, effects, possible = [], unnamed, gap, ask, explained_by: explained, lines }, closing) {
   const cards = [...effects.map(effectCard), ...unnamed.map(structureCard), ...possible.map(effectCard)];
   const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [verdictBand(verdict), downloads(job), ...findings, extraCard(ask), gapCard(gap), whereCard(explained)].filter(Boolean);
+  return [verdictBand(verdict), downloads(job), ...findings, gapCard(gap), extraCard(ask), closing, stripsCard(lines), whereCard(explained),
+    versionsCard(job.id)].filter(Boolean);
 }
 
 function downloads({ id, verdict }) {

@@ -31,6 +31,10 @@ const GRADES = {
   possible: () => t("discover.possible"),
 };
 
+/** How sure, in a word; the evidence behind it at a touch. */
+const graded = (grade, evidence) => h("details", { class: "graded", "data-grade": grade },
+  h("summary", {}, GRADES[grade]()), h("p", {}, evidence));
+
 /** An effect: numbers, cause, what to do, evidence. */
 export function effectCard(effect) {
   const content = card(nameOf(effect), numbers(effect), facts(effect, effect.name));
@@ -67,13 +71,15 @@ function facts({ evidence, grade, indistinguishable_from: alike, ...effect }, na
   const word = (what) => known(`effect.${name}.${what}`, effect[what]);
   const share = number(100 * evidence.share_of_gap, 0);
   const factor = number(evidence.log_bayes_factor, 0);
+  const said = t("discover.share", { share, factor, least: ENOUGH });
+  const isGraded = !on && grade in GRADES;
   const rows = [
-    [t("discover.grade"), !on && GRADES[grade]?.()],
+    [t("discover.grade"), isGraded && graded(grade, said)],
     [t("discover.depends_on"), on?.map(dependence).join(", ")],
     [t("discover.cause"), word("cause")],
     [t("discover.looks_like"), word("looks_like")],
     [t("discover.remedy"), word("remedy")],
-    [t("discover.evidence"), t("discover.share", { share, factor, least: ENOUGH })],
+    [t("discover.evidence"), !isGraded && said],
     [t("discover.others"), alike.map(nameOf).join("; ") || t("discover.alone")],
   ];
   return pairs(rows.filter(([, value]) => value));

@@ -29,9 +29,9 @@ export function healthCard() {
     h("h2", {}, t("run.health")),
     h("dl", { class: "tiles is-now" }, [beam, distance, beside, control].map((one) => one.element)),
     h("figure", { class: "scope" },
-      h("figcaption", {}, h("b", {}, t("run.scope", { unit: unitOf("error") })), " ", h("span", { class: "quiet" }, t("run.scope_means"))),
-      strip),
-    h("dl", { class: "tiles is-counts" }, counts.map((one) => one.element)), air, unwatched);
+      h("figcaption", {}, t("run.scope", { unit: unitOf("error") })), strip),
+    h("dl", { class: "tiles is-counts" }, counts.map((one) => one.element)),
+    h("p", { class: "scope-means" }, t("run.scope_means")), air, unwatched);
   let chart = null;
   let live = null;
   let heard_ms = null;

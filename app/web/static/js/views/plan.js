@@ -6,6 +6,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { curveCard } from "./curve-card.js";
+import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
 import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
 
@@ -99,7 +100,7 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("plan.text")), curve.element,
+    head(t("plan.title"), t("plan.text")), modelNotice(store.get().machine), curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),

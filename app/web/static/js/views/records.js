@@ -5,6 +5,7 @@ import { addressOf, hasEnded } from "../flow.js";
 import { card, head, kindOf, linkButton, shapeOf, wordOf } from "../parts.js";
 import { dateTime, duration, number, t } from "../texts.js";
 import { dropZone } from "./drop.js";
+import { modelNotice } from "./model-card.js";
 import { overTimeCard } from "./trend-form.js";
 import { verdictMark } from "./verdict-band.js";
 
@@ -18,7 +19,7 @@ export function mount(root, { store, actions, go }) {
   const jobs = h("div", { class: "table-scroll" });
   const runs = h("div", { class: "table-scroll" });
   const over = h("div", { class: "stack" });
-  root.append(head(t("records.title"), t("records.text")),
+  root.append(head(t("records.title"), t("records.text")), modelNotice(store.get().machine),
     h("div", { class: "stack records" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs), over,
       card(t("connect.recorded"), dropZone(store, actions))));
   actions.loadRecords().catch(actions.refuse);
