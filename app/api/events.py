@@ -18,7 +18,7 @@ from functools import partial
 from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Depends, Header, Request
+from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
@@ -27,6 +27,7 @@ from truepath.app.api.jobs import describe_job
 from truepath.app.api.models.base import JobId
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.topics import Topics, parse_topics
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobEvent, decode_job, format_utc_now
 
@@ -51,7 +52,7 @@ _STREAM: dict[int | str, dict[str, Any]] = {
         "`live`, `estimate`, `plan`, `notice`, `machine`, `condition`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
-    **declare_problems(404, 429),
+    **declare_problems(404, 422, 429),
 }
 
 
@@ -62,9 +63,9 @@ class Subscription:
     """
 
     def __init__(
-        self, service: Service, job_id: str | None, is_let_in: Callable[[], bool]
+        self, service: Service, topics: Topics, is_let_in: Callable[[], bool]
     ) -> None:
-        self.service, self._job_id, self._is_let_in = service, job_id, is_let_in
+        self.service, self._topics, self._is_let_in = service, topics, is_let_in
         self._lock = threading.Lock()
         self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
         self._loop = asyncio.get_running_loop()
@@ -73,38 +74,40 @@ class Subscription:
 
     def put(self, job_event: JobEvent) -> None:
         """Accept an event. Never waits; the oldest live one is dropped if need be."""
-        job_id = job_event.job_id
-        if job_event.type in _OF_MACHINE and self._job_id is not None:
-            return
-        if job_id is not None and self._job_id not in (None, job_id):
+        is_live = job_event.id is None and job_event.type in _LIVE
+        find_machine = self.service.dispatcher.find_machine
+        if is_live and not self._topics.take(job_event, find_machine):
             return
         with self._lock:
             if job_event.id is not None:
                 self._news = True
-            elif job_event.type in _LIVE:
+            elif is_live:
                 self._waiting.append(job_event)
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)
 
     async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
         """Yield what was missed, or the present state first, then new events."""
-        service, job_id = self.service, self._job_id
+        service, topics = self.service, self._topics
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)
         if known is None:
             known = newest
-            for event in await run_sync(_read_present, service, job_id, newest):
+            for event in await run_sync(_read_present, service, topics, newest):
                 yield event
         next_tick = time.monotonic()
         while not service.closing.is_set():
             news, live = self._take()
             while news:
                 missed = await run_sync(
-                    partial(service.store.read_events_after, known, job_id=job_id)
+                    partial(
+                        service.store.read_events_after, known, job_id=topics.only_job
+                    )
                 )
                 for stored in missed:
-                    known = stored.id or known
-                    yield _describe_job_event(decode_job(stored.body), stored.id)
+                    known, job = stored.id or known, decode_job(stored.body)
+                    if topics.take_job(job):
+                        yield _describe_job_event(job, stored.id)
                 news = bool(missed)
             for job_event in live:
                 yield _describe_live(job_event)
@@ -141,19 +144,27 @@ def count_streams(service: Service) -> int:
 
 
 async def _subscribe(
-    request: Request, service: ServiceDep
+    request: Request,
+    service: ServiceDep,
+    topics: Annotated[
+        str,
+        Query(
+            description="Only of these: `job:ID` and `machine:ID`, separated by "
+            "commas; a machine stands for its jobs. Without it everything.",
+            examples=["machine:default"],
+            max_length=4096,
+        ),
+    ] = "",
 ) -> AsyncIterator[Subscription]:
     """Listen for one request. Ended by the request, not by the stream's generator.
 
     A generator that waits for a slow client does not notice when that client leaves.
     """
-    job_id = request.path_params.get("job_id")
-    if job_id is not None:
-        await run_sync(service.store.get, job_id)
+    chosen = await run_sync(_choose_topics, request, service, topics)
     if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
     token = read_token(request.scope)
-    subscription = Subscription(service, job_id, partial(_is_let_in, service, token))
+    subscription = Subscription(service, chosen, partial(_is_let_in, service, token))
     unsubscribe = service.event_bus.subscribe(subscription.put)
     open_streams.add(subscription)
     try:
@@ -161,6 +172,14 @@ async def _subscribe(
     finally:
         open_streams.remove(subscription)
         unsubscribe()
+
+
+def _choose_topics(request: Request, service: Service, text: str) -> Topics:
+    """Return what a request listens to. Raises NotFound, BadInput."""
+    job_id = request.path_params.get("job_id")
+    if job_id is not None:
+        return Topics(jobs=frozenset({service.store.get(job_id).id}))
+    return parse_topics(text, service.store.get, service.setup.registry.get)
 
 
 def _is_let_in(service: Service, token: str) -> bool:
@@ -181,7 +200,10 @@ LastEventId = Annotated[
 async def stream_events(
     subscription: SubscriptionDep, last_event_id: LastEventId = ""
 ) -> AsyncIterator[ServerSentEvent]:
-    """Follow everything. One stream a page; the browser reconnects by itself."""
+    """Follow everything, or the topics that are named: one stream a page.
+
+    The browser reconnects by itself.
+    """
     async for event in subscription.events(last_event_id):
         yield event
 
@@ -206,11 +228,13 @@ def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
 
 
 def _read_present(
-    service: Service, job_id: str | None, newest: int
+    service: Service, topics: Topics, newest: int
 ) -> list[ServerSentEvent]:
     """Return where things stand, for a client that has seen nothing."""
     store = service.store
-    jobs = store.list_unfinished() if job_id is None else [store.get(job_id)]
+    unfinished = {job.id: job for job in store.list_unfinished()}
+    named = {job_id: store.get(job_id) for job_id in sorted(topics.jobs)}
+    jobs = [job for job in (unfinished | named).values() if topics.take_job(job)]
     shown = [service.dispatcher.show(job) for job in jobs]
     return [_describe_job_event(job, newest) for job in shown]
 

@@ -86,6 +86,11 @@ class Dispatcher:
         active = self._active.get(job.id)
         return job if active is None else active.show(job)
 
+    def find_machine(self, job_id: str) -> str | None:
+        """Return the machine of a job under way, at once; None for any other."""
+        active = self._active.get(job_id)
+        return None if active is None else active.job.machine
+
     @property
     def is_measuring(self) -> bool:
         """Whether a job under way measures, or is about to."""

@@ -14,8 +14,9 @@ from arming import arm_over_http
 from scripted_cell import wait_until
 
 from truepath.app.api import events
+from truepath.app.api.topics import Topics
 from truepath.app.jobs.errors import StorageFull, StorageUnavailable
-from truepath.app.jobs.job import Job, JobEvent, JobKind
+from truepath.app.jobs.job import Job, JobEvent, JobKind, encode_job
 from truepath.app.jobs.transitions import State
 
 EVENTS = "/api/v1/events"
@@ -129,6 +130,74 @@ def test_a_stream_of_one_job_leaves_others_out(live, service, job):
         heard = read(found, 2, ("job", "progress"))
     assert {event.type for event in heard} == {"job", "progress"}
     assert all(job.id in (e.data.get("id"), e.data.get("job_id")) for e in heard)
+
+
+@pytest.fixture
+def jobs_of_machines(service):
+    """One job of each of two machines, and one of none."""
+
+    def create(machine):
+        return service.store.create(Job(JobKind.ANALYSE, machine=machine))[0]
+
+    return [create(machine) for machine in ("default", "mill", None)]
+
+
+@pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        ("job:{1}", [1]),
+        ("machine:default", [0]),
+        ("machine:default,job:{2}", [0, 2]),
+        ("", [0, 1, 2]),
+    ],
+)
+def test_a_stream_carries_only_its_topics_and_misses_none_of_them(
+    live, service, jobs_of_machines, topics, chosen
+):
+    ids = [job.id for job in jobs_of_machines]
+    wanted = [ids[k] for k in chosen]
+    path = f"{EVENTS}?topics={topics.format(*ids)}"
+    with stream(live, path) as found:
+        now = read(found, len(wanted))
+        assert sorted(event.data["id"] for event in now) == wanted
+        for job_id in ids:
+            service.event_bus.publish(
+                JobEvent("job", job_id, encode_job(service.store.get(job_id)))
+            )
+            advance(service, job_id, State.RUNNING)
+        heard = read(found, 2 * len(wanted))
+        assert {event.data["id"] for event in heard} == set(wanted)
+    with stream(live, path, last="1") as found:
+        later = [e.data["id"] for e in read(found, len(wanted)) if e.data]
+    assert set(later) <= set(wanted)
+
+
+def test_conditions_and_standing_of_other_machines_are_left_out(live, service):
+    def publish(type_, machine):
+        body = {"machine": machine, "level": "false"}
+        service.event_bus.publish(JobEvent(type_, None, body))
+
+    with stream(live, f"{EVENTS}?topics=machine:default") as found:
+        read(found, 1, ("tick",))
+        publish("condition", "mill")
+        publish("machine", "mill")
+        publish("condition", "default")
+        publish("machine", "default")
+        heard = read(found, 2, ("condition", "machine"))
+    assert [(e.type, e.data["machine"]) for e in heard] == [
+        ("condition", "default"),
+        ("machine", "default"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "topics", ["jobs", "job:", "tool:1", "machine:nobody", "job:nobody", "a,", ","]
+)
+def test_an_unknown_topic_is_refused_before_the_stream_opens(
+    client, is_problem, topics
+):
+    answer = client.get(f"{EVENTS}?topics={topics}")
+    assert topics.split(",")[0] in is_problem(answer, 422, "bad-input")["detail"]
 
 
 def test_a_tick_comes_every_second(live):
@@ -274,7 +343,7 @@ def test_a_client_that_goes_away_is_forgotten(live, service):
 
 def test_notices_after_the_loop_has_ended_are_harmless(service):
     async def subscribe():
-        return events.Subscription(service, None, lambda: True)
+        return events.Subscription(service, Topics(), lambda: True)
 
     subscription = asyncio.run(subscribe())
     thread = threading.Thread(

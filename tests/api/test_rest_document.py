@@ -60,7 +60,7 @@ class Curl:
                     output = self.folder / next(rest)
                 case _:
                     target = word
-        if target.endswith("/events"):
+        if "/events" in target:
             return self._first_line(target, headers)
         answer = self.client.request(method, target, headers=headers, **options)
         if target.endswith("/arming"):
