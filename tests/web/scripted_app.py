@@ -208,7 +208,18 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.get(f"{API}/machines/{{machine_id}}")
     def machine_record(machine_id: str) -> Any:
-        return next(one for one in service.machines if one["id"] == machine_id)
+        found = next(one for one in service.machines if one["id"] == machine_id)
+        known = {"machine_file": service.machine, "connected": service.connected}
+        return found | known
+
+    @app.post(f"{API}/machines/{{machine_id}}:connect")
+    def connect_one(machine_id: str) -> Any:
+        service.requests.append(("POST", f"/machines/{machine_id}:connect", None))
+        return connect()
+
+    @app.get(f"{API}/machines/{{machine_id}}/conditions")
+    def conditions_of_one(machine_id: str) -> Any:
+        return conditions()
 
     @app.get(f"{API}/machines/{{machine_id}}/history")
     def history(machine_id: str) -> Any:

@@ -157,7 +157,7 @@ def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
     mill = page.locator("[data-machine=mill-3]")
     expect(mill).to_contain_text("Mar 1, 2026")
     expect(mill).to_contain_text(re.compile(r"\d+ (days|h) ago|hour ago"))
-    expect(mill).to_contain_text("26.00 µm ± 0.40 µm")
+    expect(mill).to_contain_text("26.0 ± 0.4 µm")
     expect(mill.locator("[data-standing=alarm]")).to_contain_text("Over its tolerance")
     other = page.locator("[data-machine=mill-4]")
     expect(other).to_contain_text("never")
@@ -191,3 +191,44 @@ def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looke
     page.goto(f"{panel.address}/#/certificate/{result}")
     expect(page.locator("#reason")).to_contain_text("Only a metrologist does this")
     expect(page.locator(NEXT)).to_have_count(0)
+
+
+def test_of_several_machines_the_chosen_one_is_connected_and_measured(panel, service):
+    service.machines = [machine_entry("mill-3"), machine_entry("mill-4", name="Five")]
+    page = panel.open()
+    page.wait_for_url("**/#/machine")
+    page.locator("[data-machine=mill-4]").get_by_role("button", name="Choose").click()
+    chosen = page.locator("[data-machine=mill-4] [aria-pressed=true]")
+    expect(chosen).to_have_text("Chosen")
+    page.locator(NEXT, has_text="To the devices").click()
+    page.locator(NEXT, has_text="Connect devices").click()
+    expect(page.locator("#machine-name")).to_have_text("Five")
+    page.locator(NEXT, has_text="Plan the run").click()
+    page.locator(NEXT, has_text="Prepare the run").click()
+    page.wait_for_url("**/#/check/*")
+    assert ("POST", "/machines/mill-4:connect", None) in service.requests
+    order = service.requests[-1][2]
+    assert (order["kind"], order["machine"]) == ("measure-otf", "mill-4")
+
+
+def test_records_are_looked_through_by_text_and_kind_and_two_are_compared(
+    panel, service
+):
+    measured(service)
+    later = measured(service)
+    service.new_job("discover", state="failed")
+    service.histories["default"] = machine_history("default", "2026-03-14T08:00:00Z")
+    page = panel.open("#/records")
+    rows = page.locator("tbody").first.locator("tr")
+    expect(rows).to_have_count(3)
+    page.get_by_label("Look for").fill("15.3")
+    expect(rows).to_have_count(1)
+    expect(rows).to_contain_text("15.3 ± 0.2 µm")
+    page.get_by_label("Look for").fill("")
+    page.get_by_label("Method").select_option("measure-otf")
+    expect(rows).to_have_count(2)
+    for number in range(2):
+        rows.nth(number).get_by_role("button", name="Compare").click()
+    expect(page.locator("table.compare")).to_be_visible()
+    expect(page.locator("h3", has_text="held against")).to_be_visible()
+    assert service.jobs[later]["state"] == "succeeded"

@@ -2,6 +2,7 @@
 import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification } from "./flow.js";
 import { withModel } from "./model-choice.js";
+import { prefer, preference } from "./preferences.js";
 import { wordProblem } from "./problems.js";
 import { t } from "./texts.js";
 
@@ -37,9 +38,17 @@ export function createActions(store, go) {
   }
 
   async function loadSystem() {
-    const [system, machine] = await Promise.all([api.system(), api.machine()]);
-    store.set({ system, machine });
+    const [system, machines] = await Promise.all([api.system(), api.machines()]);
+    const id = chosenOf(machines);
+    api.chooseMachine(id);
+    store.set({ system, machines, machine_id: id ?? machines[0]?.id ?? null, machine: await api.machine() });
   }
+
+  /** Work with another machine; this panel keeps to it. */
+  const choose = (id) => during("choose", async () => {
+    prefer("machine", id);
+    await loadSystem();
+  });
 
   async function loadRecords() {
     const [jobs, runs] = await Promise.all([api.jobs(KEPT_JOBS), api.runs()]);
@@ -190,7 +199,7 @@ export function createActions(store, go) {
       await loadSystem();
     }),
     prepare: begin,
-    verify, issue,
+    verify, issue, choose,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
       try {
@@ -245,6 +254,13 @@ async function makePlan(request, tell) {
   }
   if (plan.state !== "succeeded") throw new api.Problem(422, plan.error ?? {});
   return plan;
+}
+
+/** The machine that this panel works with, where the service drives several. */
+function chosenOf(machines) {
+  const driven = machines.filter(({ cell }) => cell !== "none");
+  if (driven.length < 2) return null;
+  return (driven.find(({ id }) => id === preference("machine")) ?? driven[0]).id;
 }
 
 const byCreation = (a, b) => (a.created < b.created ? 1 : -1);

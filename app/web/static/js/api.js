@@ -58,18 +58,38 @@ export const logOut = () => call("DELETE", "/session");
 
 export const system = () => call("GET", "/system");
 
+let chosen = null;
+
+/** Work with one of several machines from now on; null where there is only one. */
+export function chooseMachine(id) {
+  chosen = id;
+}
+
 /** The machine and who answers on its ports; null where none is set up. */
 export async function machine() {
   try {
-    return await call("GET", "/machines/current");
+    return chosen ? await oneOfSeveral(chosen) : await call("GET", "/machines/current");
   } catch (problem) {
     if (problem.status === 404) return null;
     throw problem;
   }
 }
 
+/** To connect again is harmless; it tells who answers. */
+async function oneOfSeveral(id) {
+  const { machine_file: { tracker: tracker_noise, motion: motion_limits, ...file }, name, connected } = await machineRecord(id);
+  const devices = connected ? await connect() : { connected, tracker: null, motion: null };
+  return { ...file, name, tracker_noise, motion_limits, ...devices };
+}
+
 export const connect = () =>
-  call("POST", "/machines/current:connect", { patience_ms: 60000 });
+  call("POST", `/machines/${chosen ?? "current"}:connect`, { patience_ms: 60000 });
+
+/** An order with the machine that it is for, where there are several and nothing else names one. */
+const withMachine = (order) => {
+  const isNamed = !chosen || ["plan_id", "discovery_id", "continues", "run_id", "run_ids"].some((name) => name in order);
+  return isNamed ? order : { ...order, machine: chosen };
+};
 
 /** All machines that the service knows, those it drives first. */
 export const machines = async () => items(await call("GET", "/machines"));
@@ -81,7 +101,7 @@ export const machineHistory = (id) => call("GET", `/machines/${id}/history`);
 export const machineStanding = (id) => call("GET", `/machines/${id}/standing`);
 
 /** What has to be so before the machine moves. */
-export const conditions = async () => items(await call("GET", "/machines/current/conditions"));
+export const conditions = async () => items(await call("GET", `/machines/${chosen ?? "current"}/conditions`));
 
 export const job = (id) => call("GET", `/jobs/${id}`);
 export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limit}`));
@@ -92,9 +112,9 @@ export const newestJobs = async () =>
   items(await call("GET", `/jobs?limit=${NEWEST}`, { patience_ms: SHORT_MS }));
 
 /** Make a job. The key makes one of it, even if the request is sent twice. */
-export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
+export const createJob = (order) => call("POST", "/jobs", { json: withMachine(order), key: newKey() });
 /** Ask for a plan; follow it with `planned`. */
-export const createPlan = (request) => call("POST", "/plans", { json: request, key: newKey() });
+export const createPlan = (request) => call("POST", "/plans", { json: withMachine(request), key: newKey() });
 export const planned = (id) => call("GET", `/plans/${id}`);
 /** Uncertainty against time along a plan. */
 export const planCurve = (id) => call("GET", `/plans/${id}/curve`);

@@ -7,6 +7,8 @@ export const GROUPS = [
   { name: "learn", steps: ["result", "discover"] },
   { name: "correct", steps: ["export", "verify", "certificate"] },
 ];
+/** Steps that a calibration can do without. */
+export const OPTIONAL = new Set(["discover", "export", "verify"]);
 export const STEPS = GROUPS.flatMap(({ steps }) => steps);
 
 /** Views that are no step. */

@@ -2,6 +2,7 @@
 import { createActions, NO_COURSE } from "./actions.js";
 import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isMeasuring, isMoving, place, stepOf } from "./flow.js";
+import { preference } from "./preferences.js";
 import { check as checkSession, enter, leave } from "./session.js";
 import { updateBar, updateLead, updateProblems, updateSteps } from "./shell.js";
 import { createStore } from "./store.js";
@@ -26,7 +27,7 @@ const RETRY_MS = 2000;
 const RECENT_MS = 3600e3;
 
 const store = createStore({
-  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null, verification: null,
+  system: null, machine: null, machines: [], machine_id: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null, verification: null,
   conditions: null, safetyRead: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null, proves: {}, issued: null,
   link: { stale: false, asked: false, last: null, age_s: 0 },
 });
@@ -40,11 +41,15 @@ const root = document.getElementById("main");
 let mounted = null;
 let current = null;
 
+const mustChoose = (machines) => machines.filter(({ cell }) => cell !== "none").length > 1 && !preference("machine");
+
 /** Show the view that the address names. */
 async function route() {
   const { step, id } = place(location.hash);
   if (!step) {
-    go(addressOf(store.get().job));
+    const { job, machines } = store.get();
+    // With one machine there is nothing to choose.
+    go(job || !mustChoose(machines) ? addressOf(job) : "#/machine");
     return;
   }
   if (id) await actions.open(id);

@@ -1,5 +1,5 @@
-/* What the operator set on this panel: units, light or dark, language, tolerance, model. */
-const KEYS = { units: "mm", theme: "auto", scale: "common", tolerance_um: "", model: "{}" };
+/* What the operator set on this panel: units, light or dark, language, tolerance, machine, model. */
+const KEYS = { units: "mm", theme: "auto", scale: "common", tolerance_um: "", machine: "", model: "{}" };
 
 /** Read a preference. */
 export function preference(name) {

@@ -1,6 +1,6 @@
 /* What surrounds the views: state and stamp in the bar, steps, problems, the next button. */
 import { h, icon, mark, write } from "./dom.js";
-import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, reach, STEPS } from "./flow.js";
+import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, OPTIONAL, reach, STEPS } from "./flow.js";
 import { holdToConfirm } from "./hold.js";
 import { notice, shapeOf, toneOf, wordOf } from "./parts.js";
 import { clock, t } from "./texts.js";
@@ -56,11 +56,14 @@ function groupEntry({ name, steps }, state, current) {
   const isHere = steps.includes(current);
   const address = steps.map((step) => reach(step, state)).find(Boolean);
   const title = h(address && !isHere ? "a" : "span", { class: "group-name", href: isHere ? null : address }, t(`step.group.${name}`));
-  return h("li", { class: "group", "data-here": isHere, "data-done": isDone(steps.at(-1), current) }, title,
+  return h("li", { class: "group", "data-here": isHere, "data-done": isPassed(steps.at(-1), current) }, title,
     h("ol", { "aria-label": t(`step.group.${name}`) }, steps.map((step) => stepEntry(step, state, current))));
 }
 
-const isDone = (step, current) => STEPS.indexOf(step) < STEPS.indexOf(current);
+const isPassed = (step, current) => STEPS.indexOf(step) < STEPS.indexOf(current);
+
+/** What may be left out is not ticked off by going past it. */
+const isDone = (step, current) => isPassed(step, current) && !OPTIONAL.has(step);
 
 function stepEntry(step, state, current) {
   const done = isDone(step, current);

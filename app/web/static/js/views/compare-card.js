@@ -38,7 +38,8 @@ export function compareCard(job, result, jobs, onOther) {
     h("div", { class: "field" }, h("label", { for: "compare-with" }, t("compare.with")), choice), content);
 }
 
-function describe(now, then) {
+/** What has changed from one result to a later one, as elements; or why that cannot be said. */
+export function describe(now, then) {
   const reason = difference(now, then);
   if (reason) return notice("held", t("compare.not_alike"), reason);
   const rows = [...tableRows(now, then), ...singleRows(now, then)].sort((a, b) => b.ratio - a.ratio);

@@ -5,7 +5,7 @@ import { addressOf, isActive } from "../flow.js";
 import { card, head, notice } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { dateTime, number, t } from "../texts.js";
-import { quantity } from "../units.js";
+import { decimalsOf, figure, quantity } from "../units.js";
 
 const DAY_MS = 86400e3;
 const HOUR_MS = 3600e3;
@@ -13,9 +13,9 @@ const IDENTITY = ["name", "maker", "model", "serial_number", "control", "custome
 const SHAPES = { alarm: "warning", calm: "check", unknown: "info" };
 
 /** Button that leads on. */
-export function lead({ job }, { go }) {
+export function lead({ job, busy }, { go }) {
   if (isActive(job)) return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
-  return { next: { key: "devices", label: t("machine.next"), run: () => go("#/connect") } };
+  return { next: { key: "devices", label: t("machine.next"), disabled: Boolean(busy), run: () => go("#/connect") } };
 }
 
 /** Show the machines. */
@@ -31,8 +31,15 @@ export function mount(root, { store, actions }) {
       return;
     }
     const known = await Promise.all(entries.map(async (entry) => ({ entry, ...await standingOf(entry.id) })));
-    list.replaceChildren(...known.map((one) => machineCard(one, entries.length > 1, edit)));
-    edit(entries[0]);
+    const { machine_id: chosen } = store.get();
+    list.replaceChildren(...known.map((one) => machineCard(one, { chosen, several: entries.length > 1, choose })));
+    edit(entries.find(({ id }) => id === chosen) ?? entries[0]);
+  }
+
+  async function choose(entry) {
+    if (entry.cell !== "none") await actions.choose(entry.id);
+    await load().catch(actions.refuse);
+    if (entry.cell === "none") edit(entry);
   }
 
   function edit(entry) {
@@ -64,7 +71,7 @@ function absent(error) {
   return null;
 }
 
-function machineCard({ entry, history, standing }, several, edit) {
+function machineCard({ entry, history, standing }, { chosen, several, choose }) {
   const newest = history?.calibrations.findLast((one) => one.verdict !== "not-usable") ?? null;
   const names = [[entry.maker, entry.model].filter(Boolean).join(" "), entry.serial_number && t("machine.number", { serial: entry.serial_number }), entry.place];
   return h("section", { class: "card machine-entry", "data-machine": entry.id, "data-alarm": Boolean(standing?.is_alarm) },
@@ -73,7 +80,13 @@ function machineCard({ entry, history, standing }, several, edit) {
     h("dl", { class: "machine-facts" }, fact(t("machine.calibrated"), newest ? dateTime(newest.measured) : t("machine.never"), newest && ageOf(newest.measured)),
       fact(t("machine.error_95"), newest ? errorOf(history, newest) : "–", newest && t("machine.error_note"))),
     standingMark(standing),
-    several && h("button", { class: "button", type: "button", onclick: () => edit(entry) }, t("machine.identity")));
+    several && h("button", { class: "button", type: "button", "aria-pressed": String(entry.id === chosen), onclick: () => choose(entry) },
+      entry.id === chosen && icon("check"), t(chooseWord(entry, chosen))));
+}
+
+function chooseWord({ id, cell }, chosen) {
+  if (cell === "none") return "machine.identity";
+  return id === chosen ? "machine.chosen" : "machine.choose";
 }
 
 const fact = (name, value, note) => h("div", {}, h("dt", {}, name), h("dd", {}, value), note && h("dd", { class: "quiet" }, note));
@@ -90,8 +103,9 @@ function ageOf(stamp) {
 function errorOf({ entries }, { value, uncertainty }) {
   const at = entries.findIndex(({ label }) => label === "p95");
   if (at < 0 || value[at] === null) return "–";
-  const u = uncertainty[at] === null ? "–" : quantity(COVERAGE * uncertainty[at], "gap");
-  return `${quantity(value[at], "gap")} ± ${u}`;
+  const digits = decimalsOf("error");
+  const u = uncertainty[at] === null ? "–" : quantity(COVERAGE * uncertainty[at], "gap", digits);
+  return `${figure(value[at], "gap", digits)} ± ${u}`;
 }
 
 function standingMark(standing) {

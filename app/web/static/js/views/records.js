@@ -1,9 +1,12 @@
 /* Jobs and Runs that the service keeps. */
-import { links } from "../api.js";
+import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { addressOf, hasEnded } from "../flow.js";
-import { card, head, kindOf, linkButton, shapeOf, wordOf } from "../parts.js";
+import { addressOf, hasEnded, statesTables } from "../flow.js";
+import { card, head, kindOf, linkButton, notice, shapeOf, wordOf } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
 import { dateTime, duration, number, t } from "../texts.js";
+import { decimalsOf, figure, quantity } from "../units.js";
+import { describe as describeChange } from "./compare-card.js";
 import { dropZone } from "./drop.js";
 import { modelNotice } from "./model-card.js";
 import { overTimeCard } from "./trend-form.js";
@@ -19,14 +22,42 @@ export function mount(root, { store, actions, go }) {
   const jobs = h("div", { class: "table-scroll" });
   const runs = h("div", { class: "table-scroll" });
   const over = h("div", { class: "stack" });
+  const compared = h("div", { class: "stack", "aria-live": "polite" });
+  const picked = new Set();
+  const filter = filterFields(() => list(store.get()));
+  let errors = new Map();
   root.append(head(t("records.title"), t("records.text")), modelNotice(store.get().machine),
-    h("div", { class: "stack records" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs), over,
+    h("div", { class: "stack records" }, card(t("records.jobs"), filter.element, jobs, compared), card(t("records.runs"), runs), over,
       card(t("connect.recorded"), dropZone(store, actions))));
   actions.loadRecords().catch(actions.refuse);
+  findErrors(store.get().machines).then((found) => {
+    errors = found;
+    list(store.get());
+  }, () => {}); // the list stands without them
+
+  function list({ jobs: all }) {
+    filter.offer([...new Set(all.map(({ kind }) => kind))]);
+    const shown = all.filter((job) => filter.takes(job, errors));
+    jobs.replaceChildren(jobTable(shown, { go, errors, picked, pick, isFiltered: all.length > 0 }));
+  }
+
+  /** Choose a result; of two the difference is shown, a third one takes the place of the older choice. */
+  async function pick(job) {
+    if (!picked.delete(job.id)) picked.add(job.id);
+    if (picked.size > 2) picked.delete([...picked][0]);
+    list(store.get());
+    compared.replaceChildren();
+    if (picked.size < 2) return;
+    const asked = [...picked].join();
+    const pair = store.get().jobs.filter(({ id }) => picked.has(id)).sort((a, b) => (a.created < b.created ? 1 : -1));
+    const shown = await comparison(pair);
+    if ([...picked].join() === asked) compared.replaceChildren(...shown);
+  }
+
   const before = {};
   return {
     update(state) {
-      if (state.jobs !== before.jobs) jobs.replaceChildren(jobTable(state.jobs, go));
+      if (state.jobs !== before.jobs) list(state);
       if (state.runs !== before.runs) over.replaceChildren(...[overTimeCard(state.runs, go)].filter(Boolean));
       if (state.runs !== before.runs || state.busy !== before.busy) {
         runs.replaceChildren(runTable(state, actions));
@@ -37,18 +68,64 @@ export function mount(root, { store, actions, go }) {
   };
 }
 
+/** What each calibration has found, by job: the mean volumetric error with its U, in words. */
+async function findErrors(machines) {
+  const found = await Promise.all(machines.map(({ id }) => api.machineHistory(id)));
+  return new Map(found.flatMap(({ entries, calibrations }) => {
+    const at = entries.findIndex(({ label }) => label === "mean");
+    return calibrations.filter(({ value }) => typeof value[at] === "number").map(({ job_id, value, uncertainty }) => {
+      const u = quantity(COVERAGE * uncertainty[at], "gap", decimalsOf("error"));
+      return [job_id, `${figure(value[at], "gap", decimalsOf("error"))} ± ${u}`];
+    });
+  }));
+}
+
+const nameOf = (job) => [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
+
+/** Text and kind to look for; `offer(kinds)` tells what there is, `takes(job, errors)` whether a job is shown. */
+function filterFields(changed) {
+  const text = h("input", { id: "record-text", type: "search", autocomplete: "off", oninput: changed });
+  const kind = h("select", { id: "record-kind", onchange: changed });
+  const field = (input, label) => h("div", { class: "text-field" }, h("label", { for: input.id }, label), input);
+  return {
+    element: h("div", { class: "filter" }, field(text, t("records.look_for")), field(kind, t("records.kind"))),
+    offer(kinds) {
+      const asked = kind.value;
+      kind.replaceChildren(h("option", { value: "" }, t("records.all_kinds")), ...kinds.map((one) => h("option", { value: one }, kindOf(one))));
+      kind.value = kinds.includes(asked) ? asked : "";
+    },
+    takes(job, errors) {
+      const words = [nameOf(job), wordOf(job.state), job.machine, job.owner, errors.get(job.id)].filter(Boolean).join(" ").toLowerCase();
+      return (!kind.value || job.kind === kind.value) && words.includes(text.value.trim().toLowerCase());
+    },
+  };
+}
+
+async function comparison([later, earlier]) {
+  const title = h("h3", {}, t("records.compared", { later: nameOf(later), earlier: nameOf(earlier) }));
+  try {
+    const [now, then] = await Promise.all([api.result(later.id), api.result(earlier.id)]);
+    return [title, describeChange(now, then)];
+  } catch (error) {
+    if (!(error instanceof api.Problem)) throw error;
+    return [title, notice("fault", error.title || t("problem.refused"), error.detail, error.action)];
+  }
+}
+
 const table = (titles, rows) => h("table", {},
   h("thead", {}, h("tr", {}, titles.map((title) => h("th", {}, title)),
     h("th", {}, h("span", { class: "unseen" }, t("records.actions"))))), h("tbody", {}, rows));
 
-function jobTable(jobs, go) {
-  if (!jobs.length) return h("p", { class: "empty" }, t("records.no_jobs"));
-  const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.took")];
+function jobTable(jobs, { go, errors, picked, pick, isFiltered }) {
+  if (!jobs.length) return h("p", { class: "empty" }, t(isFiltered ? "records.none_such" : "records.no_jobs"));
+  const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.error"), t("records.took")];
   return table(titles, jobs.map((job) => h("tr", {},
     h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state)),
       verdictMark(job)),
-    h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", {}, took(job)),
+    h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id) ?? "–"), h("td", {}, took(job)),
     h("td", {}, h("div", { class: "row-actions" },
+      statesTables(job) && h("button", { class: "button pick", type: "button", "aria-pressed": String(picked.has(job.id)), onclick: () => pick(job) },
+        picked.has(job.id) && icon("check"), t("records.compare")),
       h("button", { class: "button", type: "button", onclick: () => go(addressOf(job)) },
         t(job.state === "succeeded" ? "records.result" : "records.open")))))));
 }
@@ -67,5 +144,5 @@ function runTable({ runs, busy }, actions) {
     h("td", {}, h("div", { class: "row-actions" },
       h("button", { class: "button", type: "button", "data-needs": "operator", disabled: Boolean(busy),
         onclick: () => actions.analyse(run.id) }, t("records.analyse")),
-      linkButton(links.bundle(run.id), "download", t("result.bundle"), { download: `${run.id}.zip` }))))));
+      linkButton(api.links.bundle(run.id), "download", t("result.bundle"), { download: `${run.id}.zip` }))))));
 }
