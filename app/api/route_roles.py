@@ -90,6 +90,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /jobs/{job_id}/comparisons/{comparison_id}/report.html": _VIEWER,
     "GET /nc-dialects": _VIEWER,
     "GET /compensation-formats": _VIEWER,
+    "GET /drivers": _VIEWER,
     "GET /models": _VIEWER,
     "GET /models/{model_id}": _VIEWER,
     "GET /models/{model_id}/versions": _VIEWER,

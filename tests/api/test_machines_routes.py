@@ -96,6 +96,15 @@ def test_a_machine_of_the_settings_is_changed_in_the_settings(client, is_problem
     is_problem(answer, 409, "set-elsewhere")
 
 
+def test_drivers_are_listed_with_the_options_that_a_choice_may_give(client):
+    items = client.get("/api/v1/drivers").json()["items"]
+    assert {one["device"] for one in items} == {"tracker", "motion", "thermometer"}
+    (streaming,) = [one for one in items if one["name"] == "streaming"]
+    options = {option["name"]: option for option in streaming["options"]}
+    assert options.keys() >= DEVICES["tracker_options"].keys()
+    assert options["port"]["is_required"]
+
+
 def test_a_trial_says_what_the_tracker_sends(client, make_cell):
     answer = client.post(f"{BASE}/default/devices:try")
     assert answer.status_code == 200, answer.text

@@ -9,6 +9,7 @@ from fastapi import FastAPI, Query, Request, UploadFile
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from scripted_data import (
+    DRIVERS,
     FORMATS,
     MACHINE,
     MOTION,
@@ -211,6 +212,23 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         found = next(one for one in service.machines if one["id"] == machine_id)
         known = {"machine_file": service.machine, "connected": service.connected}
         return found | known
+
+    @app.get(f"{API}/drivers")
+    def drivers() -> Any:
+        return {"items": DRIVERS}
+
+    @app.put(f"{API}/machines/{{machine_id}}/devices")
+    async def set_devices(machine_id: str, request: Request) -> Any:
+        devices = await request.json()
+        service.requests.append(("PUT", f"/machines/{machine_id}/devices", devices))
+        entry = next(one for one in service.machines if one["id"] == machine_id)
+        entry["devices"] = devices
+        return entry
+
+    @app.post(f"{API}/machines/{{machine_id}}/devices:try")
+    def try_devices(machine_id: str) -> Any:
+        tried = {"samples": 42, "usable": 42, "lost_samples": 0}
+        return tried | {"text": "42 samples", "distance_mm": 1234.0}
 
     @app.post(f"{API}/machines/{{machine_id}}:connect")
     def connect_one(machine_id: str) -> Any:

@@ -442,10 +442,33 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
     }
 
 
+def driver_option(name: str, kind: str, *, usual: Any = None) -> dict[str, Any]:
+    """An option of a driver; without a usual value it has to be given."""
+    return {"name": name, "type": kind, "default": usual, "is_required": usual is None}
+
+
+_LINK = [driver_option("host", "str | None", usual=""), driver_option("port", "int")]
+DRIVERS = [
+    {"device": "tracker", "name": "geocom", "options": _LINK},
+    {
+        "device": "tracker",
+        "name": "streaming",
+        "options": [
+            *_LINK,
+            driver_option("compact", "bool", usual=False),
+            driver_option("turn_s", "float", usual=20.0),
+        ],
+    },
+    {"device": "motion", "name": "modbus", "options": _LINK},
+    {"device": "thermometer", "name": "registers", "options": _LINK},
+]
+
+
 def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
     """A machine as the registry lists it."""
     names = ("maker", "model", "serial_number", "control", "customer", "place")
     entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
+    entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
     return {**entry, "tolerance_um": None, "connected": True, "cell": "ready", **more}
 
 

@@ -232,3 +232,41 @@ def test_records_are_looked_through_by_text_and_kind_and_two_are_compared(
     expect(page.locator("table.compare")).to_be_visible()
     expect(page.locator("h3", has_text="held against")).to_be_visible()
     assert service.jobs[later]["state"] == "succeeded"
+
+
+def test_drivers_are_chosen_and_tried_without_a_text_editor(panel, service):
+    service.machines = [machine_entry(origin="catalogue", devices={})]
+    page = panel.open("#/connect")
+    card = page.locator("[data-card=devices]")
+    tracker, control = (
+        card.locator(f"[data-device={w}]") for w in ("tracker", "motion")
+    )
+    expect(tracker.get_by_label("Laser tracker")).to_have_value("streaming")
+    tracker.get_by_label("host").fill("192.0.2.7")
+    tracker.get_by_label("port").fill("5000")
+    tracker.get_by_text("More options").click()
+    tracker.get_by_label("turn_s").fill("12.5")
+    control.get_by_label("port").fill("502")
+    card.get_by_role("button", name="Save the drivers").click()
+    card.get_by_role("button", name="Try the tracker").click()
+    expect(card.get_by_role("status")).to_contain_text(
+        "42 samples, 0 lost, target 1.2 m away"
+    )
+    (devices,) = [body for method, _, body in service.requests if method == "PUT"]
+    assert devices == {
+        "tracker_driver": "streaming",
+        "tracker_options": {"host": "192.0.2.7", "port": 5000, "turn_s": 12.5},
+        "motion_driver": "modbus",
+        "motion_options": {"port": 502},
+        "thermometer_driver": "",
+        "thermometer_options": {},
+    }
+
+
+def test_drivers_of_the_settings_are_only_tried(panel, service):
+    page = panel.open("#/connect", language="de")
+    card = page.locator("[data-card=devices]")
+    expect(card).to_contain_text("in den Einstellungen des Dienstes")
+    expect(card.locator("form")).to_have_count(0)
+    card.get_by_role("button", name="Tracker erproben").click()
+    expect(card).to_contain_text("Reflektor in 1,2 m Abstand")

@@ -96,6 +96,12 @@ export const machines = async () => items(await call("GET", "/machines"));
 export const machineRecord = (id) => call("GET", `/machines/${id}`);
 /** Say who a machine is. */
 export const changeMachine = (id, change) => call("PATCH", `/machines/${id}`, { json: change });
+/** The installed drivers and their options. */
+export const drivers = async () => items(await call("GET", "/drivers"));
+/** Choose drivers and options; no port is opened yet. */
+export const setDevices = (id, devices) => call("PUT", `/machines/${id}/devices`, { json: devices, patience_ms: 60000 });
+/** Connect and listen to the tracker for a second; nothing moves. */
+export const tryDevices = (id) => call("POST", `/machines/${id}/devices:try`, { patience_ms: 60000 });
 /** The volumetric error over all calibrations of a machine. */
 export const machineHistory = (id) => call("GET", `/machines/${id}/history`);
 export const machineStanding = (id) => call("GET", `/machines/${id}/standing`);

@@ -1,9 +1,11 @@
-/* Step 1: tracker and machine control answer, and are the ones expected. */
+/* The step Connect: tracker and machine control answer, and are the ones expected. */
 import { h, icon, mark, s } from "../dom.js";
 import { addressOf, isActive, isConnected } from "../flow.js";
 import { card, head, pairs } from "../parts.js";
 import { number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
+import { conditionsCard } from "./conditions-card.js";
+import { deviceCard } from "./device-card.js";
 import { dropZone } from "./drop.js";
 
 /** Button that leads on. */
@@ -29,17 +31,27 @@ export function mount(root, { store, actions }) {
   const control = device("controller", t("connect.control"));
   const thermometers = device("tracker", t("connect.thermometers"));
   const machineCard = h("section", { class: "card" });
+  const devices = deviceCard({ actions });
+  const held = h("div");
+  let conditions = null; // asked for once somebody can answer
   root.append(
     head(t("connect.title"), t("connect.text")),
     h("div", { class: "columns" },
       h("div", { class: "stack" }, tracker.element, control.element,
         thermometers.element,
         card(t("connect.recorded"), dropZone(store, actions))),
-      machineCard),
+      h("div", { class: "stack" }, machineCard, held, devices.element)),
   );
   let described = null;
   return {
-    update({ machine }) {
+    update(state) {
+      const { machine } = state;
+      devices.update(state);
+      if (!conditions && isConnected(machine)) {
+        conditions = conditionsCard(store);
+        held.append(conditions.element);
+      }
+      conditions?.update(state.conditions);
       tracker.update(machine?.tracker, isConnected(machine));
       control.update(machine?.motion, isConnected(machine));
       thermometers.update(machine?.thermometers, isConnected(machine));
@@ -48,7 +60,9 @@ export function mount(root, { store, actions }) {
       described = machine;
       machineCard.replaceChildren(...describe(machine));
     },
-    close() {},
+    close() {
+      conditions?.close();
+    },
   };
 }
 

@@ -1,0 +1,71 @@
+"""The installed drivers, and the options that a machine may give each."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+
+from truepath.app.device_options import DEVICES, DriverOption, list_options
+from truepath.app.plugins import find_plugins
+
+router = APIRouter(prefix="/drivers", tags=["machines"])
+
+
+class DriverOptionOut(BaseModel):
+    """An option of a driver."""
+
+    name: str = Field(examples=["port"])
+    type: str = Field(examples=["str | int"], description="As Python writes types.")
+    is_required: bool
+    default: Any = Field(None, description="Null where it has to be given.")
+
+
+class DriverOut(BaseModel):
+    """A driver that is installed."""
+
+    device: str = Field(
+        examples=["tracker"],
+        description="`tracker`, `motion` or `thermometer`: which settings name it, as "
+        "in `tracker_driver` and `tracker_options`.",
+    )
+    name: str = Field(examples=["streaming"])
+    options: list[DriverOptionOut]
+
+
+class DriverList(BaseModel):
+    """All drivers, those of trackers first."""
+
+    items: list[DriverOut]
+
+
+@router.get("")
+def list_drivers() -> DriverList:
+    """List the installed drivers and the options of each."""
+    items = [
+        DriverOut(device=device, name=name, options=_describe(group, name))
+        for device, group in DEVICES.items()
+        for name in sorted(find_plugins(group))
+    ]
+    return DriverList(items=items)
+
+
+def _describe(group: str, name: str) -> list[DriverOptionOut]:
+    return [
+        DriverOptionOut(
+            name=one.name,
+            type=one.kind,
+            is_required=one.is_required,
+            default=_to_json(one),
+        )
+        for one in list_options(group, name)
+    ]
+
+
+def _to_json(option: DriverOption) -> Any:
+    """Return the default as JSON has it; what JSON cannot have as its text."""
+    if option.is_required:
+        return None
+    return json.loads(json.dumps(option.default, default=str))
