@@ -34,7 +34,7 @@ def test_the_task_runs_from_connect_to_result(panel, service):
     page = panel.open()
     follow(page, "Connect devices")
     expect(page.locator("[data-connected]")).to_have_count(2)
-    expect(page.locator(".pairs")).to_contain_text("500 Hz")
+    expect(page.locator(".pairs").first).to_contain_text("500 Hz")
     follow(page, "Plan the run")
     follow(page, "Prepare the run")
     expect(page.locator(NEXT)).to_be_disabled()
