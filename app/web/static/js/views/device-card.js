@@ -3,6 +3,7 @@ import * as api from "../api.js";
 import { h, write } from "../dom.js";
 import { isActive, isMeasuring } from "../flow.js";
 import { card, notice, pairs } from "../parts.js";
+import { wordProblem } from "../problems.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
@@ -73,7 +74,8 @@ function tried({ samples, usable, lost_samples: lost, distance_mm }) {
 
 function refusal(error) {
   if (!(error instanceof api.Problem)) throw error;
-  return notice("fault", error.title || t("problem.unreachable"), error.detail, error.action);
+  const { title, text, action } = wordProblem(error);
+  return notice("fault", title, text, action);
 }
 
 /** What the settings of the service have chosen. */

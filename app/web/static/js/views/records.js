@@ -4,6 +4,7 @@ import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, statesTables } from "../flow.js";
 import { card, head, kindOf, linkButton, notice, shapeOf, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { wordProblem } from "../problems.js";
 import { dateTime, duration, number, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
 import { describe as describeChange } from "./compare-card.js";
@@ -108,7 +109,8 @@ async function comparison([later, earlier]) {
     return [title, describeChange(now, then)];
   } catch (error) {
     if (!(error instanceof api.Problem)) throw error;
-    return [title, notice("fault", error.title || t("problem.refused"), error.detail, error.action)];
+    const { title: what, text, action } = wordProblem(error);
+    return [title, notice("fault", what, text, action)];
   }
 }
 
