@@ -12,13 +12,16 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import structlog
+from sqlalchemy import Connection
 
 from truepath.app.api.application import create_application
+from truepath.app.api.models.base import PREFIX
 from truepath.app.api.server import (
     Server,
     bind_socket,
@@ -43,6 +46,7 @@ from truepath.app.jobs.cell_setup import (
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.deletion import Deleted, Deletion
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
@@ -50,6 +54,7 @@ from truepath.app.jobs.live_estimation import LiveEstimation
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.machine_setup import ConfiguredMachine, MachineSetup
 from truepath.app.jobs.reconciliation import Reconciliation
+from truepath.app.jobs.retention import Retention, RetentionRules
 from truepath.app.jobs.run_reader import ReadingLimits, RunReader
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded, prepare
@@ -61,6 +66,7 @@ from truepath.app.plugins import load
 from truepath.app.service_log import configure_log
 from truepath.app.settings import Settings
 from truepath.app.users.access import Access, AccessRules
+from truepath.app.users.audit import AuditLog, Entry
 from truepath.app.users.certificates import TlsFiles, check_tls_files
 from truepath.app.web import pages
 
@@ -121,6 +127,17 @@ def open_service(settings: Settings) -> Iterator[Service]:
         stack.callback(look.join)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
+        deletion = Deletion(database, context.runs, context.results)
+        retention = Retention(
+            context,
+            calibrations,
+            deletion,
+            RetentionRules(settings.keep_runs_days, settings.keep_results_days),
+            partial(_audit_retention, access.audit_log),
+            lambda: dispatcher.is_measuring,
+        )
+        stack.callback(retention.close)
+        retention.start()
         service = Service(
             version=version("truepath"),
             simulated=settings.simulated,
@@ -133,12 +150,21 @@ def open_service(settings: Settings) -> Iterator[Service]:
             machines=context.machines,
             setup=setup,
             calibrations=calibrations,
+            deletion=deletion,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
             access=access,
         )
         stack.callback(service.end_streams)
         yield service
+
+
+def _audit_retention(
+    audit_log: AuditLog, connection: Connection, deleted: Deleted
+) -> None:
+    what = f"DELETE {PREFIX}/{deleted.kind}s/{deleted.id}"
+    entry = Entry("", "", "retention", "", what, "204", old=deleted.files)
+    audit_log.join(connection, entry)
 
 
 def _make_context(

@@ -118,6 +118,12 @@ class Settings(DeviceConfiguration, BaseSettings):
     max_streams: int = Field(64, ge=1, le=10_000)
     """Event streams open at one time; each browser tab holds one."""
 
+    keep_runs_days: int = Field(0, ge=0, le=36500)
+    """Days after which a Run that no result was made from is deleted; 0: never."""
+    keep_results_days: int = Field(0, ge=0, le=36500)
+    """Days after which a job is deleted with its answer; 0: never. What a machine's
+    history, a certificate or another job depends on stays."""
+
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """What is logged, and all that is graver."""
     log_format: Literal["console", "json"] = "console"

@@ -7,7 +7,7 @@ it is known who sends it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Protocol
@@ -29,6 +29,7 @@ from truepath.app.api.route_roles import (
     find_route,
 )
 from truepath.app.errors import TruepathError
+from truepath.app.jobs.deletion import Deleted
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.users.access import Access, require_person, require_role
 from truepath.app.users.audit import Entry
@@ -120,6 +121,12 @@ def note_change(
     """Say for the audit log what the request changes."""
     state: State = request.state
     state.old, state.new = old, new
+
+
+def note_deletion(request: HTTPConnection, deleted: Sequence[Deleted]) -> None:
+    """Say for the audit log what a request has deleted: files and their digests."""
+    old = {name: sha256 for one in deleted for name, sha256 in one.files.items()}
+    note_change(request, old=old, new={})
 
 
 class _Named(Protocol):

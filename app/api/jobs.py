@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.access_control import note_change, note_naming
+from truepath.app.api.access_control import note_change, note_deletion, note_naming
 from truepath.app.api.models.arming import ArmRequest
 from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
 from truepath.app.api.models.job import (
@@ -145,6 +145,19 @@ def rename_job(
     job = service.store.rename(job_id, body.name, body.note)
     note_naming(request, before, job)
     return _describe(service.dispatcher.show(job), response)
+
+
+@router.delete("/{job_id}", status_code=204, responses=declare_problems(404, 409))
+def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> None:
+    """Delete a job that has ended, with its answer. Its Runs stay.
+
+    Not one that others were made from, that a machine is held against or that a
+    certificate states.
+    """
+    machine = service.store.get(job_id).machine
+    note_deletion(request, [service.deletion.delete_job(job_id)])
+    if machine is not None:
+        service.calibrations.judge(machine)
 
 
 @router.post(

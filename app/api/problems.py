@@ -90,6 +90,8 @@ def describe_error(error: Exception) -> dict[str, Any]:
         extra["controller"] = error.controller
     if isinstance(error, job_errors.NotInOrder):
         extra["conditions"] = [one.type for one in error.obstacles]
+    if isinstance(error, job_errors.StillNeeded):
+        extra["dependents"] = list(error.dependents)
     if isinstance(error, job_errors.StaleVersion):
         extra["current_version"] = error.current
     if isinstance(error, app_errors.BundleError):

@@ -16,7 +16,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.access_control import note_naming
+from truepath.app.api.access_control import note_deletion, note_naming
 from truepath.app.api.jobs import NamePart, Since, Until
 from truepath.app.api.models.base import PREFIX, Links, RunId
 from truepath.app.api.models.naming import Name, RunNaming
@@ -111,6 +111,26 @@ def rename_run(
     run = service.runs.rename(run_id, body.name, body.note)
     note_naming(request, before, run)
     return _describe(run)
+
+
+@router.delete("/{run_id}", status_code=204, responses=declare_problems(404, 409, 422))
+def delete_run(
+    run_id: RunId,
+    request: Request,
+    service: ServiceDep,
+    with_results: Annotated[
+        bool, Query(description="Delete the jobs too whose answers depend on it.")
+    ] = False,
+) -> None:
+    """Delete a Run and its file. Jobs without an answer forget it.
+
+    Not one whose job is under way, nor of a result that a certificate states, that
+    other jobs were made from or that a machine is held against.
+    """
+    deleted = service.deletion.delete_run(run_id, with_results=with_results)
+    note_deletion(request, deleted)
+    if len(deleted) > 1:
+        service.calibrations.judge_all()
 
 
 @router.get(

@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.deletion import Deletion
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.job import JobEvent
@@ -45,6 +46,7 @@ class Service:
     machines: Machines
     setup: MachineSetup
     calibrations: Calibrations
+    deletion: Deletion
     access: Access
     max_upload_bytes: int = 512 << 20
     max_streams: int = 64

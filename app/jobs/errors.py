@@ -168,6 +168,17 @@ class DiskFull(TruepathError):
     """The disk of the data folder has no room left for this."""
 
 
+class StillNeeded(JobError):
+    """What is to be deleted has not ended, or something depends on it.
+
+    dependents : addresses or names of that
+    """
+
+    def __init__(self, text: str, dependents: Sequence[str] = ()) -> None:
+        super().__init__(text)
+        self.dependents = tuple(dependents)
+
+
 class SchemaTooNew(BadInput):
     """The catalogue was written by a newer version of the service."""
 

@@ -33,7 +33,7 @@ from truepath.app.jobs.job import (
     make_id,
 )
 from truepath.app.jobs.run_reader import RunFacts, RunReader
-from truepath.app.jobs.schema import runs
+from truepath.app.jobs.schema import deletions, runs
 from truepath.app.measurement.run_file import hash_file
 from truepath.app.measurement.run_reading import open_run, read_job_id
 from truepath.app.measurement.run_repair import repair_run
@@ -128,7 +128,8 @@ class RunCatalogue:
     def list_uploads_left(self) -> list[str]:
         """Return the Runs of uploaded bundles that no row names, the oldest first."""
         found = sorted(file.stem for file in self._folder.glob("*.zip"))
-        return [run_id for run_id in found if not self.find([run_id])]
+        deleted = self._list_deleted()
+        return [i for i in found if i not in deleted and not self.find([i])]
 
     def list_left_behind(self) -> list[str]:
         """Return the Runs of recorded files that no row names, the oldest first."""
@@ -136,7 +137,15 @@ class RunCatalogue:
         with self._database.read() as connection:
             known = set(connection.execute(query).scalars())
         recorded = sorted(file.stem for file in self._folder.glob("*.sqlite"))
+        known |= self._list_deleted()
         return [run_id for run_id in recorded if run_id not in known]
+
+    def remove_files(self, run_id: str) -> None:
+        """Remove the files of a Run that no row names any more. Raises OSError."""
+        ends = (".sqlite", ".sqlite-wal", ".sqlite-shm", ".sqlite-journal", ".zip")
+        for name in (*(f"{run_id}{end}" for end in ends), f"bundles/{run_id}.zip"):
+            (self._folder / name).unlink(missing_ok=True)
+        sync_to_disk(self._folder)
 
     def read_job_id(self, run_id: str) -> str:
         """Return the job that has recorded a Run: the file says it, else its name."""
@@ -273,6 +282,12 @@ class RunCatalogue:
         """Remove what interrupted uploads have left."""
         for left in self._folder.glob("*.upload"):
             left.unlink(missing_ok=True)
+
+    def _list_deleted(self) -> set[str]:
+        """Return the Runs that were deleted and whose files may be there still."""
+        query = select(deletions.c.id).where(deletions.c.kind == "run")
+        with self._database.read() as connection:
+            return set(connection.execute(query).scalars())
 
     def _insert(self, facts: RunFacts, file: Path, name: str, **own: Any) -> RunRecord:
         query = insert(runs).values(

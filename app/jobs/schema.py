@@ -108,6 +108,14 @@ events = sa.Table(
     sqlite_autoincrement=True,
 )
 
+deletions = sa.Table(
+    "deletions",
+    metadata,
+    sa.Column("kind", sa.String(8), primary_key=True),  # run, job
+    sa.Column("id", sa.String(36), primary_key=True),
+    sa.Column("created", sa.String(32), nullable=False),
+)
+
 idempotency_keys = sa.Table(
     "idempotency_keys",
     metadata,

@@ -201,6 +201,12 @@ class Store:
         found = self._read(_JOBS.where(own).order_by(jobs.c.seq))
         return [job for job in found if job.has_result]
 
+    def list_machines(self) -> list[str]:
+        """Return the machines that jobs are about."""
+        query = select(jobs.c.machine).where(jobs.c.machine.is_not(None)).distinct()
+        with self._database.read() as connection:
+            return sorted(str(one) for one in connection.execute(query).scalars())
+
     def list_without_run(self) -> list[Job]:
         """Return the measurements that have ended and name no Run, but have one."""
         has_run = exists().where(runs.c.id == jobs.c.id)

@@ -61,7 +61,11 @@ class AuditLog:
 
     def append(self, entry: Entry) -> AuditRow:
         """Add an entry as the newest row."""
-        return self._database.write(lambda connection: _append(connection, entry))
+        return self._database.write(lambda connection: self.join(connection, entry))
+
+    def join(self, connection: Connection, entry: Entry) -> AuditRow:
+        """Add an entry within the transaction of what it tells of."""
+        return _append(connection, entry)
 
     def read(self, *, after: int = 0, limit: int | None = None) -> Iterator[AuditRow]:
         """Yield rows in their order, from the one behind `after`."""

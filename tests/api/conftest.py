@@ -25,6 +25,7 @@ from truepath.app.jobs.cell_setup import CellSetup
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.deletion import Deletion
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.machine_cells import MachineCell, Machines
@@ -187,6 +188,7 @@ def service(
         machines=machines,
         setup=setup,
         calibrations=calibrations,
+        deletion=Deletion(database, context.runs, results),
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,

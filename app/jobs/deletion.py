@@ -1,0 +1,250 @@
+"""Deletes jobs and Runs: first their rows, then their files.
+
+The rows go in one transaction, which notes what has been deleted. Files follow; what a
+crash, or a disk that refuses, has left of them goes at the next sweep, and no Run that
+is noted as deleted is taken into the catalogue again. What something else depends on is
+not deleted: a job that others were made from, that a machine is held against or that a
+certificate states; a Run of a result.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+from sqlalchemy import Connection, Text, cast, delete, insert, or_, select, update
+
+from truepath.app.errors import NotFound
+from truepath.app.files.file_model import as_object, parse_json
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import StillNeeded
+from truepath.app.jobs.job import Job, JobKind, decode_job, format_utc_now
+from truepath.app.jobs.runs import RunCatalogue
+from truepath.app.jobs.schema import (
+    deletions,
+    events,
+    idempotency_keys,
+    jobs,
+    machines,
+    runs,
+)
+from truepath.app.jobs.transitions import State
+from truepath.app.measurement.run_file import hash_file
+
+log = structlog.get_logger(__name__)
+
+_JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
+_STATED = ("result.json", "verification.json")  # by certificates, of other jobs too
+_CERTIFICATES = "certificates/*/certificate.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Deleted:
+    """A job or a Run that was deleted.
+
+    kind : `job` or `run`
+    files : SHA-256 by name, below the folder of the data
+    """
+
+    kind: str
+    id: str
+    files: Mapping[str, str]
+
+
+Note = Callable[[Connection, Deleted], None]
+
+
+class Deletion:
+    """Deletes what nothing depends on. Any thread may call it."""
+
+    def __init__(self, database: Database, catalogue: RunCatalogue, results: Path):
+        self._database, self._catalogue, self._results = database, catalogue, results
+
+    def delete_job(self, job_id: str, note: Note | None = None) -> Deleted:
+        """Delete a job that has ended, with its answer. Its Runs stay.
+
+        note : is called in the same transaction
+
+        Raises NotFound, StillNeeded.
+        """
+        self._refuse_certified(job_id)
+        found = Deleted("job", job_id, self._hash_files(job_id))
+
+        def change(connection: Connection) -> None:
+            _delete_job(connection, _read_job(connection, job_id))
+            if note is not None:
+                note(connection, found)
+
+        self._database.write(change)
+        self.remove_files()
+        return found
+
+    def delete_run(
+        self, run_id: str, *, with_results: bool = False, note: Note | None = None
+    ) -> list[Deleted]:
+        """Delete a Run; what has no answer forgets it. Return all that was deleted.
+
+        with_results : delete the jobs too whose answers were made from it
+        note : is called in the same transaction, for each
+
+        Raises NotFound, StillNeeded.
+        """
+        record = self._catalogue.get(run_id)
+        with self._database.read() as connection:
+            answers = [job for job in _list_users(connection, run_id) if _answers(job)]
+        if answers and not with_results:
+            raise _needed(f"run {run_id}", answers)
+        for job in answers:
+            self._refuse_certified(job.id)
+        found = [Deleted("job", job.id, self._hash_files(job.id)) for job in answers]
+        files = {f"runs/{record.file}": record.sha256}
+        found.append(Deleted("run", run_id, files))
+        allowed = {job.id for job in answers}
+
+        def change(connection: Connection) -> None:
+            _delete_run(connection, run_id, allowed)
+            if note is not None:
+                for one in found:
+                    note(connection, one)
+
+        self._database.write(change)
+        self.remove_files()
+        return found
+
+    def remove_files(self) -> None:
+        """Remove the files of all that has been deleted, and forget it then.
+
+        What cannot be removed is logged and tried again the next time.
+        """
+        with self._database.read() as connection:
+            noted = connection.execute(select(deletions.c.kind, deletions.c.id)).all()
+        for kind, name in noted:
+            try:
+                self._remove_files_of(kind, name)
+            except OSError as error:
+                log.warning("files stay", deleted=kind, id=name, reason=str(error))
+                continue
+            gone = (deletions.c.kind == kind) & (deletions.c.id == name)
+            query = delete(deletions).where(gone)
+            self._database.write(lambda c, query=query: c.execute(query).rowcount)
+            log.info("deleted", kind=kind, id=name)
+
+    def _remove_files_of(self, kind: str, name: str) -> None:
+        if kind == "run":
+            self._catalogue.remove_files(name)
+            return
+        folder = self._results / name
+        if folder.is_dir():
+            shutil.rmtree(folder)
+
+    def _hash_files(self, job_id: str) -> dict[str, str]:
+        files = sorted(f for f in (self._results / job_id).rglob("*") if f.is_file())
+        above = self._results.parent
+        return {f.relative_to(above).as_posix(): hash_file(f) for f in files}
+
+    def _refuse_certified(self, job_id: str) -> None:
+        """Raise StillNeeded where a certificate states what a job has left."""
+        own = self._results / job_id
+        stated = {hash_file(own / n) for n in _STATED if (own / n).is_file()}
+        for record in self._results.glob(f"*/{_CERTIFICATES}"):
+            content = as_object(parse_json(record.read_bytes(), record.name))
+            sources = as_object(content.get("sources_sha256")).values()
+            if record.is_relative_to(own) or stated.intersection(sources):
+                number = record.parent.name
+                text = f"certificate {number} states the result of job {job_id}"
+                raise StillNeeded(text, [f"certificate {number}"])
+
+
+def _delete_job(
+    connection: Connection, job: Job, together: frozenset[str] | set[str] = frozenset()
+) -> None:
+    """Delete the rows of a job that nothing depends on but what goes with it."""
+    if not job.is_final:
+        raise StillNeeded(f"job {job.id} ({job.state}) has not ended", [job.id])
+    users = [one for one in _list_users(connection, job.id) if one.id not in together]
+    users = [one for one in users if one.id != job.id]
+    if users:
+        raise _needed(f"job {job.id}", users)
+    held = select(machines.c.id).where(machines.c.reference_job == job.id)
+    for machine in connection.execute(held).scalars():
+        text = f"machine {machine} is held against job {job.id}"
+        raise StillNeeded(text, [f"machine {machine}"])
+    for table in (events, idempotency_keys):
+        connection.execute(delete(table).where(table.c.job_id == job.id))
+    connection.execute(delete(jobs).where(jobs.c.id == job.id))
+    _note_deletion(connection, "job", job.id)
+
+
+def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
+    """Delete the row of a Run, and the jobs with answers that may go with it."""
+    users = _list_users(connection, run_id)
+    needed = [
+        job
+        for job in users
+        if not job.is_final or (_answers(job) and job.id not in allowed)
+    ]
+    if needed:
+        raise _needed(f"run {run_id}", needed)
+    for job in users:
+        if _answers(job):
+            _delete_job(connection, job, allowed)
+        elif run_id in job.run_ids:
+            _forget_run(connection, job, run_id)
+    connection.execute(delete(runs).where(runs.c.id == run_id))
+    _note_deletion(connection, "run", run_id)
+
+
+def _forget_run(connection: Connection, job: Job, run_id: str) -> None:
+    left = [one for one in job.run_ids if one != run_id]
+    if job.run_id != run_id:
+        first = job.run_id
+    else:
+        is_extra = job.kind is JobKind.MEASURE_EXTRA  # its own Run is the last one
+        first = left[0] if left and not is_extra else None
+    values = {
+        "run_id": first,
+        "further_run_ids": [one for one in left if one != first],
+        "version": job.version + 1,
+    }
+    connection.execute(update(jobs).where(jobs.c.id == job.id).values(**values))
+
+
+def _answers(job: Job) -> bool:
+    """Whether a job has left something that was made from its Runs."""
+    return job.state is State.SUCCEEDED and job.kind is not JobKind.PLAN
+
+
+def _list_users(connection: Connection, name: str) -> Sequence[Job]:
+    """Return the jobs that name a job or a Run, in what they were asked or have."""
+    texts = (cast(column, Text) for column in (jobs.c.further_run_ids, jobs.c.plan))
+    named = [text.contains(name, autoescape=True) for text in texts]
+    query = _JOBS.where(or_(jobs.c.run_id == name, *named)).order_by(jobs.c.seq)
+    return list(_select_jobs(connection, query))
+
+
+def _read_job(connection: Connection, job_id: str) -> Job:
+    for job in _select_jobs(connection, _JOBS.where(jobs.c.id == job_id)):
+        return job
+    raise NotFound(f"there is no job {job_id}")
+
+
+def _select_jobs(connection: Connection, query: Any) -> Iterator[Job]:
+    for row in connection.execute(query).mappings():
+        yield decode_job({**row})
+
+
+def _needed(what: str, users: Sequence[Job]) -> StillNeeded:
+    named = ", ".join(f"{job.id} ({job.kind}, {job.state})" for job in users[:10])
+    more = f" and {len(users) - 10} more" if len(users) > 10 else ""
+    return StillNeeded(
+        f"{what} is used by job {named}{more}", [job.id for job in users]
+    )
+
+
+def _note_deletion(connection: Connection, kind: str, name: str) -> None:
+    row = {"kind": kind, "id": name, "created": format_utc_now()}
+    connection.execute(insert(deletions).values(**row))
