@@ -154,6 +154,11 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def planned(plan_id: str) -> Any:
         return service.planned
 
+    @app.patch(f"{API}/jobs/{{job_id}}")
+    async def rename(job_id: str, request: Request) -> Any:
+        service.jobs[job_id].update(await request.json())
+        return service.jobs[job_id]
+
     @app.get(f"{API}/jobs/{{job_id}}")
     def job(job_id: str) -> Any:
         if job_id not in service.jobs:

@@ -225,13 +225,18 @@ def test_records_are_looked_through_by_text_and_kind_and_two_are_compared(
     expect(rows).to_have_count(1)
     expect(rows).to_contain_text("15.3 ± 0.2 µm")
     page.get_by_label("Look for").fill("")
+    rows.nth(1).get_by_label("Name of On the fly").fill("As found")
+    rows.nth(1).get_by_label("Name of On the fly").press("Enter")
+    page.get_by_label("Look for").fill("as found")
+    expect(rows).to_have_count(1)
+    assert service.jobs[later]["name"] == "As found"
+    page.get_by_label("Look for").fill("")
     page.get_by_label("Method").select_option("measure-otf")
     expect(rows).to_have_count(2)
     for number in range(2):
         rows.nth(number).get_by_role("button", name="Compare").click()
     expect(page.locator("table.compare")).to_be_visible()
-    expect(page.locator("h3", has_text="held against")).to_be_visible()
-    assert service.jobs[later]["state"] == "succeeded"
+    expect(page.locator("h3", has_text="As found, held against")).to_be_visible()
 
 
 def test_drivers_are_chosen_and_tried_without_a_text_editor(panel, service):

@@ -112,6 +112,9 @@ export const conditions = async () => items(await call("GET", `/machines/${chose
 export const job = (id) => call("GET", `/jobs/${id}`);
 export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limit}`));
 
+/** Give a job the name that people know it by; an empty one takes it away. */
+export const renameJob = (id, name) => call("PATCH", `/jobs/${id}`, { json: { name } });
+
 /** What is asked for each second while no events come: soon answered, or not at all. */
 export const newestJob = (id) => call("GET", `/jobs/${id}`, { patience_ms: SHORT_MS });
 export const newestJobs = async () =>

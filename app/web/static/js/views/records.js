@@ -39,7 +39,15 @@ export function mount(root, { store, actions, go }) {
   function list({ jobs: all }) {
     filter.offer([...new Set(all.map(({ kind }) => kind))]);
     const shown = all.filter((job) => filter.takes(job, errors));
-    jobs.replaceChildren(jobTable(shown, { go, errors, picked, pick, isFiltered: all.length > 0 }));
+    jobs.replaceChildren(jobTable(shown, { go, errors, picked, pick, rename, isFiltered: all.length > 0 }));
+  }
+
+  async function rename({ id }, name) {
+    try {
+      actions.hear(await api.renameJob(id, name));
+    } catch (error) {
+      actions.refuse(error);
+    }
   }
 
   /** Choose a result; of two the difference is shown, a third one takes the place of the older choice. */
@@ -81,7 +89,7 @@ async function findErrors(machines) {
   }));
 }
 
-const nameOf = (job) => [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
+const nameOf = (job) => job.name || [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
 
 /** Text and kind to look for; `offer(kinds)` tells what there is, `takes(job, errors)` whether a job is shown. */
 function filterFields(changed) {
@@ -96,7 +104,7 @@ function filterFields(changed) {
       kind.value = kinds.includes(asked) ? asked : "";
     },
     takes(job, errors) {
-      const words = [nameOf(job), wordOf(job.state), job.machine, job.owner, errors.get(job.id)].filter(Boolean).join(" ").toLowerCase();
+      const words = [nameOf(job), kindOf(job.kind), wordOf(job.state), job.machine, job.owner, errors.get(job.id)].filter(Boolean).join(" ").toLowerCase();
       return (!kind.value || job.kind === kind.value) && words.includes(text.value.trim().toLowerCase());
     },
   };
@@ -118,10 +126,11 @@ const table = (titles, rows) => h("table", {},
   h("thead", {}, h("tr", {}, titles.map((title) => h("th", {}, title)),
     h("th", {}, h("span", { class: "unseen" }, t("records.actions"))))), h("tbody", {}, rows));
 
-function jobTable(jobs, { go, errors, picked, pick, isFiltered }) {
+function jobTable(jobs, { go, errors, picked, pick, rename, isFiltered }) {
   if (!jobs.length) return h("p", { class: "empty" }, t(isFiltered ? "records.none_such" : "records.no_jobs"));
-  const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.error"), t("records.took")];
+  const titles = [t("records.name"), t("records.state"), t("records.kind"), t("records.created"), t("records.error"), t("records.took")];
   return table(titles, jobs.map((job) => h("tr", {},
+    h("td", {}, nameField(job, rename)),
     h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state)),
       verdictMark(job)),
     h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id) ?? "–"), h("td", {}, took(job)),
@@ -130,6 +139,14 @@ function jobTable(jobs, { go, errors, picked, pick, isFiltered }) {
         picked.has(job.id) && icon("check"), t("records.compare")),
       h("button", { class: "button", type: "button", onclick: () => go(addressOf(job)) },
         t(job.state === "succeeded" ? "records.result" : "records.open")))))));
+}
+
+/** The name, which is changed in its place. */
+function nameField(job, rename) {
+  const input = h("input", { class: "name-field", value: job.name ?? "", maxlength: 200, autocomplete: "off", placeholder: t("records.unnamed"),
+    "aria-label": t("records.name_of", { kind: kindOf(job.kind), when: dateTime(job.created) }),
+    disabled: document.body.dataset.role === "viewer", onchange: () => rename(job, input.value.trim()) });
+  return input;
 }
 
 function took(job) {
