@@ -27,6 +27,7 @@ from truepath.app.api import (
     drivers,
     events,
     jobs,
+    live_scope,
     machine,
     machine_history,
     machines,
@@ -155,6 +156,7 @@ def _api() -> APIRouter:
         session.router,
         users.router,
         events.router,
+        live_scope.router,
     ):
         api.include_router(router)
     return api

@@ -164,7 +164,7 @@ async def _subscribe(
     if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
     token = read_token(request.scope)
-    subscription = Subscription(service, chosen, partial(_is_let_in, service, token))
+    subscription = Subscription(service, chosen, partial(is_let_in, service, token))
     unsubscribe = service.event_bus.subscribe(subscription.put)
     open_streams.add(subscription)
     try:
@@ -182,7 +182,7 @@ def _choose_topics(request: Request, service: Service, text: str) -> Topics:
     return parse_topics(text, service.store.get, service.setup.registry.get)
 
 
-def _is_let_in(service: Service, token: str) -> bool:
+def is_let_in(service: Service, token: str) -> bool:
     """Tell whether the session of a stream, and its user, are still there."""
     try:
         return service.access.identify(token) is not None

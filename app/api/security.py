@@ -65,6 +65,9 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request through, or refuse it."""
+        if scope["type"] == "websocket":
+            await self._open_socket(scope, receive, send)
+            return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -80,6 +83,18 @@ class Guard:
                 log.exception("request failed", path=scope["path"])
                 await answer.refuse(INTERNAL)
             answer.log()
+
+    async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a page of this service or a program open a WebSocket, nobody else.
+
+        A browser lets every page open one to anywhere: only the origin tells.
+        """
+        headers = Headers(scope=scope)
+        if self._is_ours(headers.get("host", "")) and _is_same_site(headers):
+            await self._app(scope, receive, send)
+            return
+        log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
+        await send({"type": "websocket.close", "code": 1008})
 
     async def _let_through(
         self, scope: Scope, receive: Receive, answer: _Answer

@@ -22,9 +22,11 @@ import structlog
 from truepath.app.errors import MeasurementFailed, TruepathError
 from truepath.app.jobs.cell_counters import CellCounters
 from truepath.app.jobs.errors import CellDown, DeviceSettings
+from truepath.app.jobs.sample_feed import SampleFeed
 from truepath.app.jobs.stream_watch import StreamWatch
 from truepath.app.measurement.cell import Cell
 from truepath.app.measurement.messages import (
+    BlockRecorded,
     CellEvent,
     CellState,
     CellVerb,
@@ -36,7 +38,11 @@ from truepath.app.measurement.messages import (
     TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.drivers.interfaces.records import (
+    MotionState,
+    MotionStatus,
+    TrackerSamples,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -98,6 +104,7 @@ class CellSupervisor:
     controller : what the controller showed last at rest; None before and after that
     counters : what all its measurements have counted so far
     stream : what their events tell of beam, stream and temperatures
+    samples : what is recorded, for whoever looks
     """
 
     def __init__(
@@ -111,6 +118,7 @@ class CellSupervisor:
         self.controller: ControllerLevels | None = None
         self.counters = CellCounters()
         self.stream = StreamWatch()
+        self.samples = SampleFeed()
         self._closing = threading.Event()
         self._must_kill = threading.Event()
         self._thread = threading.Thread(
@@ -268,6 +276,8 @@ class CellSupervisor:
         match event:
             case StateChanged(state):
                 self._follow_state(state)
+            case BlockRecorded(block=TrackerSamples() as block):
+                self.samples.publish(block)
             case FaultReported(text=text):
                 self.status = replace(self.status, text=text)
             case ControllerRead(status, text):

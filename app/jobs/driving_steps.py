@@ -101,7 +101,7 @@ class DrivingSteps:
             machine=machine,
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,
-            live=steering is not None,
+            live=True,
             grows=grows,
             job_id=self.job.id,
             machine_id=self.job.machine or "",

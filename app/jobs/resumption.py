@@ -193,6 +193,7 @@ class ResumedSteps:
             machine=machine,
             commanded=points,
             rate_hz=machine.tracker.rate_hz,
+            live=True,
             job_id=self.job.id,
         )
         self.active.enter(State.RUNNING, Stage.MEASURING)

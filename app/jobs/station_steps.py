@@ -170,6 +170,7 @@ class StationSteps:
             machine=machine,
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,
+            live=True,
             job_id=self.job.id,
             machine_id=self.job.machine or "",
             machine_version=self.job.machine_version or 0,

@@ -93,7 +93,7 @@ class MeasurementOrder:
     commanded : a path is streamed on the fly, points are stepped through
     feed_mm_min : feed of the approach and between standstill points
     reserve_bytes : space that must stay free on the disk
-    live : report recorded blocks, for an estimate on the way
+    live : report recorded blocks, for an estimate and for eyes on the way
     grows : after the last row request a further part, and stand until there is one or
         the measurement is concluded
     job_id, machine_id, machine_version : of the job that measures and its machine, for
@@ -225,7 +225,7 @@ class LivePoints:
 
 @dataclass(frozen=True, slots=True)
 class BlockRecorded:
-    """Event: a block that is on disk, for the live estimate; only if asked for.
+    """Event: a block that is on disk, for estimate and eyes; only if asked for.
 
     block : of the stream, or points of a tracker that is polled
     """

@@ -97,7 +97,8 @@ def list_routes():
     found = set()
     for route in iter_route_contexts(app.routes):
         methods = set(route.methods or {"GET"}) - {"HEAD"}
-        path = route.path if route.methods else f"{route.path}/{{path:path}}"
+        is_mount = not route.methods and not route.path.endswith("/live")
+        path = f"{route.path}/{{path:path}}" if is_mount else route.path
         found |= {f"{method} {path}" for method in methods}
     return found
 
