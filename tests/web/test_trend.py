@@ -6,12 +6,18 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import expect
-from scripted_data import result
+from scripted_data import TRACKER_NOISE, result
 
 from truepath.app.api.models.trend import TrendOut
 
 NEXT = "#next button"
 HOURS = (0.0, 0.5, 2.0)
+NOISE = TRACKER_NOISE | {
+    "range_ppm": 0.0,
+    "transverse_sigma_um": 0.0,
+    "stands_on": "base",
+}
+
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
 
@@ -40,7 +46,7 @@ def trend_of(state: str, **outlook: Any) -> dict[str, Any]:
     """Return a `trend.json` with an answer."""
     content = {
         "schema": "trend/1",
-        "machine": result()["machine"],
+        "machine": result()["machine"] | {"tracker": NOISE},
         "verdict": {"state": "usable", "reasons": [], "details": []},
         "runs": [
             {
