@@ -91,6 +91,11 @@ class Dispatcher:
         active = self._active.get(job_id)
         return None if active is None else active.job.machine
 
+    def find_controller(self, job_id: str | None) -> str | None:
+        """Return who may arm and resume a job under way; None where anybody may."""
+        active = self._active.get(job_id or "")
+        return None if active is None else active.controller
+
     @property
     def is_measuring(self) -> bool:
         """Whether a job under way measures, or is about to."""

@@ -307,7 +307,12 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
         version = client.get(path, headers=anna).headers["etag"]
         return client.post(f"{path}/resume", headers={**who, "If-Match": version})
 
+    def find_control():
+        return client.get(f"{API}/machines/default", headers=anna).json()["control"]
+
+    assert find_control() is None  # armed where nobody logs in
     assert client.post(f"{path}/take-control", headers=anna).status_code == 202
+    assert find_control() == "operator"
     assert client.post(f"{path}/pause", headers=berta).status_code == 202
     wait_until(lambda: client.get(path, headers=anna).json()["state"] == "paused")
     refused = is_problem(resume(berta), 409, "not-in-control")
@@ -316,6 +321,7 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
     assert "resume" not in make_cell.cell.heard
     taken = client.post(f"{path}/take-control", headers=berta)
     assert taken.status_code == 202
+    assert find_control() == "berta"
     is_problem(resume(anna), 409, "not-in-control")
     assert resume(berta).status_code == 202
     administrator = bearer(tokens[Role.ADMINISTRATOR])

@@ -184,6 +184,12 @@ class MachineEntry(BaseModel):
     )
     connected: bool
     current_job: str | None = Field(description="The job that holds it.")
+    control: str | None = Field(
+        None,
+        examples=["anna"],
+        description="The user who may arm and resume that job; null where nobody logs "
+        "in and where no job holds the machine.",
+    )
     version: int | None = Field(description="Of its configuration, the one in use.")
 
 
