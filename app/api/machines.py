@@ -150,7 +150,7 @@ def _describe(
         "cell": "none" if one is None else one.cell.status.state,
         "connected": one is not None and one.cell.status.connected,
         "current_job": holders.get(record.id),
-        "control": service.dispatcher.find_controller(holders.get(record.id)),
+        "in_control": service.dispatcher.find_controller(holders.get(record.id)),
         "version": record.versions[0].number if record.versions else None,
     }
 

@@ -308,7 +308,7 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
         return client.post(f"{path}/resume", headers={**who, "If-Match": version})
 
     def find_control():
-        return client.get(f"{API}/machines/default", headers=anna).json()["control"]
+        return client.get(f"{API}/machines/default", headers=anna).json()["in_control"]
 
     assert find_control() is None  # armed where nobody logs in
     assert client.post(f"{path}/take-control", headers=anna).status_code == 202

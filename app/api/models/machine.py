@@ -184,7 +184,7 @@ class MachineEntry(BaseModel):
     )
     connected: bool
     current_job: str | None = Field(description="The job that holds it.")
-    control: str | None = Field(
+    in_control: str | None = Field(
         None,
         examples=["anna"],
         description="The user who may arm and resume that job; null where nobody logs "
