@@ -37,14 +37,13 @@ OPERATIONS = sorted(
 )
 
 
-@pytest.mark.fault_row(35)
-@pytest.mark.parametrize(("path", "method"), OPERATIONS)
-def test_every_answer_is_documented(service, path, method):
+def check_answers(service, path, method, most):
+    """Hold so many drawn requests of an operation against the description."""
     application = create_application(service)
     found = schemathesis.openapi.from_asgi(SCHEMA_PATH, application, headers=HEADERS)
 
     @settings(
-        max_examples=5,
+        max_examples=most,
         deadline=None,
         derandomize=True,
         phases=[Phase.generate],
@@ -56,3 +55,16 @@ def test_every_answer_is_documented(service, path, method):
         case.validate_response(answer, checks=CHECKS)
 
     check()
+
+
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize(("path", "method"), OPERATIONS)
+def test_every_answer_is_documented(service, path, method):
+    check_answers(service, path, method, 2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("path", "method"), OPERATIONS)
+@pytest.mark.timeout(120)
+def test_every_answer_to_many_requests_is_documented(service, path, method):
+    check_answers(service, path, method, 50)

@@ -138,6 +138,46 @@ class AsyncClient:
         """End a job now."""
         return await self._run(ask(requests.abort(job_id)))
 
+    async def acknowledge(self, job_id: str) -> Job:
+        """Prepare a measurement that was cut short to go on. Moves nothing."""
+        return await self._run(ask(requests.acknowledge(job_id)))
+
+    async def take_control(self, job_id: str) -> Job:
+        """Take over who may arm and resume a job. Moves nothing."""
+        return await self._run(ask(requests.take_control(job_id)))
+
+    async def rename_job(self, job_id: str, **naming: str) -> Job:
+        """Change `name` or `note` of a job; its version stays."""
+        return await self._run(ask(requests.rename_job(job_id, naming)))
+
+    async def rename_run(self, run_id: str, **naming: str) -> Run:
+        """Change `name` or `note` of a Run."""
+        return await self._run(ask(requests.rename_run(run_id, naming)))
+
+    async def delete_job(self, job_id: str) -> None:
+        """Delete a job that has ended, with its answer."""
+        await self._run(ask(requests.delete_job(job_id)))
+
+    async def delete_run(self, run_id: str, *, with_results: bool = False) -> None:
+        """Delete a Run, and where that is asked the results that depend on it."""
+        await self._run(ask(requests.delete_run(run_id, with_results=with_results)))
+
+    async def list_machines(self) -> list[Json]:
+        """Return all machines, those that the service drives first."""
+        return await self._run(ask(requests.list_machines()))
+
+    async def get_verification(self, job_id: str) -> Json:
+        """Return `verification.json`."""
+        return await self._run(ask(requests.get_document(job_id, "verification")))
+
+    async def issue_certificate(self, job_id: str, **order: Any) -> Json:
+        """Issue a certificate of a result; `identity` and the rest as documented."""
+        return await self._run(ask(requests.issue_certificate(job_id, order)))
+
+    async def list_certificates(self, job_id: str) -> list[Json]:
+        """Return the certificates of a result, the oldest first."""
+        return await self._run(ask(requests.list_certificates(job_id)))
+
     async def stop(self) -> Json:
         """Stop all motion. It is no emergency stop."""
         return await self._run(ask(requests.stop()))

@@ -73,6 +73,8 @@ class Job(TypedDict):
     """A job. Further keys are in it; these are what most programs need."""
 
     id: str
+    name: str
+    note: str
     kind: str
     state: str
     desired_state: str
@@ -99,6 +101,7 @@ class Run(TypedDict):
 
     id: str
     name: str
+    note: str
     origin: str
     mode: str
     machine: str

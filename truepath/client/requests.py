@@ -191,6 +191,53 @@ def abort(job_id: str) -> Request[Job]:
     return _verb(job_id, "abort")
 
 
+def acknowledge(job_id: str) -> Request[Job]:
+    """Prepare a measurement that was cut short to go on."""
+    return _verb(job_id, "acknowledge")
+
+
+def take_control(job_id: str) -> Request[Job]:
+    """Take over who may arm and resume a job."""
+    return _verb(job_id, "take-control")
+
+
+def rename_job(job_id: str, naming: Json) -> Request[Job]:
+    """Change name and note of a job."""
+    return Request("PATCH", f"{PREFIX}/jobs/{job_id}", _json, body=naming)
+
+
+def rename_run(run_id: str, naming: Json) -> Request[Run]:
+    """Change name and note of a Run."""
+    return Request("PATCH", f"{PREFIX}/runs/{run_id}", _json, body=naming)
+
+
+def delete_job(job_id: str) -> Request[None]:
+    """Delete a job that has ended. If the answer is lost, read whether it is gone."""
+    return Request("DELETE", f"{PREFIX}/jobs/{job_id}", _nothing, may_repeat=False)
+
+
+def delete_run(run_id: str, *, with_results: bool) -> Request[None]:
+    """Delete a Run. Where the answer is lost, read whether it is gone."""
+    path, query = f"{PREFIX}/runs/{run_id}", {"with_results": with_results}
+    return Request("DELETE", path, _nothing, query=query, may_repeat=False)
+
+
+def list_machines() -> Request[list[Json]]:
+    """Ask for all machines."""
+    return cast(Request[list[Json]], _get("/machines", _items))
+
+
+def issue_certificate(job_id: str, body: Json) -> Request[Json]:
+    """Ask for a certificate. Twice would issue two."""
+    path = f"{PREFIX}/jobs/{job_id}/certificates"
+    return Request("POST", path, _json, body=body, may_repeat=False)
+
+
+def list_certificates(job_id: str) -> Request[list[Json]]:
+    """Ask for the certificates of a result."""
+    return cast(Request[list[Json]], _get(f"/jobs/{job_id}/certificates", _items))
+
+
 def stop() -> Request[Json]:
     """Stop all motion."""
     return Request("POST", f"{PREFIX}/stop", _json)

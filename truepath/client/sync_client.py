@@ -136,6 +136,46 @@ class Client:
         """End a job now."""
         return self._run(ask(requests.abort(job_id)))
 
+    def acknowledge(self, job_id: str) -> Job:
+        """Prepare a measurement that was cut short to go on. Moves nothing."""
+        return self._run(ask(requests.acknowledge(job_id)))
+
+    def take_control(self, job_id: str) -> Job:
+        """Take over who may arm and resume a job. Moves nothing."""
+        return self._run(ask(requests.take_control(job_id)))
+
+    def rename_job(self, job_id: str, **naming: str) -> Job:
+        """Change `name` or `note` of a job; its version stays."""
+        return self._run(ask(requests.rename_job(job_id, naming)))
+
+    def rename_run(self, run_id: str, **naming: str) -> Run:
+        """Change `name` or `note` of a Run."""
+        return self._run(ask(requests.rename_run(run_id, naming)))
+
+    def delete_job(self, job_id: str) -> None:
+        """Delete a job that has ended, with its answer."""
+        self._run(ask(requests.delete_job(job_id)))
+
+    def delete_run(self, run_id: str, *, with_results: bool = False) -> None:
+        """Delete a Run, and where that is asked the results that depend on it."""
+        self._run(ask(requests.delete_run(run_id, with_results=with_results)))
+
+    def list_machines(self) -> list[Json]:
+        """Return all machines, those that the service drives first."""
+        return self._run(ask(requests.list_machines()))
+
+    def get_verification(self, job_id: str) -> Json:
+        """Return `verification.json`."""
+        return self._run(ask(requests.get_document(job_id, "verification")))
+
+    def issue_certificate(self, job_id: str, **order: Any) -> Json:
+        """Issue a certificate of a result; `identity` and the rest as documented."""
+        return self._run(ask(requests.issue_certificate(job_id, order)))
+
+    def list_certificates(self, job_id: str) -> list[Json]:
+        """Return the certificates of a result, the oldest first."""
+        return self._run(ask(requests.list_certificates(job_id)))
+
     def stop(self) -> Json:
         """Stop all motion. It is no emergency stop."""
         return self._run(ask(requests.stop()))
