@@ -9,6 +9,7 @@ from fastapi import FastAPI, Query, Request, UploadFile
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from scripted_data import (
+    ARMING,
     DRIVERS,
     FORMATS,
     MACHINE,
@@ -276,7 +277,11 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.post(f"{API}/jobs/{{job_id}}/arming")
     def prepare_arming(job_id: str) -> Any:
-        return {"job": job_id, "token": f"for {job_id}"}
+        if service.controller:
+            held = {"controller": service.controller}
+            said = f"{service.controller} has this job under control; ask"
+            return problem(409, "not-in-control", "Somebody else", said, "Ask", **held)
+        return ARMING | {"job": job_id, "token": f"for {job_id}"}
 
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     async def act(job_id: str, verb: str, request: Request) -> Any:

@@ -57,6 +57,22 @@ GRADE = {
 }
 
 
+ARMING = {
+    "machine_name": "VMC 500",
+    "targets": [{"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}],
+    "envelope": [
+        {"axis": "X", "unit": "mm", "low": 12.5, "high": 487.5},
+        {"axis": "Y", "unit": "mm", "low": 10.0, "high": 390.0},
+        {"axis": "Z", "unit": "mm", "low": -290.0, "high": -10.0},
+    ],
+    "max_feed_mm_min": 6000.0,
+    "duration_s": 125.0,
+    "rows": 23,
+    "grows": False,
+    "plan_sha256": "a1",
+}
+
+
 VERSIONS = [
     {
         "id": "job-1",

@@ -127,7 +127,8 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(panel, se
         ),
     ]
     service.change(next(iter(service.jobs)), state="ready")
-    expect(page.locator(".pairs").first).to_contain_text("U = 2.3 µm (k = 2)")
+    run = page.locator(".card", has_text="This run")
+    expect(run).to_contain_text("U = 2.3 µm (k = 2)")
 
 
 def test_a_plan_that_cannot_be_says_why_and_makes_no_job(panel, service):
@@ -518,6 +519,29 @@ def test_the_safety_text_is_in_sight_at_once_on_a_panel(panel, service, size, la
     service.change(job, state="ready")
     page = panel.open(f"#/check/{job}", size=size, language=language)
     expect(page.locator(NEXT)).to_be_enabled()
+
+
+def test_what_will_move_is_shown_before_the_hold(panel, service):
+    service.connected = True
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}", language="de")
+    moves = page.locator(".card", has_text="Was sich bewegen wird")
+    expect(moves).to_contain_text("12,5 mm bis 487,5 mm")
+    expect(moves).to_contain_text("6.000 mm/min")
+    expect(moves).to_contain_text("2:05 min")
+
+
+def test_who_has_no_control_takes_it_before_the_hold(panel, service, witness):
+    witness.expect("409")
+    service.controller, service.connected = "berta", True
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}")
+    moves = page.locator(".card", has_text="What will move")
+    expect(moves).to_contain_text("berta")
+    moves.get_by_role("button", name="Take control").click()
+    expect(moves).to_contain_text("12.5 mm to 487.5 mm")
 
 
 DOOR = {

@@ -125,7 +125,7 @@ def test_what_the_tracker_has_lost_is_counted_and_lines_are_planned_anew(
     expect(counts.locator("dd")).to_have_text(["900", "17", "2", "3"])
     expect(counts.locator("[data-tone=fault]")).to_have_count(3)
     expect(page.locator(".notice")).to_contain_text("Verlorene Geraden sind neu")
-    expect(page.locator(".notice")).to_contain_text("1-mal")
+    expect(page.locator(".notice")).to_contain_text("bis jetzt 1")
 
 
 def test_a_lost_beam_is_said(panel, service):

@@ -155,9 +155,9 @@ export function createActions(store, go) {
 
   /** Take over who may arm and resume the followed job; nothing moves. */
   async function takeControl() {
-    if (await verb("take-control", api.takeControl)) {
-      store.set({ problem: { title: t("control.taken"), text: t("control.taken_text"), tone: null } });
-    }
+    const isTaken = await verb("take-control", api.takeControl);
+    if (isTaken) store.set({ problem: { title: t("control.taken"), text: t("control.taken_text"), tone: null } });
+    return isTaken;
   }
 
   /** After a refusal the service's word counts, not ours. */
@@ -215,7 +215,13 @@ export function createActions(store, go) {
       arming = api.prepareArming(store.get().job);
       arming.catch(() => {});
     },
-    arm: () => verb("arm", async (job) => api.arm(job, await arming)),
+    /** Only what the page shows may move: a plan that has changed since is shown first. */
+    arm: () => verb("arm", async (job) => {
+      const [given, { arming: shown }] = [await arming, store.get()];
+      if (shown && shown.plan_sha256 !== given.plan_sha256) throw new api.Problem(409, { code: "arm-token-other" });
+      return api.arm(job, given);
+    }),
+    takeControl,
     pause: () => verb("pause", api.pause),
     /** Go on; `then` says what to do first about what was noticed. */
     resume: (then = "note") => verb("resume", (job) => api.resume(job, then)),

@@ -6,6 +6,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { adviceCard } from "./advice-card.js";
+import { armingCard } from "./arming-card.js";
 import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
@@ -43,7 +44,7 @@ async function discard(actions, { run }) {
 }
 
 /** Show the plan. */
-export function mount(root, { store }) {
+export function mount(root, { store, actions }) {
   const conditions = conditionsCard(store);
   const path = pathCard(false);
   const grade = plannedGrade();
@@ -51,19 +52,21 @@ export function mount(root, { store }) {
   const facts = h("div");
   const reach = h("div", { class: "reach" });
   const safety = safetyCard(store);
+  const arming = armingCard(store, actions);
   const failure = h("div", { class: "stack below" });
   const advice = h("div", { class: "stack" });
   root.append(
-    head(t("check.title"), t("check.text")), failure,
-    h("div", { class: "columns is-main-left is-check" }, path.element,
-      h("div", { class: "stack" }, safety.element, conditions.element, card(t("check.plan"), facts), advice, card(t("check.reach"), reach),
-        grade.element, program.element)),
+    head(t("check.title"), t("check.text")), safety.element, failure,
+    h("div", { class: "columns is-main-left is-check" },
+      h("div", { class: "stack" }, path.element, card(t("check.reach"), reach), grade.element, program.element),
+      h("div", { class: "stack" }, conditions.element, arming.element, card(t("check.plan"), facts), advice)),
   );
   let described = "";
   return {
     update({ job, plan: whole, machine, conditions: held }) {
       conditions.update(held);
       safety.update(job);
+      arming.update(job);
       const plan = rowsNow(whole, job);
       path.update(plan, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
@@ -80,6 +83,7 @@ export function mount(root, { store }) {
       path.close();
       conditions.close();
       safety.close();
+      arming.close();
     },
   };
 }

@@ -29,10 +29,26 @@ function remedies({ weakest, improved_number: improved }) {
   const weak = weakest.filter(({ remedy }) => remedy);
   if (!weak.length) return null;
   const rows = weak.map(({ error, remedy }, i) => [
-    [t("grade.weak"), `${error}, ${nameOf(error)}`], [t("grade.remedy"), remedy],
+    [t("grade.weak"), `${error}, ${nameOf(error)}`], [t("grade.remedy"), wordRemedy(remedy)],
     i === 0 && improved !== null && [t("grade.improved"), number(improved, 2)],
   ].filter(Boolean));
   return pairs(rows.flat());
+}
+
+const PLACES = { "low end": "grade.low_end", middle: "grade.middle", "high end": "grade.high_end" };
+
+/** A remedy in the language of the page; what the service says otherwise stays. */
+function wordRemedy(remedy) {
+  const [, axis, where] = remedy.match(/^add a line along (\w+) at (.+)$/) ?? [];
+  if (axis) {
+    const places = where.split(" and ").map((place) => place.match(/^the (low end|middle|high end) of (\w+)$/));
+    if (places.every(Boolean)) {
+      return t("grade.add_line", { axis, where: places.map(([, at, of]) => t(PLACES[at], { of })).join(t("grade.and")) });
+    }
+  }
+  const [, from, to] = remedy.match(/^add the diagonal from (.+) to (.+)$/) ?? [];
+  if (from) return t("grade.add_diagonal", { from, to });
+  return h("span", { lang: "en" }, remedy);
 }
 
 /** A place for the grade of a job that has not moved yet; asked for once there is a plan. */

@@ -27,7 +27,7 @@ export function safetyCard(store) {
   }
 
   return {
-    element: h("div", { class: "safety" }, card(t("check.before"), h("ul", { class: "before" }, items))),
+    element: h("div", { class: "safety below" }, card(t("check.before"), h("ul", { class: "before" }, items))),
     update(job) {
       if (!job || keyOf(job) === key) return;
       key = keyOf(job);

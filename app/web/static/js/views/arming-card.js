@@ -1,0 +1,77 @@
+/* What will move once the job is armed, as the service will command it. */
+import * as api from "../api.js";
+import { h } from "../dom.js";
+import { waitsForArming } from "../flow.js";
+import { card, notice, pairs } from "../parts.js";
+import { wordProblem } from "../problems.js";
+import { duration, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+/** A card that asks the service for each version of the job that waits; keeps `arming` of the store. */
+export function armingCard(store, actions) {
+  const content = h("div", { role: "status" }, h("p", { class: "empty" }, t("arming.waiting")));
+  let asked = "";
+  let closed = false;
+
+  async function ask(job) {
+    let found = null;
+    let shown;
+    try {
+      found = await api.prepareArming(job);
+      shown = pairs(rowsOf(found));
+    } catch (error) {
+      if (!(error instanceof api.Problem)) throw error;
+      shown = refusal(error, job);
+    }
+    const now = store.get().job;
+    if (closed || now?.id !== job.id || now.version !== job.version) return;
+    store.set({ arming: found });
+    content.replaceChildren(...[shown].flat());
+  }
+
+  /** Who has the job under control is named; the others may take it over. */
+  function refusal(error, job) {
+    const { title, text, action } = wordProblem(error);
+    const take = async () => {
+      if (await actions.takeControl()) ask(store.get().job ?? job);
+    };
+    return [notice("held", title, text, action), error.code === "not-in-control"
+      && h("button", { class: "button below", type: "button", "data-needs": "operator", onclick: take }, t("control.take"))].filter(Boolean);
+  }
+
+  return {
+    element: h("div", { "data-needs": "operator" }, card(t("arming.title"), content)),
+    update(job) {
+      if (!job || !waitsForArming(job)) return;
+      const key = `${job.id}:${job.version}`;
+      if (key === asked) return;
+      asked = key;
+      store.set({ arming: null });
+      ask(job);
+    },
+    close() {
+      closed = true;
+      store.set({ arming: null });
+    },
+  };
+}
+
+function rowsOf({ machine_name: machine, targets = [], envelope = [], max_feed_mm_min: feed, duration_s, rows, grows }) {
+  return [
+    [t("check.machine"), machine],
+    ...targets.map((target) => [t("arming.target"), describeTarget(target)]),
+    ...envelope.map(({ axis, unit, low, high }) => [t("arming.axis", { axis }), rangeOf(low, high, unit === "deg" ? "turn" : "length")]),
+    [t("arming.feed"), quantity(feed, "feed")],
+    [t("check.time"), `${duration(duration_s)} min`],
+    [t("arming.rows"), number(rows)],
+    grows && [t("arming.grows"), t("arming.grows_text")],
+  ].filter(Boolean);
+}
+
+const rangeOf = (low, high, kind) =>
+  t("arming.from_to", { low: quantity(low, kind, 1), high: quantity(high, kind, 1) });
+
+function describeTarget({ name, on, offset_mm: offset }) {
+  const place = `X Y Z ${offset.map((v) => quantity(v, "length", 1)).join(" / ")}`;
+  return `${name ? `${name}, ` : ""}${t(on === "tool" ? "arming.on_tool" : "arming.on_workpiece")}: ${place}`;
+}
