@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,14 +77,19 @@ def refuse_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
 
 
 def _list_links(config: CellConfig) -> Iterator[str]:
-    """Yield the ports and addresses of the devices of one machine."""
+    """Yield the ports and addresses of the devices of one machine.
+
+    A driver that is not installed has none; it is named when its device is connected.
+    """
     devices = (
         ("tracker", config.tracker_driver, config.tracker_options),
         ("motion", config.motion_driver, config.motion_options),
         ("thermometer", config.thermometer_driver, config.thermometer_options),
     )
     for word, driver, options in devices:
-        if driver:
+        if not driver:
+            continue
+        with suppress(BadInput):
             yield from _list_links_of(word, driver, options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from urllib.parse import quote
 
 import pytest
@@ -143,5 +144,15 @@ def test_any_damage_to_a_bundle(idle, bundle, cut, flip):
 def test_any_method(client, path, method):
     answer = client.request(method, path.replace("{job_id}", "a"))
     is_sound(answer)
-    if method.lower() not in DESCRIBED[path]:
+    if method.lower() not in list_methods(path):
         assert answer.status_code in (404, 405)
+
+
+def list_methods(path):
+    """Return the methods of all routes that an address may be taken for."""
+    return {
+        method
+        for described, methods in DESCRIBED.items()
+        for method in methods
+        if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", described), path)
+    }
