@@ -51,6 +51,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 10.0
+_GOES_ON = frozenset({MotionState.RUNNING, MotionState.HELD})
 FRESH_S = 2.5  # a reading of the controller at rest, made once a second
 BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
@@ -126,16 +127,17 @@ class CellSupervisor:
         )
 
     def read_standstill(self) -> bool | None:
-        """Tell whether the controller has just said that it stands; None if unknown.
+        """Tell whether the controller has just said that it has stopped.
 
-        While a measurement is under way only its end says so. Asks no device.
+        One that only holds has not: its program goes on when somebody lets it. None if
+        unknown: while a measurement is under way only its end says so. Asks no device.
         """
         read = self.controller
         if self.status.state in MOVING or read is None or read.status is None:
             return None
         if time.monotonic() - read.read_s > FRESH_S:
             return None
-        return read.status.state is not MotionState.RUNNING
+        return read.status.state not in _GOES_ON
 
     def start(self) -> None:
         """Start the first cell."""

@@ -58,6 +58,7 @@ def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
     assert running.read_standstill() is None
     assert read("idle") is True
     assert read("running") is False
+    assert read("held") is False, "it could go on"
     assert read(None) is None
     assert read("aborted") is True
     maker.cell.say_state("running")

@@ -250,8 +250,9 @@ class MachineStop(BaseModel):
 
     machine: str = Field(examples=["default"])
     stopped: Level = Field(
-        description="`true` once its controller has been read and says that it stands, "
-        "`false` where it says that it moves; `unknown` until then. Ask again."
+        description="`true` once its controller has been read and says that it has "
+        "stopped, `false` where it says that it moves or only holds; `unknown` until "
+        "then. Ask again."
     )
 
 
