@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from arming import arm_over_http
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -45,7 +46,8 @@ class Floor:
         answer = self.client.post(JOBS, json=body)
         assert answer.status_code == 202, answer.text
         self.at = answer.headers["Location"]
-        self.command("arm", self.wait_for({"ready", *ENDS}))
+        armed = arm_over_http(self.client, self.wait_for({"ready", *ENDS}))
+        assert armed.status_code == 202, armed.text
 
     def command(self, verb: str, job: dict[str, Any], query: str = "") -> None:
         version = {"If-Match": f'"{job["version"]}"'}
