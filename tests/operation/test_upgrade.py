@@ -36,7 +36,7 @@ branch_labels = depends_on = None
 def upgrade() -> None:
     op.create_table("notes", sa.Column("id", sa.Integer, primary_key=True))
     with op.batch_alter_table("jobs") as jobs:
-        jobs.add_column(sa.Column("note", sa.String(10), nullable=True))
+        jobs.add_column(sa.Column("remark", sa.String(10), nullable=True))
     op.execute("DELETE FROM events")
     {then}
 
