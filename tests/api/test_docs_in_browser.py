@@ -32,7 +32,7 @@ def test_the_documentation_works_without_any_other_host(page, live):
     operation = page.locator("#operations-jobs-create_job")
     expect(operation).to_be_visible(timeout=15_000)
     operation.locator(".opblock-summary-control").click()
-    expect(operation.get_by_text("Idempotency-Key")).to_be_visible()
+    expect(operation.get_by_text("idempotency-key", exact=True)).to_be_visible()
     page.locator("#operations-system-get_system .opblock-summary-control").click()
     page.locator("#operations-system-get_system .execute").click()
     answer = page.locator("#operations-system-get_system .live-responses-table")
