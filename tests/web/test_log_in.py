@@ -65,7 +65,8 @@ def test_the_end_of_a_session_asks_again_and_abort_still_stops(panel, closed):
     page = panel.open()
     expect(page.locator("#user")).to_be_visible()
     closed.user = None
-    page.locator("#next button").click()
+    # The page may have asked for something by itself already, and left the step.
+    page.evaluate("document.querySelector('#next button')?.click()")
     expect(page.locator(".log-in h1")).to_be_visible()
     with page.expect_response("**/api/v1/stop") as stopped:
         page.locator("#abort").click()

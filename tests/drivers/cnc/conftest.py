@@ -231,7 +231,10 @@ class TcpPeer(ModbusPeer):
 
     def step(self) -> None:
         ends = [self._listener, *([self._host] if self._host else [])]
-        ready = select.select(ends, [], [], 0.005)[0]
+        try:
+            ready = select.select(ends, [], [], 0.005)[0]
+        except (OSError, ValueError):
+            return  # a test has dropped the connection meanwhile
         if self._listener in ready:
             self.drop()
             self._host, _ = self._listener.accept()
