@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -30,7 +31,8 @@ def read_whole(file: str | Path, *, largest_bytes: int = MAX_TEXT_BYTES) -> byte
 
 def replace_file(file: Path, data: bytes) -> None:
     """Write a file whole or not at all: beside it, synced, then renamed over it."""
-    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    # Two threads may write the same file: each has a draft of its own.
+    draft = file.with_name(f".{file.name}.{secrets.token_hex(6)}.tmp")
     try:
         with draft.open("wb") as sink:
             sink.write(data)

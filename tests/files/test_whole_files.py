@@ -1,8 +1,13 @@
 """Files that are read and written whole, or not at all."""
 
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 
 from truepath.app.errors import BundleError
+from truepath.app.files import whole_files
 from truepath.app.files.whole_files import read_whole, replace_file
 
 
@@ -25,3 +30,23 @@ def test_a_file_larger_than_it_may_be_is_not_read(tmp_path):
 def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
     with pytest.raises(BundleError, match=r"nowhere\.csv.*No such file.*check"):
         read_whole(tmp_path / "nowhere.csv")
+
+
+def test_two_threads_may_write_one_file_at_once(tmp_path, monkeypatch):
+    """The second begins once the first has its draft; both end with a whole file."""
+    file, both = tmp_path / "map.json", threading.Barrier(2, timeout=5)
+    sync = os.fsync
+    waits = threading.local()
+
+    def sync_together(handle):
+        if not hasattr(waits, "done"):
+            waits.done = True
+            both.wait()
+        sync(handle)
+
+    monkeypatch.setattr(whole_files.os, "fsync", sync_together)
+    with ThreadPoolExecutor(2) as pool:
+        writes = [pool.submit(replace_file, file, word * 999) for word in (b"a", b"b")]
+        assert [one.result(10) for one in writes] == [None, None]
+    assert set(file.read_bytes()) in ({ord("a")}, {ord("b")})
+    assert [each.name for each in tmp_path.iterdir()] == ["map.json"]
