@@ -122,9 +122,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         for one in context.machines.list_all():
             one.start()
         calibrations = setup.calibrations
-        look = threading.Thread(target=calibrations.judge_all, name="standing")
-        look.start()
-        stack.callback(look.join)
+        _begin_to_judge(calibrations, stack)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         deletion = Deletion(database, context.runs, context.results)
@@ -157,6 +155,13 @@ def open_service(settings: Settings) -> Iterator[Service]:
         )
         stack.callback(service.end_streams)
         yield service
+
+
+def _begin_to_judge(calibrations: Calibrations, stack: ExitStack) -> None:
+    """Look how all machines stand, in a thread: the service answers meanwhile."""
+    look = threading.Thread(target=calibrations.judge_all, name="standing")
+    look.start()
+    stack.callback(look.join)
 
 
 def _audit_retention(

@@ -34,22 +34,13 @@ def verification_json(found: Verification) -> dict[str, Any]:
 
     Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
     """
-    machine, consistency = found.result.machine, found.consistency
     return {
         "schema": SCHEMA,
-        "machine": machine.name,
+        "machine": found.result.machine.name,
         "compensated": found.is_compensated,
         "verdict": verdict_json(found.result.verdict),
         "statements": list(state_findings(found)),
-        "agreement": {
-            "consistent": consistency.is_consistent,
-            "chi_square": consistency.chi_square,
-            "freedom": consistency.freedom,
-            "noise_freedom": consistency.known_by,
-            "chance": consistency.chance,
-            "share_within_expanded": consistency.share_within,
-            "chance_of_any_machine": consistency.repeated,
-        },
+        "agreement": _agreement_json(found),
         "map_scale": found.scale
         and {"value": found.scale.value, "uncertainty": found.scale.uncertainty},
         "conformity": {
@@ -74,20 +65,37 @@ def verification_json(found: Verification) -> dict[str, Any]:
             "correlated_of_stated": list(found.noise.ou),
             "correlation_time_s": found.noise.ou_time_s,
         },
-        "run": {
-            "name": found.run.name,
-            "mode": found.run.mode,
-            "input_sha256": found.run.digest,
-            "samples_used": found.samples[0],
-            "samples_offered": found.samples[1],
-            "left_out": [_left_out_json(one) for one in found.left_out],
-        },
+        "run": _run_json(found),
         "provenance": {
             "software": "truepath",
             "software_version": version("truepath"),
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "result": dict(found.result.provenance),
         },
+    }
+
+
+def _agreement_json(found: Verification) -> dict[str, Any]:
+    consistency = found.consistency
+    return {
+        "consistent": consistency.is_consistent,
+        "chi_square": consistency.chi_square,
+        "freedom": consistency.freedom,
+        "noise_freedom": consistency.known_by,
+        "chance": consistency.chance,
+        "share_within_expanded": consistency.share_within,
+        "chance_of_any_machine": consistency.repeated,
+    }
+
+
+def _run_json(found: Verification) -> dict[str, Any]:
+    return {
+        "name": found.run.name,
+        "mode": found.run.mode,
+        "input_sha256": found.run.digest,
+        "samples_used": found.samples[0],
+        "samples_offered": found.samples[1],
+        "left_out": [_left_out_json(one) for one in found.left_out],
     }
 
 
