@@ -337,9 +337,10 @@ def at_rest() -> Callable[[Machine, np.ndarray], Any]:
     return make_standstill
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def plain_log() -> Iterator[None]:
     """Log with short traces."""
+    before = structlog.get_config()
     plain = structlog.dev.ConsoleRenderer(
         colors=False, exception_formatter=structlog.dev.plain_traceback
     )
@@ -350,7 +351,7 @@ def plain_log() -> Iterator[None]:
         cache_logger_on_first_use=False,
     )
     yield
-    structlog.reset_defaults()
+    structlog.configure(**before)
 
 
 @pytest.fixture(scope="session")

@@ -55,7 +55,7 @@ LOOPBACK = "127.0.0.1"
 MAX_UPLOAD_BYTES = 2 << 20
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="module")
 def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
 

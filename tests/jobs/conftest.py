@@ -48,7 +48,7 @@ def event_bus():
     return EventBus()
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="module")
 def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
 

@@ -220,7 +220,7 @@ def test_extra_lines_are_asked_for_with_the_reason_and_driven_once_held(panel, s
     assert order == {"kind": "measure-extra", "discovery_id": job}
     extra = page.url.rsplit("/", 1)[1]
     service.change(extra, state="ready")
-    expect(page.locator(".pairs").first).to_contain_text("Extra lines")
+    expect(page.locator(".pairs", has_text="Extra lines")).to_be_visible()
     expect(page.locator(".planned-grade")).to_be_hidden()
     assert service.jobs[extra]["state"] == "ready"
     button = page.locator(NEXT, has_text="Hold to start motion")
