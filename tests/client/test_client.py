@@ -266,6 +266,8 @@ def test_an_estimate_that_is_not_there_yet_is_none():
         (bodies.Estimate, "EstimateOut"),
         (bodies.Condition, "ConditionOut"),
         (bodies.System, "SystemOut"),
+        (bodies.Machine, "MachineEntry"),
+        (bodies.MachineRecord, "MachineDetail"),
         (bodies.Problem, "Problem"),
     ],
 )

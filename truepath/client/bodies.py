@@ -220,3 +220,32 @@ class System(TypedDict):
     cell: Json
     current_job: str | None
     time: str
+
+
+class Machine(TypedDict):
+    """A machine of the registry: who it is, and what holds it."""
+
+    id: str
+    origin: str
+    name: str
+    maker: str
+    model: str
+    serial_number: str
+    control: str
+    customer: str
+    place: str
+    tolerance_um: float | None
+    reference_job: str | None
+    created: str
+    cell: str
+    connected: bool
+    current_job: str | None
+    version: int | None
+
+
+class MachineRecord(Machine):
+    """A machine with its configuration, and those that it had."""
+
+    machine_file: Json
+    devices: Json
+    versions: list[Json]

@@ -13,7 +13,6 @@ from typing import IO, Any, Generic, TypeVar, cast
 
 from truepath.client.bodies import (
     Arming,
-    Condition,
     ErrorTables,
     Estimate,
     Job,
@@ -91,11 +90,13 @@ def parse_json(body: bytes) -> Any:
         return None
 
 
-def _json(answer: Answer) -> Any:
+def read_json(answer: Answer) -> Any:
+    """Return the JSON of an answer."""
     return parse_json(answer.body)
 
 
-def _items(answer: Answer) -> Any:
+def read_items(answer: Answer) -> Any:
+    """Return the items of a list."""
     return parse_json(answer.body)["items"]
 
 
@@ -107,7 +108,8 @@ def _nothing(answer: Answer) -> None:
     return None
 
 
-def _get(path: str, read: Callable[[Answer], T], **query: Any) -> Request[T]:
+def get(path: str, read: Callable[[Answer], T], **query: Any) -> Request[T]:
+    """Ask for what stands at an address below the prefix."""
     return Request("GET", f"{PREFIX}{path}", read, query=query)
 
 
@@ -117,33 +119,20 @@ def _verb(
     """Ask something of a job. What moves the machine is never sent twice."""
     headers = {} if version is None else {"If-Match": f'"{version}"'}
     path, again = f"{PREFIX}/jobs/{job_id}/{verb}", version is None
-    return Request("POST", path, _json, body=body, headers=headers, may_repeat=again)
+    return Request(
+        "POST", path, read_json, body=body, headers=headers, may_repeat=again
+    )
 
 
 def _create(path: str, body: Json, key: str | None) -> Request[Any]:
     """Make something once, however often the request is sent."""
     headers = {"Idempotency-Key": key or str(uuid.uuid4())}
-    return Request("POST", f"{PREFIX}{path}", _json, body=body, headers=headers)
+    return Request("POST", f"{PREFIX}{path}", read_json, body=body, headers=headers)
 
 
 def get_system() -> Request[System]:
     """Ask what the service is and what holds the machine."""
-    return cast(Request[System], _get("/system", _json))
-
-
-def connect() -> Request[Json]:
-    """Open the ports; moves nothing."""
-    return Request("POST", f"{PREFIX}/machines/current:connect", _json)
-
-
-def get_machine() -> Request[Json]:
-    """Ask for the machine file and who has answered."""
-    return _get("/machines/current", _json)
-
-
-def list_conditions() -> Request[list[Condition]]:
-    """Ask what has to be so before the machine moves."""
-    return cast(Request[list[Condition]], _get("/machines/current/conditions", _items))
+    return cast(Request[System], get("/system", read_json))
 
 
 def create_job(body: Json, key: str | None = None) -> Request[Job]:
@@ -153,17 +142,17 @@ def create_job(body: Json, key: str | None = None) -> Request[Job]:
 
 def get_job(job_id: str) -> Request[Job]:
     """Ask for a job."""
-    return _get(f"/jobs/{job_id}", _json)
+    return get(f"/jobs/{job_id}", read_json)
 
 
 def list_jobs(filters: Filters) -> Request[Json]:
     """Ask for a page of jobs."""
-    return Request("GET", f"{PREFIX}/jobs", _json, query=filters)
+    return Request("GET", f"{PREFIX}/jobs", read_json, query=filters)
 
 
 def prepare_arming(job_id: str) -> Request[Arming]:
     """Ask what a job will move, and for the token to arm it."""
-    return Request("POST", f"{PREFIX}/jobs/{job_id}/arming", _json)
+    return Request("POST", f"{PREFIX}/jobs/{job_id}/arming", read_json)
 
 
 def arm(job: Job, token: str) -> Request[Job]:
@@ -203,12 +192,12 @@ def take_control(job_id: str) -> Request[Job]:
 
 def rename_job(job_id: str, naming: Json) -> Request[Job]:
     """Change name and note of a job."""
-    return Request("PATCH", f"{PREFIX}/jobs/{job_id}", _json, body=naming)
+    return Request("PATCH", f"{PREFIX}/jobs/{job_id}", read_json, body=naming)
 
 
 def rename_run(run_id: str, naming: Json) -> Request[Run]:
     """Change name and note of a Run."""
-    return Request("PATCH", f"{PREFIX}/runs/{run_id}", _json, body=naming)
+    return Request("PATCH", f"{PREFIX}/runs/{run_id}", read_json, body=naming)
 
 
 def delete_job(job_id: str) -> Request[None]:
@@ -222,46 +211,41 @@ def delete_run(run_id: str, *, with_results: bool) -> Request[None]:
     return Request("DELETE", path, _nothing, query=query, may_repeat=False)
 
 
-def list_machines() -> Request[list[Json]]:
-    """Ask for all machines."""
-    return cast(Request[list[Json]], _get("/machines", _items))
-
-
 def issue_certificate(job_id: str, body: Json) -> Request[Json]:
     """Ask for a certificate. Twice would issue two."""
     path = f"{PREFIX}/jobs/{job_id}/certificates"
-    return Request("POST", path, _json, body=body, may_repeat=False)
+    return Request("POST", path, read_json, body=body, may_repeat=False)
 
 
 def list_certificates(job_id: str) -> Request[list[Json]]:
     """Ask for the certificates of a result."""
-    return cast(Request[list[Json]], _get(f"/jobs/{job_id}/certificates", _items))
+    return cast(Request[list[Json]], get(f"/jobs/{job_id}/certificates", read_items))
 
 
 def stop() -> Request[Json]:
     """Stop all motion."""
-    return Request("POST", f"{PREFIX}/stop", _json)
+    return Request("POST", f"{PREFIX}/stop", read_json)
 
 
 def get_job_plan(job_id: str) -> Request[Json]:
     """Ask what a job commands."""
-    return _get(f"/jobs/{job_id}/plan", _json)
+    return get(f"/jobs/{job_id}/plan", read_json)
 
 
 def get_estimate(job_id: str) -> Request[Estimate | None]:
     """Ask for the newest estimate of a measurement under way."""
-    return cast(Request["Estimate | None"], _get(f"/jobs/{job_id}/estimate", _json))
+    return cast(Request["Estimate | None"], get(f"/jobs/{job_id}/estimate", read_json))
 
 
 def get_document(job_id: str, name: str) -> Request[Json]:
     """Ask for `result`, `discovery` or `trend` of a job."""
-    return _get(f"/jobs/{job_id}/{name}", _json)
+    return get(f"/jobs/{job_id}/{name}", read_json)
 
 
 def get_error_tables(job_id: str) -> Request[ErrorTables]:
     """Ask for the error tables of a job."""
     path = f"/jobs/{job_id}/result/error-tables.json"
-    return cast(Request[ErrorTables], _get(path, _json))
+    return cast(Request[ErrorTables], get(path, read_json))
 
 
 def download(path: str) -> Request[bytes]:
@@ -276,34 +260,36 @@ def create_plan(body: Json, key: str | None = None) -> Request[Plan]:
 
 def get_plan(plan_id: str) -> Request[Plan]:
     """Ask for a plan."""
-    return _get(f"/plans/{plan_id}", _json)
+    return get(f"/plans/{plan_id}", read_json)
 
 
 def upload_bundle(bundle: Path) -> Request[Run]:
     """Send a zipped bundle in. Twice would make two Runs."""
     path = f"{PREFIX}/runs"
-    return Request("POST", path, _json, upload=bundle, may_repeat=False)
+    return Request("POST", path, read_json, upload=bundle, may_repeat=False)
 
 
 def get_run(run_id: str) -> Request[Run]:
     """Ask for a Run."""
-    return _get(f"/runs/{run_id}", _json)
+    return get(f"/runs/{run_id}", read_json)
 
 
 def list_runs(filters: Filters) -> Request[Json]:
     """Ask for a page of Runs."""
-    return Request("GET", f"{PREFIX}/runs", _json, query=filters)
+    return Request("GET", f"{PREFIX}/runs", read_json, query=filters)
 
 
 def make_compensation(job_id: str, body: Json) -> Request[Json]:
     """Ask for the files of a controller; the same request makes the same ones."""
-    return Request("POST", f"{PREFIX}/jobs/{job_id}/compensations", _json, body=body)
+    return Request(
+        "POST", f"{PREFIX}/jobs/{job_id}/compensations", read_json, body=body
+    )
 
 
 def log_in(name: str, password: str) -> Request[Json]:
     """Ask for a token."""
     body = {"name": name, "password": password}
-    return Request("POST", f"{PREFIX}/session", _json, body=body, may_repeat=False)
+    return Request("POST", f"{PREFIX}/session", read_json, body=body, may_repeat=False)
 
 
 def log_out() -> Request[None]:

@@ -1,3 +1,4 @@
+# Written by docs/write_sync_client.py from async_client.py; change that.
 """The client for programs that wait for each answer."""
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Any, Self, TypeVar
 
 import httpx2
 
-from truepath.client import requests
+from truepath.client import machine_requests, requests
 from truepath.client.bodies import (
     Arming,
     Condition,
@@ -18,6 +19,8 @@ from truepath.client.bodies import (
     Estimate,
     Job,
     Json,
+    Machine,
+    MachineRecord,
     Plan,
     Run,
     System,
@@ -87,15 +90,15 @@ class Client:
 
     def connect(self) -> Json:
         """Open the ports and return who answers. Moves nothing."""
-        return self._run(ask(requests.connect()))
+        return self._run(ask(machine_requests.connect()))
 
     def get_machine(self) -> Json:
         """Return the machine file and who has answered."""
-        return self._run(ask(requests.get_machine()))
+        return self._run(ask(machine_requests.get_machine()))
 
     def list_conditions(self) -> list[Condition]:
         """Return what has to be so before the machine moves, as it is now."""
-        return self._run(ask(requests.list_conditions()))
+        return self._run(ask(machine_requests.list_conditions()))
 
     def create_job(self, *, idempotency_key: str | None = None, **order: Any) -> Job:
         """Take on a job; `kind` and the rest are those of `POST /jobs`.
@@ -160,9 +163,47 @@ class Client:
         """Delete a Run, and where that is asked the results that depend on it."""
         self._run(ask(requests.delete_run(run_id, with_results=with_results)))
 
-    def list_machines(self) -> list[Json]:
+    def list_machines(self) -> list[Machine]:
         """Return all machines, those that the service drives first."""
-        return self._run(ask(requests.list_machines()))
+        return self._run(ask(machine_requests.list_machines()))
+
+    def get_machine_record(self, machine_id: str) -> MachineRecord:
+        """Return a machine of the registry, with its configuration and its versions."""
+        return self._run(ask(machine_requests.get_machine_record(machine_id)))
+
+    def add_machine(self, machine_id: str, **content: Any) -> MachineRecord:
+        """Add a machine; `machine_file`, `identity` are those of `POST /machines`."""
+        return self._run(ask(machine_requests.add_machine(machine_id, content)))
+
+    def change_machine(self, machine_id: str, **change: Any) -> MachineRecord:
+        """Change who a machine is, its tolerance or its reference; the rest stays."""
+        return self._run(ask(machine_requests.change_machine(machine_id, change)))
+
+    def set_machine_devices(self, machine_id: str, **devices: Any) -> MachineRecord:
+        """Choose drivers and options of a machine. Moves nothing."""
+        return self._run(ask(machine_requests.set_machine_devices(machine_id, devices)))
+
+    def get_machine_history(self, machine_id: str, **query: Any) -> Json:
+        """Return a quantity over all calibrations; `quantity`, `position`."""
+        return self._run(ask(machine_requests.get_machine_history(machine_id, query)))
+
+    def get_machine_changes(
+        self, machine_id: str, since: str, until: str | None = None
+    ) -> Json:
+        """Return what has changed since the calibration of a job, and how surely.
+
+        until : job of the later calibration; None for the newest usable one
+        """
+        query = {"since": since, "until": until}
+        return self._run(ask(machine_requests.get_machine_changes(machine_id, query)))
+
+    def get_machine_standing(self, machine_id: str) -> Json:
+        """Return whether a machine is within its tolerance and as it was."""
+        return self._run(ask(machine_requests.get_machine_standing(machine_id)))
+
+    def compare_machines(self, **query: Any) -> Json:
+        """Compare machines by their newest calibrations; `machine`, `quantity`."""
+        return self._run(ask(machine_requests.compare_machines(query)))
 
     def get_verification(self, job_id: str) -> Json:
         """Return `verification.json`."""
