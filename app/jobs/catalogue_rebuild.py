@@ -1,8 +1,9 @@
 """Makes a catalogue again from what is on disk: Runs and results.
 
 Runs come back whole, and the jobs that made them; so do the jobs of which a result, a
-discovery or a trend stands. What a job was asked, plans that were not driven, jobs that
-failed without a file, and the history of states stood in the catalogue alone.
+discovery or a trend stands. What was deleted does not. What a job was asked, plans that
+were not driven, jobs that failed without a file, and the history of states stood in the
+catalogue alone.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from sqlalchemy import func, select
 from truepath.app.errors import BadInput, NotFound
 from truepath.app.jobs import schema
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.deletion import list_deleted_jobs
 from truepath.app.jobs.errors import (
     CatalogueDamaged,
     Interrupted,
@@ -76,8 +78,10 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
         catalogue = RunCatalogue(database, runs, reader)
         added, unreadable = _add_runs(catalogue)
     store = Store(database, lambda _: None)
+    deleted = list_deleted_jobs(database, results)
     found, odd = _find_jobs(catalogue, results)
-    jobs = [job for job in found if store.add_recovered(job, _plan(job, catalogue))]
+    standing = [job for job in found if job.id not in deleted]
+    jobs = [job for job in standing if store.add_recovered(job, _plan(job, catalogue))]
     return Recovered(
         aside,
         added,

@@ -2,7 +2,9 @@
 
 The rows go in one transaction, which notes what has been deleted. Files follow; what a
 crash, or a disk that refuses, has left of them goes at the next sweep, and no Run that
-is noted as deleted is taken into the catalogue again. What something else depends on is
+is noted as deleted is taken into the catalogue again. An empty file `ID.deleted` beside
+the results stays of a job: its Runs name it still, and a catalogue that is made again
+from them must not bring it back. What something else depends on is
 not deleted: a job that others were made from, that a machine is held against or that a
 certificate states; a Run of a result.
 """
@@ -20,6 +22,7 @@ from sqlalchemy import Connection, Text, cast, delete, insert, or_, select, upda
 
 from truepath.app.errors import NotFound
 from truepath.app.files.file_model import as_object, parse_json
+from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import StillNeeded
 from truepath.app.jobs.job import Job, JobKind, decode_job, format_utc_now
@@ -40,6 +43,7 @@ log = structlog.get_logger(__name__)
 _JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
 _STATED = ("result.json", "verification.json")  # by certificates, of other jobs too
 _CERTIFICATES = "certificates/*/certificate.json"
+_MARK = ".deleted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +142,9 @@ class Deletion:
             self._catalogue.remove_files(name)
             return
         folder = self._results / name
+        self._results.mkdir(parents=True, exist_ok=True)
+        folder.with_name(name + _MARK).touch()
+        sync_to_disk(self._results)
         if folder.is_dir():
             shutil.rmtree(folder)
 
@@ -157,6 +164,14 @@ class Deletion:
                 number = record.parent.name
                 text = f"certificate {number} states the result of job {job_id}"
                 raise StillNeeded(text, [f"certificate {number}"])
+
+
+def list_deleted_jobs(database: Database, results: Path) -> set[str]:
+    """Return the jobs that were deleted, by their marks and by what is noted."""
+    query = select(deletions.c.id).where(deletions.c.kind == "job")
+    with database.read() as connection:
+        noted = set(connection.execute(query).scalars())
+    return noted | {mark.stem for mark in results.glob(f"*{_MARK}")}
 
 
 def _delete_job(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from truepath.app.files.run import Run
 from truepath.app.jobs import schema
 from truepath.app.jobs.catalogue_rebuild import check_against_disk, rebuild_catalogue
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.deletion import Deletion
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
@@ -187,6 +189,49 @@ def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
     recovered, after = rebuild(folder)
     assert (recovered.aside, recovered.runs, recovered.jobs) == (None, 1, 0)
     assert after["jobs"] == before["jobs"]
+
+
+@pytest.mark.parametrize("damage", [lambda _: None, spoil])
+def test_what_was_deleted_stays_deleted(folder, run_reader, damage):
+    """A job whose Run stays, a Run with what was made from it, files left behind."""
+    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
+    runs = RunCatalogue(database, folder / "runs", run_reader)
+    deletion = Deletion(database, runs, folder / "results")
+    jobs = {row["kind"]: row["id"] for row in read_rows(database)["jobs"]}
+    (sent,) = (r.id for r in runs.list_all() if r.origin == "uploaded")
+    deletion.delete_job(jobs["discover"])
+    deletion.delete_run(sent, with_results=True)
+    measured = next(r.id for r in runs.list_all() if r.name == "mill monday")
+    deletion.delete_job(measured)
+    before = read_rows(database)
+    database.close()
+    damage(folder)
+    _, after = rebuild(folder)
+    assert [r["id"] for r in after["runs"]] == [r["id"] for r in before["runs"]]
+    assert [j["id"] for j in after["jobs"]] == [j["id"] for j in before["jobs"]]
+    assert measured in [r["id"] for r in after["runs"]]
+
+
+def test_a_result_that_outlives_its_deletion_makes_no_job(
+    folder, run_reader, monkeypatch
+):
+    """The rows are gone and the disk refuses to give the files up."""
+    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
+    runs = RunCatalogue(database, folder / "runs", run_reader)
+    deletion = Deletion(database, runs, folder / "results")
+    found = next(
+        j["id"] for j in read_rows(database)["jobs"] if j["kind"] == "discover"
+    )
+    with monkeypatch.context() as refusing:
+        refusing.setattr(
+            "truepath.app.jobs.deletion.shutil.rmtree", Mock(side_effect=OSError)
+        )
+        deletion.delete_job(found)
+    assert (folder / "results" / found / "discovery.json").is_file()
+    database.close()
+    assert found not in [job["id"] for job in rebuild(folder)[1]["jobs"]]
+    spoil(folder)
+    assert found not in [job["id"] for job in rebuild(folder)[1]["jobs"]]
 
 
 def test_what_cannot_be_read_is_named_and_kept(folder):
