@@ -2,6 +2,7 @@
 
 Every answer of the cell has a deadline. If it does not confirm a hold, a resume or an
 abort in time, its process is killed, and the machine's own watchdog holds the feed.
+A line that does not end after a cancel is aborted.
 """
 
 from __future__ import annotations
@@ -16,10 +17,15 @@ import structlog
 from truepath.app.errors import MeasurementFailed
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_supervisor import MOVING, CellSupervisor
-from truepath.app.jobs.errors import Aborted, MachineFault, MeasurementEnded
+from truepath.app.jobs.errors import (
+    Aborted,
+    LineUnfinished,
+    MachineFault,
+    MeasurementEnded,
+)
 from truepath.app.jobs.job import Failure, Health, Progress, Stage
 from truepath.app.jobs.live_estimation import LiveSteering
-from truepath.app.jobs.transitions import State
+from truepath.app.jobs.transitions import State, Verb
 from truepath.app.measurement.measurement_state import ENDS
 from truepath.app.measurement.messages import (
     CellEvent,
@@ -33,6 +39,7 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
+from truepath.app.motion.motion_times import row_times_s
 
 log = structlog.get_logger(__name__)
 
@@ -40,7 +47,9 @@ CONFIRM_S = {
     State.PAUSING: 30.0,  # a standstill point may be finished first
     State.RESUMING: 30.0,
     State.ABORTING: 10.0,
+    State.CANCELLING: 60.0,  # beyond the time of the line or point under way
 }
+LINE_TIMES = 2.0  # of the line or point under way, that cancelling may last
 CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
@@ -48,6 +57,11 @@ _POLL_S = 0.1
 _INSPECT_MACHINE = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
     "again; what was recorded is kept."
+)
+
+_LOOK_AT_CONTROLLER = (
+    "Look at the control for what kept the line from ending: a stop, a message, an "
+    "override of 0 %; then measure again; what was recorded is kept."
 )
 
 
@@ -74,6 +88,7 @@ class CellMeasurement:
         self._close_by = float("inf")
         self._repeat_at = time.monotonic() + REPEAT_S
         self._is_killed = self._is_given_up = self._is_held = False
+        self._is_overdue, self._line_s = False, 0.0
         self._gives_up = gives_up
         self._repeats = 0
 
@@ -82,6 +97,7 @@ class CellMeasurement:
 
         Raises Aborted, Cancelled, Interrupted, MeasurementEnded, MachineFault.
         """
+        self._line_s = float(row_times_s(order.commanded).max(initial=0.0))
         if not self._cell.begin(
             order,
             self._events.put,
@@ -149,6 +165,7 @@ class CellMeasurement:
 
     def _report_progress(self, event: MeasurementProgress) -> None:
         total, left_s = event.total, event.remaining_s
+        self._line_s = event.line_s or self._line_s
         if self._steering is not None:
             total = self._steering.count_total(total)
         if total > event.total:
@@ -210,7 +227,7 @@ class CellMeasurement:
         if self._outcome or now < self._repeat_at:
             return
         self._repeat_at = now + REPEAT_S
-        if self._job.is_cancelled or self._is_given_up:
+        if self._job.is_cancelled or self._is_given_up or self._is_overdue:
             self._cell.send(CellVerb.ABORT)
         elif self._job.wants_cancel:
             self._cell.send(CellVerb.ABORT if self._is_held else CellVerb.CONCLUDE)
@@ -220,14 +237,31 @@ class CellMeasurement:
     def _check_deadlines(self) -> None:
         state = self._job.state
         limit_s = float("inf") if self._outcome else self._confirm_s.get(state)
+        if limit_s is not None and state is State.CANCELLING:
+            limit_s += LINE_TIMES * self._line_s
         overdue = limit_s is not None and self._job.state_lasts_s > limit_s
-        if overdue and not self._is_killed:
+        if overdue and state is State.CANCELLING:
+            self._stop_cancelling()
+        elif overdue and not self._is_killed:
             self._kill_cell(
                 f"not-{state}", f"the cell has not confirmed {state} in time"
             )
         if time.monotonic() > self._close_by:
             self._close_by = float("inf")
             self._kill_cell("run-not-closed", "the cell has not closed its Run in time")
+
+    def _stop_cancelling(self) -> None:
+        """Hold the feed: the line or point under way has not ended in time."""
+        lasted_s = self._job.state_lasts_s
+        log.error("cancel overdue", job_id=self._job.job_id, lasted_s=lasted_s)
+        self._is_overdue = True
+        text = (
+            f"the line or point under way was to end first, but had not after "
+            f"{lasted_s:.0f} s; the feed was held"
+        )
+        self._fault = FaultReported("cancel-overdue", text, _LOOK_AT_CONTROLLER)
+        self._cell.send(CellVerb.ABORT)
+        self._job.apply_verb(Verb.ABORT)
 
     def _kill_cell(self, code: str, text: str) -> None:
         log.error("cell given up", job_id=self._job.job_id, code=code)
@@ -242,6 +276,8 @@ class CellMeasurement:
         code, text, action = fault.code, fault.text, fault.action
         if self._outcome is CellState.FAULTED:
             raise MachineFault(code or "fault", text or "the machine faulted", action)
+        if self._is_overdue:
+            raise LineUnfinished("cancel-overdue", text, action)
         self._job.checkpoint()
         match self._outcome:
             case CellState.FINISHED:

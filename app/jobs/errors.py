@@ -126,6 +126,10 @@ class MachineFault(MeasurementEnded):
     """Machine, tracker or link failed in a measurement; somebody has to look."""
 
 
+class LineUnfinished(MeasurementEnded):
+    """The line under way did not end after a cancel, so the job was aborted."""
+
+
 class Aborted(TruepathError):
     """A user ended the job. Not a failure."""
 

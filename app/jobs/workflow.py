@@ -25,6 +25,7 @@ from truepath.app.jobs.errors import (
     Aborted,
     Cancelled,
     Interrupted,
+    LineUnfinished,
     MachineFault,
     MeasurementEnded,
     StorageUnavailable,
@@ -74,6 +75,8 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
             return State.CANCELLED, None
         case Interrupted():
             return State.INTERRUPTED, Failure(family, text)
+        case LineUnfinished():
+            return State.ABORTED, Failure(family, text, error.code, error.action)
         case MeasurementEnded():
             state = State.FAULTED if isinstance(error, MachineFault) else State.FAILED
             return state, Failure(family, text, error.code, error.action)

@@ -189,6 +189,7 @@ class MeasurementProgress:
 
     unit : what is counted, `lines` or `points`
     stage : `preparing`, `measuring`, `closing`
+    line_s : time of the line or point under way, from its beginning, at the pace so far
     gaps : places where samples are missing; lost_samples : how many are
     crc_errors : since the tracker was connected
     queue_depth : what waits to be written; commits : how long each commit took
@@ -200,6 +201,7 @@ class MeasurementProgress:
     stage: str
     elapsed_s: float
     remaining_s: float
+    line_s: float = 0.0
     position: tuple[float, ...] = ()
     samples: int = 0
     lost_samples: int = 0

@@ -54,10 +54,21 @@ class RowSchedule:
         """Extrapolate: the planned rest, at the pace kept so far."""
         planned_s = float(self.row_s[:row].sum())
         left_s = float(self.row_s[row:].sum())
-        # Early on the pace is noise; later it knows overrides and speed-ups.
-        if planned_s < _TRUST_S or active_s <= 0:
+        if (pace := self._find_pace(row, active_s)) is None:
             return max(left_s - active_s + planned_s, 0.0)
-        return left_s * active_s / planned_s
+        return left_s * pace
+
+    def line_s(self, row: int, active_s: float) -> float:
+        """Return how long the line to a row, or a point, takes at the pace so far."""
+        return float(self.row_s[row]) * (self._find_pace(row, active_s) or 1.0)
+
+    def _find_pace(self, row: int, active_s: float) -> float | None:
+        """Return the time taken a planned second; early on it is only noise: None."""
+        planned_s = float(self.row_s[:row].sum())
+        # Later it knows overrides and speed-ups.
+        if planned_s < _TRUST_S or active_s <= 0:
+            return None
+        return active_s / planned_s
 
 
 def schedule_rows(commanded: Path | Configurations, feed_mm_min: float) -> RowSchedule:
@@ -159,6 +170,7 @@ class ProgressEstimator:
             stage=self.stage,
             elapsed_s=round(now_s - self._begun_s, 3),
             remaining_s=0.0 if finished else round(left_s, 3),
+            line_s=round(self._schedule.line_s(self.row, self._active_s), 3),
         )
 
 

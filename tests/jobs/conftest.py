@@ -116,6 +116,7 @@ def context(catalogue, event_bus, make_cell, science, machine, tmp_path, run_rea
             State.PAUSING: 0.3,
             State.RESUMING: 0.3,
             State.ABORTING: 0.3,
+            State.CANCELLING: 30.0,
         },
     )
     cell.close()

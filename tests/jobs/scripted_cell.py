@@ -117,10 +117,10 @@ class ScriptedCell:
         if verb == "beat":
             return
         self.heard.append(str(verb))
+        if verb in self.deaf:
+            return
         if verb == "conclude":
             self.end("finished")
-        elif verb in self.deaf:
-            return
         elif verb == "abort":
             if self._recorder is not None:
                 self.end("aborted")
@@ -162,8 +162,8 @@ class ScriptedCell:
     def fault(self, code="beam-lost", text="the beam is lost", action="lock it"):
         self.say(FaultReported(code, text, action))
 
-    def record(self, n):
-        """Record some samples and tell of them."""
+    def record(self, n, line_s=0.0):
+        """Record some samples and tell of them, and how long the line takes."""
         sequence = np.arange(self._samples, self._samples + n)
         samples = TrackerSamples(
             sequence, sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
@@ -180,6 +180,7 @@ class ScriptedCell:
                 samples=self._samples,
                 elapsed_s=self._samples / 500.0,
                 remaining_s=1.5,
+                line_s=line_s,
             )
         )
         self.say(LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))

@@ -391,6 +391,37 @@ def test_a_cancelled_measurement_finishes_its_line_and_keeps_its_run(
     assert dispatcher.cancel(running.id) == ended
 
 
+@pytest.mark.fault_row(34)
+def test_a_line_that_never_ends_after_a_cancel_is_aborted_with_the_reason(
+    dispatcher, running, make_cell, until, context
+):
+    context.confirm_s["cancelling"] = 0.2
+    make_cell.cell.deaf.add("conclude")
+
+    def is_stored():
+        make_cell.cell.record(1, line_s=0.3)
+        return context.store.get(running.id).health.samples > 50
+
+    wait_until(is_stored)
+    begun_s = time.monotonic()
+    dispatcher.cancel(running.id)
+    ended = until(running, "aborted")
+    assert time.monotonic() - begun_s >= 0.2 + 2 * 0.3
+    assert ended.failure.code == "cancel-overdue"
+    assert "the feed was held" in ended.failure.detail
+    assert make_cell.cell.heard[-1] == "abort"
+    assert ended.run_id == running.id
+
+
+def test_a_line_that_ends_by_neither_cancel_nor_abort_is_a_fault(
+    dispatcher, running, make_cell, until, context
+):
+    context.confirm_s["cancelling"] = -60.0  # the line that is planned takes some time
+    make_cell.cell.deaf |= {"conclude", "abort"}
+    dispatcher.cancel(running.id)
+    assert until(running, "faulted").failure.code == "not-aborting"
+
+
 def test_a_held_measurement_is_cancelled_where_it_stands(
     dispatcher, running, make_cell, until
 ):
