@@ -224,11 +224,16 @@ class Job:
         return (*own, *self.further_run_ids)
 
     def add_run(self, run_id: str) -> Job:
-        """Return the job with a Run that it has made: its first one, or a further."""
-        if self.run_id in (None, run_id) or self.kind is JobKind.MEASURE_EXTRA:
+        """Return the job with a Run that it has made: its first one, or a further.
+
+        Of extra lines the newest is `run_id`, after all others.
+        """
+        if self.run_id in (None, run_id):
             return replace(self, run_id=run_id)
-        further = tuple(dict.fromkeys((*self.further_run_ids, run_id)))
-        return replace(self, further_run_ids=further)
+        newest = self.kind is JobKind.MEASURE_EXTRA
+        first, added = (run_id, self.run_id) if newest else (self.run_id, run_id)
+        further = tuple(dict.fromkeys((*self.further_run_ids, added)))
+        return replace(self, run_id=first, further_run_ids=further)
 
     @property
     def wants_pause(self) -> bool:

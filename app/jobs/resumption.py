@@ -30,8 +30,17 @@ from truepath.drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
 _FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
+_GOES_ON = frozenset(
+    {JobKind.MEASURE_OTF, JobKind.MEASURE_STANDSTILL, JobKind.MEASURE_EXTRA}
+)
 _MEASURED = frozenset(
-    {Stage.ALIGNING, Stage.ESTIMATING, Stage.VALIDATING, Stage.REPORTING}
+    {
+        Stage.ALIGNING,
+        Stage.ESTIMATING,
+        Stage.VALIDATING,
+        Stage.DISCOVERING,
+        Stage.REPORTING,
+    }
 )
 CLOSURE_CODE = "closure"
 _REMEDY = (
@@ -58,9 +67,8 @@ def require_resumable(job: Job, plan: Json | None) -> None:
 
 def _find_reason(job: Job, plan: Json) -> str:
     kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
-    if job.kind not in (JobKind.MEASURE_OTF, JobKind.MEASURE_STANDSTILL):
-        why = "its rows depend on what was measured before" if job.kind.measures else ""
-        return f"{why or 'it only computes'}; {kept}; begin a new job"
+    if job.kind not in _GOES_ON:
+        return f"{_name_obstacle(job.kind)}; {kept}; begin a new job"
     if "stations" in plan:
         return f"it has several stations; begin a job that `continues` it; {kept}"
     if job.on_notice is not OnNotice.NOTE:
@@ -68,8 +76,17 @@ def _find_reason(job: Job, plan: Json) -> str:
     if len(set(plan.get("target", ()))) > 1:
         return f"its targets have to be measured in one Run; {kept}; begin a new job"
     if job.stage in _MEASURED:
-        return f"all its rows are measured; analyse its Runs; {kept}"
+        then = "discover in" if job.kind.discovers else "analyse"
+        return f"all its rows are measured; {then} its Runs; {kept}"
     return ""
+
+
+def _name_obstacle(kind: JobKind) -> str:
+    if kind is JobKind.VERIFY:
+        return "a result is held against one Run alone"
+    if kind.measures:
+        return "its rows depend on what was measured before"
+    return "it only computes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +190,16 @@ class ResumedSteps:
         self._require_closure(resumption, closure_id)
         self._keep_part({**part, "closure_id": closure_id})
         return run_id
+
+    def list_kept(self, resumption: Resumption | None) -> tuple[str, ...]:
+        """Return the Runs that the answer takes beside the part that is to be driven.
+
+        Of extra lines those of the discovery that asks for them come first.
+        """
+        plan = self.context.store.read_plan(self.job.id) or {}
+        own = {self.job.id, *list_part_ids(plan)}
+        others = tuple(run_id for run_id in self.job.run_ids if run_id not in own)
+        return (*others, *(() if resumption is None else resumption.kept_run_ids))
 
     def begin_anew(self) -> str:
         """Return the Run of a part from the first row: none before can be used."""

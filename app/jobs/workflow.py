@@ -208,12 +208,13 @@ class _JobSteps:
             steps = StationSteps(job, self.active, self.context, self._compute)
             return tuple(dict.fromkeys((*job.run_ids, *steps.run())))
         resumption, run_id, before = Resumption.read(plan), job.id, job.run_ids
+        if job.started is not None:
+            before = self._resumed_steps.list_kept(resumption)
         if resumption is not None:
             run_id = self._resumed_steps.begin_part(resumption, commanded)
             commanded = resumption.select_rest(commanded)
-            before = resumption.kept_run_ids
         elif job.started is not None:
-            run_id, before = self._resumed_steps.begin_anew(), ()
+            run_id = self._resumed_steps.begin_anew()
         order = self._plan_order()
         DrivingSteps(job, self.active, self.context, order, run_id).run(commanded)
         return tuple(dict.fromkeys((*before, run_id)))

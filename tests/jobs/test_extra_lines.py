@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arming import arm_at_once
+from resumption_doubles import Closer, Resumer
 from scripted_cell import Explorer
 
 from truepath.app.errors import NotFound, OutOfTravel, PlanningError
@@ -39,10 +40,21 @@ def lives():
 
 
 @pytest.fixture
-def asking(context, event_bus, explorer, lives):
+def resumer():
+    return Resumer()
+
+
+@pytest.fixture
+def asking(context, event_bus, explorer, lives, resumer):
     """A dispatcher whose discoveries ask for extra lines."""
     context.require_cell().start()
-    full = replace(context, discoverer=explorer, live=lambda *_: lives.append(1))
+    full = replace(
+        context,
+        discoverer=explorer,
+        live=lambda *_: lives.append(1),
+        resumer=resumer,
+        closer=Closer(),
+    )
     dispatcher = Dispatcher(full, event_bus)
     yield dispatcher
     dispatcher.close()
@@ -99,6 +111,67 @@ def test_the_lines_are_driven_and_all_runs_are_explained_together(
     files, _, _ = explorer.calls[-1]
     assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]
     assert not lives
+
+
+@pytest.fixture
+def cut_short(asking, discover, until, make_cell):
+    """A measurement of eight extra lines that a fault has ended in motion."""
+
+    def made(explorer):
+        explorer.rows = [ROWS[row % 2] for row in range(9)]
+        request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+        job = until(asking.create(request)[0], State.READY)
+        arm_at_once(asking, job.id, job.version)
+        assert make_cell.cell.begun.wait(5)
+        make_cell.cell.fault()
+        make_cell.cell.end("faulted")
+        return until(job, State.FAULTED)
+
+    return made
+
+
+@pytest.fixture
+def go_on(asking, until, make_cell):
+    """Acknowledge and arm; let so many Runs be measured; return their orders."""
+
+    def done(job, runs):
+        asking.acknowledge(job.id)
+        cell, orders = make_cell.cell, []
+        cell.begun.clear()
+        arm_at_once(asking, job.id, until(job, State.READY).version)
+        for _ in range(runs):
+            assert cell.begun.wait(5)
+            cell.begun.clear()
+            orders.append(cell.order)
+            cell.end()
+        return orders
+
+    return done
+
+
+def test_extra_lines_that_were_cut_short_go_on_and_all_runs_are_explained_together(
+    cut_short, go_on, explorer, resumer, until, run, context
+):
+    job, resumer.next_row = cut_short(explorer), 3
+    closure, rest = go_on(job, runs=2)
+    assert isinstance(closure.commanded, Configurations)
+    assert len(rest.commanded) == 9 - 2
+    ended = until(job, State.SUCCEEDED)
+    assert ended.run_ids == (run.id, job.id, ended.run_id)
+    assert explorer.calls[-1][0] == [str(context.runs.file(i)) for i in ended.run_ids]
+    assert ended.has_discovery
+
+
+def test_extra_lines_that_tell_no_pose_are_driven_again_and_explained_with_the_others(
+    cut_short, go_on, explorer, resumer, until, run, context
+):
+    job, resumer.next_row = cut_short(explorer), None
+    (whole,) = go_on(job, runs=1)
+    assert len(whole.commanded) == 9
+    ended = until(job, State.SUCCEEDED)
+    assert ended.run_ids == (run.id, job.id, ended.run_id)
+    explained = [str(context.runs.file(i)) for i in (run.id, ended.run_id)]
+    assert explorer.calls[-1][0] == explained
 
 
 def test_nothing_moves_before_it_is_armed(asking, discover, until, make_cell):

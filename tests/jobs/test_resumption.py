@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 from arming import arm_at_once
+from resumption_doubles import PLACES, Closer, Resumer
 
 from truepath.app.errors import IllegalTransition
 from truepath.app.jobs.dispatcher import Dispatcher
@@ -21,32 +22,6 @@ PATH = tuple(
     for n in range(12)
 )
 OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
-PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
-
-
-class Resumer:
-    """Says how far each Run has got."""
-
-    def __init__(self):
-        self.calls, self.next_row = [], 4
-
-    def __call__(self, files, machine, *, on_progress):
-        self.calls.append(files)
-        if self.next_row is None:
-            return [None for _ in files]
-        reached = {"next_row": self.next_row, "row": [2, 3], "place_mm": PLACES}
-        return [reached for _ in files]
-
-
-class Closer:
-    """Says whether the target is where it was."""
-
-    def __init__(self):
-        self.calls, self.problem = [], ""
-
-    def __call__(self, file, place_mm, *, on_progress):
-        self.calls.append(place_mm)
-        return {"step_um": 1.0, "allowed_um": 20.0, "problem": self.problem}
 
 
 @pytest.fixture

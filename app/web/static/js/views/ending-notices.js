@@ -5,7 +5,7 @@ import { earlyEndNotice, errorNotice, kindOf, notice, wordOf } from "../parts.js
 import { number, t } from "../texts.js";
 import { verdictNotice } from "./verdict-band.js";
 
-const RESUMABLE = new Set(["measure-otf", "measure-standstill"]);
+const RESUMABLE = new Set(["measure-otf", "measure-standstill", "measure-extra"]);
 
 /** Whether a measurement that was cut short may be prepared to go on. */
 export const mayGoOn = (job) =>
