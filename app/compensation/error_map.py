@@ -18,9 +18,6 @@ from truepath.app.kinematics.machine import LinearAxis, Machine
 from truepath.app.kinematics.symbols import DIRECTION, LINEAR, is_turn
 from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
-# Over 20 machines (odd seeds 901 to 949 of `validation/calibrated_machines.py`)
-# lost motion is off by 1.25 of what its result states.
-_LOST_MOTION = 1.25
 _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
 
@@ -72,15 +69,12 @@ class ErrorMap:
     def half_difference_sigma_mm(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the standard uncertainty of that half, 0 where none is stated.
-
-        Greater by `_LOST_MOTION` than the result states it.
-        """
+        """Return the standard uncertainty of that half, 0 where none is stated."""
         if axis not in self.result.half_difference_u_um:
             return np.zeros(len(at_mm))
         position_mm, _ = self.result.half_difference_um[axis]
         sigma_um = self.result.half_difference_u_um[axis]
-        return np.interp(at_mm, position_mm, _LOST_MOTION * sigma_um / UM_PER_MM)
+        return np.interp(at_mm, position_mm, sigma_um / UM_PER_MM)
 
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]

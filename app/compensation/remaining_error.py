@@ -20,6 +20,7 @@ from truepath.app.compensation.error_map import ErrorMap
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import MeasuredRange
+from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.model import CatalogueEffect
@@ -29,9 +30,8 @@ from truepath.app.results.volumetric_error import draw_parameters
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
 _NOTHING_MM = 1e-9
-# Of standard uncertainties themselves: over the random machines of docs/validation.md
-# what is left scatters about what is stated by 11 %, 8 % of which the draws explain.
-_SCALE = 0.1
+# Of a standard deviation that a file does not say how well it knows: 50 values.
+_UNSTATED_SCALE = 0.1
 _SIDES = (1.0, -1.0)  # + and − direction
 
 
@@ -77,12 +77,14 @@ class RemainingError:
     drawn_mm : (s, n, 3, d) what the map may be wrong by, drawn from its covariance
     is_measured : (n,) where every axis was measured
     weight : (n,) what each position counts in a mean
+    scale : how well the size of what was drawn is known itself, k = 1, of 1
     """
 
     left_mm: Float64[np.ndarray, "s n 3"]
     drawn_mm: Float64[np.ndarray, "s n 3 d"]
     is_measured: Bool[np.ndarray, " n"]
     weight: Float64[np.ndarray, " n"]
+    scale: float
 
     def state_map(self, *, measured: bool = False) -> dict[str, float]:
         """Return mean and largest length of the map itself, µm.
@@ -101,7 +103,7 @@ class RemainingError:
 
         As `state_map`, of errors that the measurement allows; None without such places.
         The uncertainty is the spread over these, and that their size is itself known to
-        `_SCALE` alone.
+        `scale` alone.
         """
         kept = self._select(measured=measured)
         if not self.weight[kept].any():
@@ -114,7 +116,7 @@ class RemainingError:
         return {
             "mean": float(mean.mean()),
             "largest": float(largest.mean()),
-            "mean_uncertainty": float(np.hypot(mean.std(), _SCALE * unknown)),
+            "mean_uncertainty": float(np.hypot(mean.std(), self.scale * unknown)),
         }
 
     def find_difference_um(self, other: RemainingError) -> float:
@@ -159,13 +161,24 @@ def find_remaining(
         (position[:, column] >= one.low) & (position[:, column] <= one.high)
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)
     ]
-    drawn = _draw_errors_mm(errors, position)
     return RemainingError(
         both,
-        drawn,
+        _draw_errors_mm(errors, position),
         np.all(inside, axis=0),
         weight,
+        _find_scale(errors.result),
     )
+
+
+def _find_scale(result: CalibrationResult) -> float:
+    """Return the relative uncertainty of a standard deviation of ν values, 1/√(2ν).
+
+    ν are the independent values that the measurement has of its slow noise, which
+    decides how well errors are known (JCGM 100, E.4.3).
+    """
+    if result.noise_freedom is None:
+        return _UNSTATED_SCALE
+    return float(1.0 / np.sqrt(2.0 * result.noise_freedom))
 
 
 def _draw_errors_mm(

@@ -39,6 +39,8 @@ class CalibrationResult(EstimatedModel):
         positioning, as (position mm, value µm), by axis; none where direction plays no
         part
     half_difference_u_um : standard uncertainty of its values, where the file states it
+    noise_freedom : independent values by which the measurement knows the size of its
+        slow noise; None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
     verdict : what the result says of itself; of a file that says nothing, usable
     """
@@ -53,6 +55,7 @@ class CalibrationResult(EstimatedModel):
     half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
         default_factory=dict[str, Any]
     )
+    noise_freedom: float | None = None
     version: int = 1
     verdict: Verdict = field(default_factory=Verdict)
 
@@ -104,6 +107,10 @@ class _Direction(FileModel):
     ]
 
 
+class _Noise(FileModel):
+    slow_time_s: float = Field(gt=0.0)
+
+
 class _Verdict(FileModel):
     """What has to be right; details that are another's are left to its sentences."""
 
@@ -120,6 +127,7 @@ class _Document(FileModel):
     direction: _Direction | None = None
     measured_range: _Ranges = _Ranges()
     observability: _Observability
+    noise: _Noise | None = None
     provenance: dict[str, Any]
     model: Any
     verdict: _Verdict | None = None
@@ -159,6 +167,13 @@ class _Document(FileModel):
             symbol[1]: (np.array(half.position_mm, float), np.array(half.value_um))
             for symbol, half in self.direction.half_difference.items()
         }
+
+    def count_noise_freedom(self) -> float | None:
+        """Return three components once in two correlation times of the slow noise."""
+        measured_s = self.provenance.get("measured_s")
+        if self.noise is None or not isinstance(measured_s, int | float):
+            return None
+        return max(3.0 * measured_s / (2.0 * self.noise.slow_time_s), 1.0)
 
     def half_difference_uncertainties_um(self) -> dict[str, Any]:
         """Return the standard uncertainty of half differences that have one."""
@@ -224,6 +239,7 @@ def result_from_json(
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
         document.half_differences_um(),
         document.half_difference_uncertainties_um(),
+        document.count_noise_freedom(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
     )

@@ -33,7 +33,10 @@ from truepath.app.estimation.extrapolation import (
     estimate_variations,
     full_travel,
 )
-from truepath.app.estimation.known_effects import extract_known_effects
+from truepath.app.estimation.known_effects import (
+    KnownEffects,
+    extract_known_effects,
+)
 from truepath.app.estimation.noise import NoiseModel, raise_noise
 from truepath.app.estimation.noise_fit import guess_noise, refine_runs
 from truepath.app.estimation.runs import RunInput
@@ -44,6 +47,7 @@ from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.coarse_model import build_run_models
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.model import MachineModel
 from truepath.app.kinematics.second_order import compute_second_order_mm
 from truepath.app.numerics.rigid import RigidTransform
 from truepath.app.progress import Progress, ignore_progress
@@ -63,6 +67,7 @@ _LIKELY, _DOUBTFUL = 0.05, 0.01
 _FREE = 10.0  # stated uncertainties that a machine which has changed may be off
 _ROUNDING = 1e-12
 _FEWEST = 8.0  # degrees of freedom by which the noise of a Run is known at the least
+_ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth
 
 Correction = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
 """What a controller adds at the conditions of cells, mm."""
@@ -246,10 +251,27 @@ def _find_pose(
     guess = guess_noise(observations, perpendicular_only=False)
     start = RunInput(rest, observations.pose, guess)
     try:
-        found = refine_runs(models.coarse, [start], known=known)[0]
+        found = _settle_noise(models.coarse, start, known)
     except Unidentifiable:  # too few places to tell: as loud as is usual
         return observations.pose, raise_noise(guess)
     return found.pose, found.noise
+
+
+def _settle_noise(
+    model: MachineModel, start: RunInput, known: KnownEffects
+) -> RunInput:
+    """Return pose and noise with how far the machine errs judged by that same noise.
+
+    By a noise that is too low, some of it passes for error of the free machine, which
+    the next noise then lacks: few places cannot tell, so both are found in turn.
+    """
+    found = start
+    for _ in range(_ROUNDS):
+        before = replace(start, pose=found.pose, noise=found.noise)
+        found = refine_runs(model, [before], known=known)[0]
+        if np.allclose(found.noise.ou, before.noise.ou, rtol=_SAME_NOISE, atol=0.0):
+            break
+    return found
 
 
 def predict_displacement(
