@@ -67,6 +67,7 @@ def _read_answers() -> dict[str, Any]:
     return {
         **kept,
         "get_reanalysed_run": kept["get_result"],
+        "set_machine_file": kept["set_machine_devices"],
         "create_job": _make_job(State.QUEUED),
         "list_jobs": {"items": [ready], "next": "czoxMg=="},
         "get_job": ready,

@@ -15,6 +15,7 @@ from truepath.app.api.machine import (
 )
 from truepath.app.api.models.base import PREFIX, MachinePath
 from truepath.app.api.models.machine import (
+    MachineDescription,
     MachineDetail,
     MachineDevices,
     MachineEntry,
@@ -74,6 +75,16 @@ def change_machine(
     if request.reference_job is not None:
         service.store.get(request.reference_job)
     _change(machine_id, request, service)
+    return _read_detail(machine_id, service)
+
+
+@router.put("/{machine_id}/machine-file", responses=declare_problems(404, 409, 422))
+def set_machine_file(
+    machine_id: MachinePath, request: MachineDescription, service: ServiceDep
+) -> MachineDetail:
+    """Describe a machine anew, as a new version; its cell is started anew."""
+    service.setup.set_machine_file(machine_id, request.machine_file)
+    service.calibrations.judge(machine_id)
     return _read_detail(machine_id, service)
 
 

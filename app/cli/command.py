@@ -19,6 +19,7 @@ from truepath.app.cli import (
     driver_commands,
     format_commands,
     import_command,
+    machine_commands,
     operation_commands,
     planning_commands,
     reanalyse_command,
@@ -106,6 +107,7 @@ app.command()(backup_commands.restore)
 app.command()(operation_commands.support_bundle)
 app.command()(operation_commands.settings)
 app.command()(operation_commands.systemd_unit)
+app.add_typer(machine_commands.machines, name="machines")
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
 app.add_typer(tls_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")

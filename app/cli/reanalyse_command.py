@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from truepath.app.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
 from truepath.app.cli.terminal import (
     Json,
     NotedProgress,
@@ -16,7 +16,6 @@ from truepath.app.cli.terminal import (
     say,
     show_progress,
 )
-from truepath.app.errors import BadInput, JobError
 
 
 def reanalyse(
@@ -30,21 +29,14 @@ def reanalyse(
     since: Annotated[
         datetime | None, typer.Option(help="Only Runs since then, by local time.")
     ] = None,
-    address: Annotated[
-        str, typer.Option(metavar="URL", help="Of the service.")
-    ] = "http://127.0.0.1:8411",
-    key_file: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Holds an API key, where it asks for one."),
-    ] = None,
+    address: Address = HERE,
+    key_file: KeyFile = None,
+    ca_file: CaFile = None,
     json: Json = False,
 ) -> None:
     """Analyse Runs again and say what has changed; Ctrl-C leaves the job running."""
     from truepath.app.cli.calibration import follow_to_the_end
-    from truepath.client import Client, ClientError
 
-    if not address.startswith("http://"):
-        raise BadInput(f"--address {address}: is no http:// address")
     order: dict[str, Any] = {"kind": "reanalyse"}
     if run_ids:
         order["run_ids"] = run_ids
@@ -52,15 +44,11 @@ def reanalyse(
         order["machine"] = machine
     if since is not None:
         order["since"] = since.astimezone().isoformat()
-    token = key_file.read_text(encoding="utf-8").strip() if key_file else None
-    try:
-        with Client(address, token=token) as client:
-            job_id = client.create_job(**order)["id"]
-            with show_progress("reanalyse") as on_progress:
-                follow_to_the_end(client, job_id, _show_share(on_progress))
-            summary = client.get_reanalysis(job_id)
-    except ClientError as error:
-        raise JobError(str(error)) from error
+    with open_client(address, key_file, ca_file) as client:
+        job_id = client.create_job(**order)["id"]
+        with show_progress("reanalyse") as on_progress:
+            follow_to_the_end(client, job_id, _show_share(on_progress))
+        summary = client.get_reanalysis(job_id)
     if json:
         print_json(summary)
     else:

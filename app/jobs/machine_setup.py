@@ -105,10 +105,7 @@ class MachineSetup:
 
         Raises NotFound, SetElsewhere, CellBusy, MachineKnown, BadInput.
         """
-        record = self.registry.get(machine_id)
-        if record.origin != CATALOGUE:
-            raise SetElsewhere(f"machine {machine_id} is configured in the settings")
-        self.refuse_while_measuring(machine_id)
+        record = self._get_changeable(machine_id)
         config = configure_cell(devices)
         _check_options(config)
         self._refuse_links(machine_id, config)
@@ -117,6 +114,21 @@ class MachineSetup:
         version = self.registry.note(machine_id, CATALOGUE, content, kept)
         machine = machine_from_json(content)
         self._put(machine_id, machine, config, version).start()
+        return self.registry.get(machine_id)
+
+    def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
+        """Describe a machine anew; its cell, if it has one, is started anew.
+
+        Raises NotFound, SetElsewhere, CellBusy, MachineKnown, BundleError.
+        """
+        before = self._get_changeable(machine_id).versions[0]
+        machine = machine_from_json(machine_file)
+        self._refuse_name(machine_id, machine.name)
+        content, devices = machine_to_json(machine), dict(before.devices)
+        version = self.registry.note(machine_id, CATALOGUE, content, devices)
+        if devices and version != before.number:
+            config = configure_cell(DeviceConfiguration(**devices))
+            self._put(machine_id, machine, config, version).start()
         return self.registry.get(machine_id)
 
     def try_devices(self, machine_id: str) -> TrackerTried:
@@ -136,6 +148,14 @@ class MachineSetup:
         for job in self._store.list_unfinished():
             if job.kind.measures and job.machine == machine_id:
                 raise CellBusy(job.id, job.state)
+
+    def _get_changeable(self, machine_id: str) -> MachineRecord:
+        """Return a machine whose configuration may change now."""
+        record = self.registry.get(machine_id)
+        if record.origin != CATALOGUE:
+            raise SetElsewhere(f"machine {machine_id} is configured in the settings")
+        self.refuse_while_measuring(machine_id)
+        return record
 
     def _load_kept(self, record: MachineRecord) -> None:
         newest = record.versions[0]

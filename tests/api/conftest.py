@@ -28,11 +28,13 @@ from truepath.app.jobs.database import Database
 from truepath.app.jobs.deletion import Deletion
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.machine_setup import MachineSetup
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
+from truepath.app.jobs.transitions import State
 from truepath.app.planning.default_path import default_path
 from truepath.app.reporting.analysis_files import render_analysis, write_analysis
 from truepath.app.results.analysis import analyse
@@ -335,3 +337,30 @@ def is_problem():
         return content
 
     return check
+
+
+@pytest.fixture
+def calibrated(service, analysed):
+    """Two calibrations of the machine; the second has EXX as the first, and p95 30."""
+    content = json.loads((analysed / "result.json").read_text())
+    for number in (1, 2):
+        job_id = f"job-{number}"
+        when = f"2026-01-0{number}T08:00:00.000Z"
+        job = Job(
+            JobKind.ANALYSE,
+            id=job_id,
+            state=State.SUCCEEDED,
+            desired_state="succeeded",
+            created=when,
+            verdict="usable",
+            machine="default",
+        )
+        service.store.add_recovered(job, None)
+        digest = [{"name": job_id, "input_sha256": f"{number:064d}"}]
+        content["provenance"]["runs"] = digest
+        figure = {"value_um": 10.0 * (number + 1), "uncertainty_um": 0.5}
+        content["volumetric_error"]["before"]["p95"] = figure
+        folder = service.results / job_id
+        folder.mkdir()
+        (folder / "result.json").write_text(json.dumps(content))
+    return "job-1", "job-2"

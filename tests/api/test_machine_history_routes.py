@@ -2,41 +2,7 @@
 
 from __future__ import annotations
 
-import json
-
-import pytest
-
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.transitions import State
-
 BASE = "/api/v1/machines"
-
-
-@pytest.fixture
-def calibrated(service, analysed):
-    """Two calibrations of the machine; the second has EXX as the first, and p95 30."""
-    content = json.loads((analysed / "result.json").read_text())
-    for number in (1, 2):
-        job_id = f"job-{number}"
-        when = f"2026-01-0{number}T08:00:00.000Z"
-        job = Job(
-            JobKind.ANALYSE,
-            id=job_id,
-            state=State.SUCCEEDED,
-            desired_state="succeeded",
-            created=when,
-            verdict="usable",
-            machine="default",
-        )
-        service.store.add_recovered(job, None)
-        digest = [{"name": job_id, "input_sha256": f"{number:064d}"}]
-        content["provenance"]["runs"] = digest
-        figure = {"value_um": 10.0 * (number + 1), "uncertainty_um": 0.5}
-        content["volumetric_error"]["before"]["p95"] = figure
-        folder = service.results / job_id
-        folder.mkdir()
-        (folder / "result.json").write_text(json.dumps(content))
-    return "job-1", "job-2"
 
 
 def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(

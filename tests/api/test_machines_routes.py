@@ -94,6 +94,32 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
 def test_a_machine_of_the_settings_is_changed_in_the_settings(client, is_problem):
     answer = client.put(f"{BASE}/default/devices", json=DEVICES)
     is_problem(answer, 409, "set-elsewhere")
+    changed = {"machine_file": load_machine("demo")}
+    answer = client.put(f"{BASE}/default/machine-file", json=changed)
+    is_problem(answer, 409, "set-elsewhere")
+
+
+def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
+    chosen, client, service, is_problem
+):
+    content = load_machine("demo") | {"name": "mill 3"}
+    content["axes"]["X"]["max_mm"] += 25.0
+    at, body = f"{BASE}/mill-3/machine-file", {"machine_file": content}
+    before = service.machines.get("mill-3")
+    changed = client.put(at, json=body).json()
+    assert [v["number"] for v in changed["versions"]] == [3, 2, 1]
+    axis = changed["machine_file"]["axes"]["X"]
+    assert axis["max_mm"] == content["axes"]["X"]["max_mm"]
+    assert changed["devices"] == chosen["devices"]
+    now = service.machines.get("mill-3")
+    assert (now.version, now is before) == (3, False)
+    assert client.put(at, json=body).json()["version"] == 3
+    assert service.machines.get("mill-3") is now
+    content["axes"]["X"]["max_mm"] = -1e4
+    wrong = is_problem(client.put(at, json=body), 422, "bundle")
+    assert "axes.X" in wrong["detail"]
+    taken = {"machine_file": load_machine("demo")}
+    is_problem(client.put(at, json=taken), 409, "machine-known")
 
 
 def test_drivers_are_listed_with_the_options_that_a_choice_may_give(client):

@@ -45,6 +45,7 @@ CALLS = {
     "get_machine_record": ("mill",),
     "add_machine": ("mill", {"machine_file": {}}),
     "change_machine": ("mill", {"place": "hall 3"}),
+    "set_machine_file": ("mill", {"machine_file": {}}),
     "set_machine_devices": ("mill", {"tracker_driver": "streaming"}),
     "get_machine_history": ("mill", {"quantity": "EXX", "position": 300.0}),
     "get_machine_changes": ("mill", "7"),

@@ -180,6 +180,14 @@ class AsyncClient:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
         return await self._run(ask(machine_requests.change_machine(machine_id, change)))
 
+    async def set_machine_file(
+        self, machine_id: str, machine_file: Json
+    ) -> MachineRecord:
+        """Describe a machine anew by its machine file. Moves nothing."""
+        return await self._run(
+            ask(machine_requests.set_machine_file(machine_id, machine_file))
+        )
+
     async def set_machine_devices(
         self, machine_id: str, **devices: Any
     ) -> MachineRecord:

@@ -48,6 +48,12 @@ def change_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
     return Request("PATCH", f"{PREFIX}/machines/{machine_id}", read_json, body=body)
 
 
+def set_machine_file(machine_id: str, machine_file: Json) -> Request[MachineRecord]:
+    """Describe a machine anew."""
+    path, body = f"/machines/{machine_id}/machine-file", {"machine_file": machine_file}
+    return Request("PUT", f"{PREFIX}{path}", read_json, body=body)
+
+
 def set_machine_devices(machine_id: str, body: Json) -> Request[MachineRecord]:
     """Choose drivers and options of a machine."""
     path = f"{PREFIX}/machines/{machine_id}/devices"

@@ -179,6 +179,12 @@ class Client:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
         return self._run(ask(machine_requests.change_machine(machine_id, change)))
 
+    def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
+        """Describe a machine anew by its machine file. Moves nothing."""
+        return self._run(
+            ask(machine_requests.set_machine_file(machine_id, machine_file))
+        )
+
     def set_machine_devices(self, machine_id: str, **devices: Any) -> MachineRecord:
         """Choose drivers and options of a machine. Moves nothing."""
         return self._run(ask(machine_requests.set_machine_devices(machine_id, devices)))

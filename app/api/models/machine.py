@@ -73,7 +73,31 @@ class MachineIdentity(RequestBody):
     )
 
 
-class NewMachine(RequestBody):
+_FILE = {
+    "schema": "machine/1",
+    "name": "VMC 400",
+    "kinematic_chain": "w-X-b-Y-Z-t",
+    "axes": {
+        "X": {"type": "linear", "min_mm": 0, "max_mm": 400},
+        "Y": {"type": "linear", "min_mm": 0, "max_mm": 300},
+        "Z": {"type": "linear", "min_mm": 0, "max_mm": 200},
+    },
+}
+
+
+class MachineDescription(RequestBody):
+    """A machine described anew."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"machine_file": _FILE}]}
+    )
+
+    machine_file: Annotated[dict[str, Any], AsKept(MachineFile)] = Field(
+        description="The content of machine.json."
+    )
+
+
+class NewMachine(MachineDescription):
     """A machine to add. Its devices are chosen afterwards."""
 
     model_config = ConfigDict(
@@ -82,16 +106,7 @@ class NewMachine(RequestBody):
             "examples": [
                 {
                     "id": "mill-3",
-                    "machine_file": {
-                        "schema": "machine/1",
-                        "name": "VMC 400",
-                        "kinematic_chain": "w-X-b-Y-Z-t",
-                        "axes": {
-                            "X": {"type": "linear", "min_mm": 0, "max_mm": 400},
-                            "Y": {"type": "linear", "min_mm": 0, "max_mm": 300},
-                            "Z": {"type": "linear", "min_mm": 0, "max_mm": 200},
-                        },
-                    },
+                    "machine_file": _FILE,
                     "identity": {"serial_number": "4711"},
                 }
             ]
@@ -99,9 +114,6 @@ class NewMachine(RequestBody):
     )
 
     id: MachineId
-    machine_file: Annotated[dict[str, Any], AsKept(MachineFile)] = Field(
-        description="The content of machine.json."
-    )
     identity: MachineIdentity = Field(default_factory=MachineIdentity)
 
     @field_validator("id")
