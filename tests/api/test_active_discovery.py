@@ -166,12 +166,13 @@ def check_what_is_decided(
     assert gap["after"] < 1.3 * gap["noise_floor"]
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
     [
         (LateralBacklash("Y", "EXY", 5.0, 0.3), "half_width"),
-        pytest.param(Squareness("C0Y", -27.0), "value_urad", marks=pytest.mark.long),
+        (Squareness("C0Y", -27.0), "value_urad"),
     ],
     ids=["lateral-backlash", "squareness"],
 )

@@ -112,6 +112,7 @@ def followed(faults, machine, catalogue, event_bus, tmp_path, run_reader):
         cell.close()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("faults", [("tracker:beam-break@17s+8s",)])
 def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):

@@ -190,6 +190,7 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
     assert run.lost_samples == 0
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     """The whole service on simulated devices, faster than real."""

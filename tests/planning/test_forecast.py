@@ -9,7 +9,11 @@ from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.app.planning.forecast import Assumptions, forecast
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])
+@pytest.fixture(
+    scope="module",
+    params=[False, pytest.param(True, marks=pytest.mark.long)],
+    ids=["all", "perpendicular"],
+)
 def outcomes(record, request):
     """Forecasts and statements for some machines, in µm."""
     found = []
