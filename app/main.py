@@ -184,7 +184,11 @@ def _make_context(
     registry = MachineRegistry(database)
     calibrations = Calibrations(registry, store, runs, results, event_bus.publish)
     cells = CellSetup(
-        settings.data_dir, LEAST_FREE_BYTES, calibrations, event_bus.publish
+        settings.data_dir,
+        LEAST_FREE_BYTES,
+        calibrations,
+        event_bus.publish,
+        settings.temperature_drift_limit_degC,
     )
     setup = MachineSetup(registry, store, cells, calibrations)
     setup.load(_load_machines(settings, stack))

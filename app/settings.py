@@ -63,6 +63,11 @@ class Settings(DeviceConfiguration, BaseSettings):
     """Let a program with an API key set the machine in motion."""
     arm_token_s: float = Field(60.0, ge=5, le=3600)
     """How long a person may look at what will move before the machine is armed."""
+    temperature_drift_limit_degC: float | None = Field(  # noqa: N815
+        None, gt=0, le=20
+    )
+    """By how much a thermometer may change in 10 minutes for a machine to be armed.
+    Without it a change of more than 1 °C is shown and refuses nothing."""
     tls_cert: Path | None = None
     """Certificate of this computer (PEM), with those that lead to its root."""
     tls_key: Path | None = None

@@ -25,6 +25,7 @@ def _blocks() -> str:
     blocks = [
         ("identity", r.IDENTITY, "read once"),
         ("status", r.STATUS, "polled"),
+        ("readiness", r.READINESS, "polled where `features` tells it"),
         ("alarm text", r.ALARM_TEXT, "read in ALARM"),
         ("control", r.CONTROL, "heartbeat and watchdog"),
         ("limits", r.LIMITS, "may be missing: exception 2"),

@@ -202,8 +202,8 @@ class Bench(DeviceProcesses):
             if timeline is not None and timeline.end_s > self.now_s():
                 raise SimulatorError("the axes move; load tables while they stand")
         self._take_tables(compensation)
-        if tracker := self._processes.get("tracker"):
-            tracker.tell(json.dumps({"compensation": self.compensation.as_json()}))
+        for device in self._processes.values():
+            device.tell(json.dumps({"compensation": self.compensation.as_json()}))
 
     def read_state(self) -> dict[str, Any]:
         """Return what every device says of itself, and which tables are loaded."""

@@ -14,6 +14,9 @@ import numpy as np
 from truepath.drivers.cnc.modbus.registers import (
     ALLOWED,
     MAX_WAYPOINTS,
+    TELLS_COMPENSATION,
+    TELLS_OVERRIDE,
+    TELLS_REFERENCED,
     Command,
     HoldReason,
     Result,
@@ -40,6 +43,7 @@ class Controller:
     """
 
     model = "Simulated CNC"
+    features = TELLS_OVERRIDE | TELLS_REFERENCED | TELLS_COMPENSATION
 
     def __init__(
         self,
@@ -54,6 +58,8 @@ class Controller:
         self.alarm_code = 0
         self.alarm_text = ""
         self.path: Program | None = None
+        self.is_referenced = True
+        self.is_compensating = False
         self._limits = limits
         self._publish = publish
         self._lead_s = lead_s
@@ -180,6 +186,8 @@ class Controller:
 
     def disable(self, state: MotionState, now_s: float) -> None:
         """Stop for a state in which the machine cannot be driven."""
+        if state is MotionState.UNHOMED:
+            self.is_referenced = False
         if self.state is not MotionState.RUNNING:
             self.state, self.hold_reason = state, HoldReason.NONE
         elif self._stopping_for is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import select
 from typing import Any
 
@@ -86,6 +87,12 @@ class Panel:
         self._operate(now_s)
         if self._strikes("wrong-identity", now_s):
             self._registers.lie_about_identity()
+        if self._strikes("unreferenced", now_s):
+            self._controller.is_referenced = False
+
+    def compensate(self, tables: dict[str, Any]) -> None:
+        """Say that axes are corrected, where there are tables."""
+        self._controller.is_compensating = bool(tables["files"])
 
     @property
     def has_moved(self) -> bool:
@@ -165,6 +172,7 @@ def main() -> None:
     try:
         clock = MachineClock(orders["epoch_ns"], orders["speed"])
         panel = _panel(orders, board, clock)
+        panel.compensate(orders["compensation"])
         gateway = _gateway(orders)
         addresses = {name: port.address for name, port in ports.items()}
         rows = {"registers": gateway.describe()}
@@ -211,6 +219,8 @@ def _serve(
                 life.report(panel.read_state())
             elif line.startswith("thermometers:"):
                 sensors.inject(line)
+            elif line.startswith("{"):
+                panel.compensate(json.loads(line)["compensation"])
             else:
                 panel.inject(line)
         panel.update()

@@ -31,6 +31,7 @@ from truepath.simulators.timeline import Program
 _BLOCKS = (
     regmap.IDENTITY,
     regmap.STATUS,
+    regmap.READINESS,
     regmap.ALARM_TEXT,
     regmap.CONTROL,
     regmap.LIMITS,
@@ -137,7 +138,7 @@ class CncRegisters(Registers):
         self._put("axis_names", [ord(name) for name in machine.axis_names])
         self._put("axis_kinds", [int(_kind(axis)) for axis in machine.axes])
         self._put("max_waypoints", regmap.MAX_WAYPOINTS)
-        self._put("features", regmap.TELLS_OVERRIDE)
+        self._put("features", self._controller.features)
         self._put("maker", "Truepath")
         self._put("model", self._controller.model)
         self._put("serial_number", serial)
@@ -163,6 +164,9 @@ class CncRegisters(Registers):
         position = controller.position(now_s).tolist()
         self._put("position", regmap.position_counts(position))
         self._put("alarm_text", controller.alarm_text)
+        referenced = regmap.IS_REFERENCED if controller.is_referenced else 0
+        compensates = regmap.IS_COMPENSATING if controller.is_compensating else 0
+        self._put("readiness", referenced | compensates)
 
     def _run(self, code: int) -> Result:
         try:
@@ -242,6 +246,7 @@ class CncRegisters(Registers):
         """Be homed at once, where the axes stand."""
         if self._controller.state is MotionState.UNHOMED:
             self._controller.enable()
+        self._controller.is_referenced = True
         return Result.DONE
 
     _VERBS: ClassVar[dict[Command, Callable[[CncRegisters, float], Result]]] = {

@@ -9,10 +9,10 @@
     tracker:target@row12*4          from row 12 on the fourth target is looked at
     thermometers:stuck@60s*1        the first sensor shows the same from then on
 
-`begin` counts device seconds (`s`) since the first START (tracker) or the first motion
-(others), samples (`n`) or rows (`row5`); in a fault injected into a running simulator
-it counts from then. Without `begin` a fault is there from the first moment on; one that
-strikes single frames strikes the first.
+`begin` counts device seconds (`s`) since the last START before the machine first moved
+(tracker) or the first motion (others), samples (`n`) or rows (`row5`); in a fault
+injected into a running simulator it counts from then. Without `begin` a fault is there
+from the first moment on; one that strikes single frames strikes the first.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ CNC_KINDS = {
     "door": Kind("a door is open"),
     "drives-off": Kind("the drives are switched off", lasts=False),
     "unhomed": Kind("it has lost where its axes are", lasts=False),
+    "unreferenced": Kind("it can be driven without knowing its axes", lasts=False),
     "feed-hold": Kind("the operator holds the feed, then lets it go"),
     "override": Kind("the operator turns the feed to this factor", 0.5),
     "silence": Kind("requests are not answered"),
@@ -142,6 +143,7 @@ class _Armed:
     reference_s: float | None = None
     began_s: float | None = None
     spent: bool = False
+    is_injected: bool = False
 
 
 class Schedule:
@@ -156,9 +158,15 @@ class Schedule:
             if armed.reference_s is None:
                 armed.reference_s = now_s
 
+    def begin_anew(self) -> None:
+        """Let time count from the next `begin`, for what has not struck yet."""
+        for armed in self._armed:
+            if not (armed.is_injected or armed.spent or armed.began_s is not None):
+                armed.reference_s = None
+
     def add(self, fault: Fault, now_s: float) -> None:
         """Add a fault whose time counts from now."""
-        self._armed.append(_Armed(fault, now_s))
+        self._armed.append(_Armed(fault, now_s, is_injected=True))
 
     def has(self, kind: str) -> bool:
         """Tell whether a fault of this kind is still to come or under way."""

@@ -217,6 +217,8 @@ class TrackerDevice:
                 return self._start(start, true_s)
             case Stop(transaction):
                 self._stream = None
+                if self._timeline is None or self._timeline.end_s <= 0.0:
+                    self._faults.begin_anew()  # somebody has only listened
                 return Ack(transaction, Type.STOP)
             case Ping(transaction):
                 return Ack(transaction, Type.PING)

@@ -48,6 +48,7 @@ _ENDS_ASKED_FOR = {
     State.ABORTING: State.ABORTED,
     State.CANCELLING: State.CANCELLED,
 }
+LOOK_AGAIN_S = 3.0
 STORE_EVERY_S = 1.0
 PUBLISH_EVERY_S = 0.1
 
@@ -137,19 +138,28 @@ class ActiveJob:
         if self.wants_cancel:
             raise Cancelled("cancelled")
 
-    def wait_until_armed(self, plan_sha256: str) -> None:
+    def wait_until_armed(self, plan_sha256: str, look: Callable[[], None]) -> None:
         """Wait for `arm`. Raises as `checkpoint`, MeasurementFailed for another plan.
 
         plan_sha256 : of what the job is about to command
+        look : at the devices, again and again meanwhile
         """
+        while not self._wait_for_word(LOOK_AGAIN_S):
+            look()
         with self._changed:
-            while not (self._armed or self.is_cancelled or self.wants_cancel):
-                self._changed.wait()
             armed, self._armed = self._armed, None
         self.checkpoint()
         if armed != plan_sha256:
             raise MeasurementFailed(
                 "the plan is not the one that the job was armed for; nothing has moved"
+            )
+
+    def _wait_for_word(self, timeout_s: float) -> bool:
+        """Tell whether the job is armed, or has to end; wait a while for that."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
+                timeout_s,
             )
 
     def compute(self, computation: Computing) -> Any:

@@ -15,7 +15,8 @@ from truepath.app.device_options import DEVICES, list_options
 from truepath.app.errors import BadInput
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import Condition, ConditionBoard, Observed
+from truepath.app.jobs.condition_board import ConditionBoard
+from truepath.app.jobs.conditions import Condition, Observed
 from truepath.app.jobs.job import JobEvent
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.kinematics.machine import Machine
@@ -115,6 +116,7 @@ class CellSetup:
     folder : on the disk of the Runs; least_bytes : that have to stay free there
     calibrations : by which the machines stand
     publish : tells of changes
+    drift_limit_degC : by which a temperature may change before the machine is let move
     begun_s : wall clock less monotonic clock when the service began
     """
 
@@ -122,6 +124,7 @@ class CellSetup:
     least_bytes: int
     calibrations: Calibrations | None = None
     publish: Callable[[JobEvent], None] = lambda _: None
+    drift_limit_degC: float | None = None  # noqa: N815
     begun_s: float = field(default_factory=_read_clock_difference_s)
 
     def make(
@@ -141,6 +144,7 @@ class CellSetup:
                 standing=self.calibrations
                 and self.calibrations.find_standing(machine_id),
                 stream=cell.stream.read(),
+                drift_limit_degC=self.drift_limit_degC,
             )
 
         def publish(condition: Condition) -> None:

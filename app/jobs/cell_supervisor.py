@@ -34,10 +34,12 @@ from truepath.app.measurement.messages import (
     FaultReported,
     MeasurementOrder,
     StateChanged,
+    TemperaturesRead,
     TrackerTrial,
     TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.errors import DeviceError, NotHomed
 from truepath.drivers.interfaces.records import (
     MotionState,
     MotionStatus,
@@ -53,6 +55,7 @@ CONNECT_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 10.0
 _GOES_ON = frozenset({MotionState.RUNNING, MotionState.HELD})
 FRESH_S = 2.5  # a reading of the controller at rest, made once a second
+HEAR_S, HEAR_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
 BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
 MOVING = frozenset(
@@ -164,6 +167,28 @@ class CellSupervisor:
             return cell.try_tracker(TrackerTrial(rate_hz))
 
         return self._ask(listen)
+
+    def hear_tracker(self, rate_hz: float, *, aims: bool) -> None:
+        """Have `stream` tell beam and samples while nothing is measured.
+
+        aims : the measurement points the beam itself. Raises CellDown.
+        """
+
+        def hear(cell: Cell) -> None:
+            if self._on_event is not None or not self.status.connected:
+                return
+            try:
+                duration_s = max(HEAR_S, HEAR_SAMPLES / rate_hz)
+                trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
+                self.stream.hear(cell.try_tracker(trial), rate_hz, aims=aims)
+            except NotHomed:
+                log.info("the tracker is heard once the measurement has homed it")
+            except DeviceError as error:
+                self.stream.hear_failure(str(error))
+            except MeasurementFailed as error:
+                raise CellDown(str(error)) from error
+
+        self._ask(hear)
 
     def begin(
         self,
@@ -284,6 +309,8 @@ class CellSupervisor:
                 self.status = replace(self.status, text=text)
             case ControllerRead(status, text):
                 self.controller = ControllerLevels(status, text, time.monotonic())
+                return
+            case TemperaturesRead():
                 return
         if self._on_event is not None:
             self._on_event(event)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from truepath.app.errors import NotFound
 from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.conditions import ConditionBoard
+from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.errors import NoMachine, UnnamedMachine
 from truepath.app.kinematics.machine import Machine
 

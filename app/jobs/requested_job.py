@@ -50,6 +50,7 @@ class RequestedJob:
         reanalysis `since`, where it names no Runs; of a verification
         `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`
     on_notice : what is done where the live estimate notices a change
+    control_compensation : `on` or `off`, which the control has to say; None for either
     machine : that is measured or planned for; without it the only one, or that of
         the plan, job or discovery that is named
     """
@@ -68,6 +69,7 @@ class RequestedJob:
     plan_request: Json | None = None
     on_notice: OnNotice = OnNotice.NOTE
     machine: str | None = None
+    control_compensation: str | None = None
 
 
 def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
@@ -79,7 +81,19 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
         return _make_computing_job(request, context)
     machine = context.machines.choose(_name_machine(request, context))
     job, plan = _make_driving_job(request, replace(context, driven=machine))
-    return replace(job, machine=machine.id, machine_version=machine.version), plan
+    job = replace(job, machine=machine.id, machine_version=machine.version)
+    return job, _add_wish(request, plan)
+
+
+def _add_wish(request: RequestedJob, plan: Json) -> Json:
+    """Return a plan that asks what has to be so of the control's compensation."""
+    order = dict(plan.get("request") or {})
+    wish = request.control_compensation
+    if wish is None and order.get("compensation_id") is not None:
+        wish = "on"  # what is proved is the machine with these files
+    if wish is None:
+        return plan
+    return {**plan, "request": {**order, "control_compensation": wish}}
 
 
 def _name_machine(request: RequestedJob, context: JobContext) -> str | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from truepath.app.jobs.driving_steps import DrivingSteps
 from truepath.app.jobs.errors import (
     Aborted,
     Cancelled,
+    CellDown,
     Interrupted,
     LineUnfinished,
     MachineFault,
@@ -184,22 +186,36 @@ class _JobSteps:
         begin_at_station(self.active, self.context.store)
         parts = list_commanded(plan)
         self._show_path(parts)
+        self._hear_tracker()
         self.active.enter(State.READY, Stage.MEASURING)
         try:
-            self.active.wait_until_armed(hash_commanded(parts))
+            self.active.wait_until_armed(hash_commanded(parts), self._hear_tracker)
         finally:
             self._show_path(())
         return commanded
 
     def _show_path(self, parts: Sequence[Commanded]) -> None:
-        """Show how the path lies that waits to be armed; nothing where none does."""
+        """Show what waits to be armed: how it lies, what it asks of the control."""
         driven = self.context.driven or self.context.machines.choose(None)
         if driven.conditions is None:
             return
-        workspace = workspace_from_json(self._plan_order().get("workspace") or {})
+        order = self._plan_order()
+        workspace = workspace_from_json(order.get("workspace") or {})
         driven.conditions.path = (
             judge_path(driven.machine, parts, workspace) if parts else NO_JOB
         )
+        asked = {"on": True, "off": False}.get(order.get("control_compensation", ""))
+        driven.conditions.wants_compensation = asked if parts else None
+
+    def _hear_tracker(self) -> None:
+        """Let the conditions show beam and stream, where somebody looks at them."""
+        driven = self.context.driven or self.context.machines.choose(None)
+        if driven.conditions is None:
+            return
+        machine = driven.machine
+        rate_hz, aims = machine.tracker.rate_hz, len(machine.targets) > 1
+        with suppress(CellDown):  # that is a condition of its own
+            driven.cell.hear_tracker(rate_hz, aims=aims)
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
         """Measure, from every station of the plan; return the Runs to go by."""

@@ -7,6 +7,7 @@ has a thread of its own. The process ends with its parent, holding the feed firs
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import threading
@@ -21,6 +22,7 @@ from typing import Any
 from truepath.app.device_options import make_device
 from truepath.app.errors import TruepathError
 from truepath.app.files.refraction import choose_refraction
+from truepath.app.measurement.channel_judge import ChannelJudge
 from truepath.app.measurement.faults import classify_fault
 from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
@@ -40,6 +42,7 @@ from truepath.app.measurement.messages import (
     MeasurementProgress,
     RunClosed,
     StateChanged,
+    TemperaturesRead,
     TrackerTrial,
 )
 from truepath.app.measurement.timing import EngineSettings
@@ -54,6 +57,7 @@ log = logging.getLogger(__name__)
 
 LOOK_S = 0.25
 CONTROLLER_S, AWAY_S = 1.0, 5.0  # between two readings at rest, and where it is away
+THERMOMETERS_S, THERMOMETERS_AWAY_S = 10.0, 60.0
 SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
 
@@ -80,6 +84,7 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
             elif not cell.obey(link.recv()):
                 return
             cell.look_at_controller()
+            cell.look_at_thermometers()
     except (EOFError, OSError):
         log.error("the link to the parent is gone; the feed is held")
     finally:
@@ -104,6 +109,8 @@ class _CellServer:
         self._beat_s: float | None = None  # of the service, the last one
         self._look_s = 0.0
         self._controller_s = 0.0  # when it is read again
+        self._thermometers_s = 0.0  # likewise
+        self._judges: dict[str, ChannelJudge] = {}
 
     def look_at_controller(self) -> None:
         """Read the controller once in a while, unless a measurement does so anyway."""
@@ -119,6 +126,32 @@ class _CellServer:
         pause_s = CONTROLLER_S if read.status else AWAY_S
         self._controller_s = time.monotonic() + pause_s
         self._outbox.report(read)
+
+    def look_at_thermometers(self) -> None:
+        """Read thermometers in a while; in a measurement others do, and a bit longer.
+
+        A reader of a measurement that hangs in its driver is not waited for: by the
+        next look it has ended.
+        """
+        now_s = time.monotonic()
+        if self._measuring:
+            self._thermometers_s = now_s + THERMOMETERS_S
+        if self._thermometers is None or "thermometers" not in self._identities:
+            return
+        if now_s < self._thermometers_s:
+            return
+        try:
+            readings = self._thermometers.read()
+        except DeviceError as error:
+            log.warning("thermometers: %s", error)
+            readings = ()
+        shown: dict[str, float] = {}
+        for one in readings:
+            shown[one.channel], _ = self._judges[one.channel].judge(one)
+        is_away = not any(math.isfinite(value) for value in shown.values())
+        pause_s = THERMOMETERS_AWAY_S if is_away else THERMOMETERS_S
+        self._thermometers_s = time.monotonic() + pause_s
+        self._outbox.report(TemperaturesRead(shown))
 
     def look_for_service(self) -> None:
         """Hold the feed if the service has fallen silent. Nothing waits to be obeyed.
@@ -210,8 +243,10 @@ class _CellServer:
     def _connect_thermometers(self) -> None:
         """Connect them if they answer; a measurement tries again, and says so."""
         if self._thermometers is not None:
+            channels = self._thermometers.channels
             try:
                 self._identities["thermometers"] = self._thermometers.connect()
+                self._judges = {c.name: ChannelJudge(c) for c in channels}
             except DeviceError as error:
                 log.warning("thermometers: %s", error)
 

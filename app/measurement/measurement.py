@@ -6,6 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 from truepath.app.errors import MeasurementFailed
@@ -156,7 +157,7 @@ class Measurement:
         self._motion.abort()  # what an earlier order has left there must not go on
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
-        header = self._make_header()
+        header = self._make_header(status)
         view = LiveView(
             self._report,
             reports_blocks=order.live,
@@ -198,6 +199,9 @@ class Measurement:
         status = self._motion.status()
         if status.state in UNABLE:
             raise make_unable_fault(status, latched=False)
+        if status.referenced is False:
+            unhomed = replace(status, state=MotionState.UNHOMED)
+            raise make_unable_fault(unhomed, latched=False)
         if status.state is MotionState.RUNNING:
             raise MOTION_BUSY
         return status
@@ -206,7 +210,7 @@ class Measurement:
     def _is_watched(self) -> bool:
         return self._devices["motion"].has_watchdog
 
-    def _make_header(self) -> RunHeader:
+    def _make_header(self, status: MotionStatus) -> RunHeader:
         order = self._order
         return RunHeader(
             order.run_name,
@@ -220,6 +224,7 @@ class Measurement:
             order.job_id,
             order.machine_id,
             order.machine_version,
+            status.compensation,
         )
 
     def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:

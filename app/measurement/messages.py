@@ -118,11 +118,13 @@ class MeasurementOrder:
 class TrackerTrial:
     """Listen to the tracker for a moment; nothing moves.
 
-    duration_s : of the stream; a polled tracker measures one point instead
+    duration_s : of the stream; a polled tracker measures one point instead, unless
+        `streams_only`: then it measures nothing
     """
 
     rate_hz: float
     duration_s: float = 1.0
+    streams_only: bool = False
 
 
 class CellVerb(StrEnum):
@@ -167,12 +169,16 @@ class TrackerTried:
 
     usable : samples that it calls valid; distance_mm : their mean distance from the
         tracker, None where none is usable
+    rate_hz : of the samples by the device's clock, None where they are too few
+    streams : false of a polled tracker that was not asked to measure
     """
 
     samples: int
     usable: int
     lost_samples: int
     distance_mm: float | None
+    rate_hz: float | None = None
+    streams: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +272,13 @@ class ControllerRead:
 
 
 @dataclass(frozen=True, slots=True)
+class TemperaturesRead:
+    """Event: what thermometers show while nothing is measured, by their channels."""
+
+    readings: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class FaultReported:
     """Event: something is wrong; the state says whether this is the end.
 
@@ -307,6 +320,7 @@ CellEvent = (
     | PartRequested
     | LinesDamaged
     | ControllerRead
+    | TemperaturesRead
     | FaultReported
     | RunClosed
 )

@@ -111,6 +111,8 @@ class RunHeader:
     refraction : who corrects the ranges for the air, as it is before anything is done
     job_id, machine_id, machine_version : of the job that measures and its machine;
         empty without a service
+    control_compensation : whether the control corrected its axes by error tables of
+        its own as the Run began; None where it did not tell
     """
 
     name: str
@@ -124,6 +126,7 @@ class RunHeader:
     job_id: str = ""
     machine_id: str = ""
     machine_version: int = 0
+    control_compensation: bool | None = None
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -142,6 +145,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "axes": list(header.axes),
         "channels": list(header.channels),
         "refraction": refraction_to_json(header.refraction),
+        "control_compensation": header.control_compensation,
         "streams": {
             TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
@@ -190,6 +194,7 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         job_id=content.get("job", ""),
         machine_id=content.get("machine_id", ""),
         machine_version=content.get("machine_version", 0),
+        control_compensation=content.get("control_compensation"),
     )
 
 

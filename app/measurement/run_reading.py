@@ -95,6 +95,7 @@ def open_run(file: str | Path) -> Run:
             "started": started,
             "outcome": closed.get("outcome", TORN),
             **_describe_machine(header),
+            **_describe_control(header),
             **_describe_notes(content.events),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
@@ -110,6 +111,13 @@ def _describe_machine(header: RunHeader) -> dict[str, str]:
         return {}
     version = str(header.machine_version)
     return {"machine_id": header.machine_id, "machine_version": version}
+
+
+def _describe_control(header: RunHeader) -> dict[str, str]:
+    """Return whether the control corrected its axes, where it has told."""
+    if header.control_compensation is None:
+        return {}
+    return {"control_compensation": "on" if header.control_compensation else "off"}
 
 
 def open_recorded(place: str | Path) -> Run:

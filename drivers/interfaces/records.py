@@ -210,6 +210,9 @@ class MotionStatus:
     alarm : text of the controller where it cannot be driven
     hold_reason : why it is held ("operator", "watchdog", "command"), empty if it is not
     override : factor on the feed, None where the controller does not tell
+    referenced : whether it knows where its axes are, None where it does not tell
+    compensation : whether it corrects the axes by error tables of its own, None where
+        it does not tell
     """
 
     state: MotionState
@@ -218,3 +221,5 @@ class MotionStatus:
     alarm: str = ""
     hold_reason: str = ""
     override: float | None = None
+    referenced: bool | None = None
+    compensation: bool | None = None

@@ -20,7 +20,12 @@ import numpy as np
 
 from truepath.drivers.cnc.linuxcnc import program as nc
 from truepath.drivers.cnc.linuxcnc.watchdog import WatchdogLink
-from truepath.drivers.cnc.modbus.registers import HoldReason, Result
+from truepath.drivers.cnc.modbus.registers import (
+    TELLS_OVERRIDE,
+    TELLS_REFERENCED,
+    HoldReason,
+    Result,
+)
 from truepath.drivers.interfaces.records import UNABLE, MotionState, Path
 from truepath.drivers.transport.tcp_port import TcpPort
 from truepath.simulators.cnc_controller import Controller
@@ -44,6 +49,7 @@ class LinuxCncController(Controller):
     """LinuxCNC's task as the controller behind the registers."""
 
     model = "LinuxCNC"
+    features = TELLS_OVERRIDE | TELLS_REFERENCED
 
     def __init__(self, machine: MachineFile, folder: FilePath) -> None:
         super().__init__(machine, Limits(), lambda _: None, 0.0)
@@ -61,6 +67,7 @@ class LinuxCncController(Controller):
     def update(self, now_s: float) -> None:
         """Read LinuxCNC: what hinders it, and whether a motion has ended."""
         self._stat.poll()
+        self.is_referenced = all(self._stat.homed[: len(self.machine.axes)])
         hindrance = self._find_hindrance()
         if hindrance is not None:
             self.state, self.path = hindrance, None
@@ -199,9 +206,7 @@ class LinuxCncController(Controller):
             return MotionState.ESTOP
         if not self._stat.enabled:
             return MotionState.NOT_READY
-        if not all(self._stat.homed[: len(self.machine.axes)]):
-            return MotionState.UNHOMED
-        return None
+        return None if self.is_referenced else MotionState.UNHOMED
 
 
 def main(orders: dict[str, Any]) -> None:

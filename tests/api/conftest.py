@@ -123,8 +123,15 @@ def estimates():
 
 
 @pytest.fixture
+def board():
+    """The conditions of the machine; overridden by tests that look at them."""
+    return
+
+
+@pytest.fixture
 def service(
     make_cell,
+    board,
     science,
     explorer,
     follower,
@@ -141,7 +148,7 @@ def service(
     event_bus = EventBus()
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     machine = machine_from_json(load_machine("demo"))
-    machines = Machines([MachineCell("default", machine, cell)] if cell else [])
+    machines = Machines([MachineCell("default", machine, cell, board)] if cell else [])
     results = tmp_path / "results"
     results.mkdir()
 

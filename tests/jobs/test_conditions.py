@@ -11,16 +11,10 @@ from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.arming import judge_path
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
-from truepath.app.jobs.conditions import (
-    LATE_S,
-    REQUIRED,
-    ConditionBoard,
-    ConditionType,
-    Level,
-    Observed,
-    find_conditions,
-)
-from truepath.app.jobs.stream_watch import StreamLevels
+from truepath.app.jobs.condition_board import ConditionBoard
+from truepath.app.jobs.condition_findings import LATE_S, find_conditions
+from truepath.app.jobs.conditions import REQUIRED, ConditionType, Level, Observed
+from truepath.app.jobs.stream_watch import StreamLevels, Temperature
 from truepath.app.motion.commanded_rows import command_rows
 from truepath.app.results.machine_documents import ToleranceJudgement
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
@@ -29,8 +23,9 @@ NOW_S = 1000.0
 CONNECTED = CellStatus("ready", devices={"motion": {"has_watchdog": True}})
 
 
-def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S):
-    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, alarm, "", override)
+def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S, **told):
+    told = {"referenced": True, "compensation": False} | told
+    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, alarm, "", override, **told)
     return ControllerLevels(status, "", read_s)
 
 
@@ -38,8 +33,9 @@ STREAM = StreamLevels(True, 0, 0, 0.2, "X_degC")
 GOOD = Observed(CONNECTED, shown(), False, 10**9, 10**8, stream=STREAM)
 
 
-def levels(seen):
-    return {kind: one.level for kind, one in find_conditions(seen, NOW_S).items()}
+def levels(seen, wants=None):
+    found = find_conditions(seen, NOW_S, wants_compensation=wants)
+    return {kind: one.level for kind, one in found.items()}
 
 
 def only_false(seen):
@@ -65,10 +61,56 @@ def test_another_program_that_runs_stands_in_the_way():
     assert kind is ConditionType.CONTROLLER_FREE
 
 
-def test_an_override_is_told_and_does_not_stand_in_the_way():
-    kind, found = only_false(replace(GOOD, controller=shown(override=0.7)))
-    assert kind not in REQUIRED
-    assert "70 %" in found.message
+@pytest.mark.parametrize("override", [0.0, 0.7, 1.2])
+def test_an_override_that_is_not_full_stands_in_the_way(override):
+    kind, found = only_false(replace(GOOD, controller=shown(override=override)))
+    assert kind is ConditionType.FEED_OVERRIDE_FULL
+    assert kind in REQUIRED
+    assert f"{100 * override:.0f} %" in found.message
+
+
+@pytest.mark.parametrize("state", [MotionState.IDLE, MotionState.READY])
+def test_axes_that_are_not_referenced_stand_in_the_way_in_any_state(state):
+    lost = replace(GOOD, controller=shown(state, referenced=False))
+    kind, found = only_false(lost)
+    assert kind is ConditionType.AXES_REFERENCED
+    assert kind in REQUIRED
+    assert found.message.endswith("reference (home) them")
+
+
+@pytest.mark.parametrize(
+    ("told", "kind"),
+    [
+        ("referenced", ConditionType.AXES_REFERENCED),
+        ("compensation", ConditionType.COMPENSATION_AS_ASKED),
+    ],
+)
+def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
+    seen = replace(GOOD, controller=shown(**{told: None}))
+    assert levels(seen)[kind] is Level.UNKNOWN
+    assert not ConditionBoard(lambda: seen, lambda: NOW_S).list_obstacles()
+
+
+@pytest.mark.parametrize(
+    ("told", "wants", "level", "reason"),
+    [
+        (True, None, Level.TRUE, "compensation-on"),
+        (False, None, Level.TRUE, "compensation-off"),
+        (True, True, Level.TRUE, "compensation-on"),
+        (False, True, Level.FALSE, "compensation-not-on"),
+        (True, False, Level.FALSE, "compensation-not-off"),
+        (None, True, Level.UNKNOWN, "not-told-on"),
+    ],
+)
+def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
+    told, wants, level, reason
+):
+    seen = replace(GOOD, controller=shown(compensation=told))
+    board = ConditionBoard(lambda: seen, lambda: NOW_S, wants_compensation=wants)
+    asked = ConditionType.COMPENSATION_AS_ASKED
+    (found,) = [one for one in board.read() if one.type is asked]
+    assert (found.level, found.reason) == (level, reason)
+    assert found.is_obstacle == (level is Level.FALSE)
 
 
 def test_an_override_that_is_not_told_is_unknown():
@@ -147,17 +189,40 @@ def test_a_full_disk_stands_in_the_way():
         ({"has_beam": False}, ConditionType.TARGET_IN_SIGHT, "lock the beam"),
         ({"lost_samples": 3}, ConditionType.STREAM_HEALTHY, "3 samples were lost"),
         ({"crc_errors": 2}, ConditionType.STREAM_HEALTHY, "2 frames"),
-        ({"drift_degC": 1.4}, ConditionType.TEMPERATURE_STEADY, "X has changed by 1.4"),
+        ({"usable_share": 0.8}, ConditionType.STREAM_HEALTHY, "80 % of the samples"),
+        ({"rate_share": 0.5}, ConditionType.STREAM_HEALTHY, "50 % of the samples"),
+        ({"failure": "it is mute"}, ConditionType.STREAM_HEALTHY, "it is mute; check"),
     ],
 )
-def test_what_the_stream_tells_is_shown_and_stands_in_no_way(change, condition, said):
+def test_what_the_stream_tells_stands_in_the_way_at_rest_only(change, condition, said):
     seen = replace(GOOD, stream=replace(STREAM, **change))
     kind, found = only_false(seen)
     assert kind is condition
-    assert kind not in REQUIRED
     assert said in found.message
+    assert seen.requires(kind)
+    assert not replace(seen, cell=replace(CONNECTED, state="paused")).requires(kind)
     untold = levels(replace(GOOD, stream=StreamLevels()))
     assert untold[condition] is Level.UNKNOWN
+
+
+def test_a_drift_stands_in_the_way_only_beyond_a_limit_that_is_stated():
+    drifts = replace(GOOD, stream=replace(STREAM, drift_degC=1.4))
+    kind, found = only_false(drifts)
+    assert kind is ConditionType.TEMPERATURE_STEADY
+    assert "X has changed by 1.4 °C in 10 min" in found.message
+    for limit_degc, obstacles in ((None, []), (1.2, [kind]), (1.5, [])):
+        seen = replace(drifts, drift_limit_degC=limit_degc)
+        board = ConditionBoard(lambda seen=seen: seen, lambda: NOW_S)
+        assert [one.type for one in board.list_obstacles()] == obstacles
+
+
+def test_the_condition_of_temperatures_shows_them():
+    shown_now = (Temperature("X_degC", 22.0, 0.2, 300.0),)
+    seen = replace(GOOD, stream=replace(STREAM, temperatures=shown_now))
+    read = ConditionBoard(lambda: seen, lambda: NOW_S).read()
+    steady = ConditionType.TEMPERATURE_STEADY
+    assert {one.temperatures for one in read if one.type is steady} == {shown_now}
+    assert {one.temperatures for one in read if one.type is not steady} == {()}
 
 
 def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machine):
@@ -204,7 +269,7 @@ def test_a_clock_that_was_set_is_told():
 def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
     monkeypatch.setattr(
-        "truepath.app.jobs.conditions.format_utc_now", lambda: next(times)
+        "truepath.app.jobs.condition_board.format_utc_now", lambda: next(times)
     )
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])

@@ -20,7 +20,8 @@ from truepath.app.files.verdict import Reason, Verdict
 from truepath.app.jobs import active_job, cell_measurement, workflow
 from truepath.app.jobs import database as databases
 from truepath.app.jobs.cell_supervisor import CellStatus
-from truepath.app.jobs.conditions import ConditionBoard, ConditionType, Observed
+from truepath.app.jobs.condition_board import ConditionBoard
+from truepath.app.jobs.conditions import ConditionType, Observed
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import (
     CellBusy,

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from truepath.app.jobs.stream_watch import COURSE_S, StreamLevels, StreamWatch
+from truepath.app.jobs.stream_watch import (
+    COURSE_S,
+    HEARD_S,
+    StreamLevels,
+    StreamWatch,
+)
 from truepath.app.measurement.messages import (
     CellState,
     FaultReported,
     LivePoints,
     MeasurementProgress,
     StateChanged,
+    TemperaturesRead,
+    TrackerTried,
 )
 
 
@@ -95,3 +103,52 @@ def test_the_thermometer_that_changes_most_is_named(watch, clock):
     assert known.drifting == "X_degC"
     clock.now_s += COURSE_S + 1.0
     assert watch.read().drift_degC is None
+
+
+def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
+    return TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
+
+
+@pytest.mark.parametrize(
+    ("tried", "aims", "level"),
+    [
+        (heard(), False, {"has_beam": True, "rate_share": 1.0}),
+        (heard(rate_hz=None), False, {"has_beam": True, "rate_share": None}),
+        (heard(rate_hz=250.0), False, {"has_beam": True, "rate_share": 0.5}),
+        (heard(usable=80), False, {"has_beam": True, "usable_share": 0.8}),
+        (heard(usable=0), False, {"has_beam": False}),
+        (heard(usable=0), True, {"has_beam": None}),
+        (heard(samples=0), False, {"failure": "the tracker sends no samples"}),
+        (heard(lost=1), False, {"lost_samples": 0}),
+        (heard(lost=9), False, {"lost_samples": 9}),
+        (heard(samples=0, streams=False), False, {"has_beam": None, "failure": ""}),
+    ],
+)
+def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(clock, tried, aims, level):
+    watch = StreamWatch(clock)
+    watch.hear(tried, 500.0, aims=aims)
+    read = watch.read()
+    assert {name: getattr(read, name) for name in level} == level
+
+
+def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(clock):
+    watch = StreamWatch(clock)
+    watch.hear_failure("it is mute")
+    assert watch.read().failure == "it is mute"
+    clock.now_s += HEARD_S + 1.0
+    assert watch.read() == StreamLevels()
+    watch.hear(heard(), 500.0, aims=False)
+    assert watch.read().has_beam is True
+    watch.follow(StateChanged(CellState.RUNNING))
+    assert watch.read() == StreamLevels()
+
+
+def test_thermometers_at_rest_tell_temperature_and_change(clock):
+    watch = StreamWatch(clock)
+    for n in range(10):
+        watch.follow(TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}))
+        clock.now_s += 10.0
+    (shown,) = watch.read().temperatures
+    assert (shown.channel, shown.over_s) == ("X_degC", 90.0)
+    assert (shown.value_degC, shown.change_degC) == pytest.approx((20.9, 0.9))
+    assert watch.read().drift_degC == pytest.approx(0.9)

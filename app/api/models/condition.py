@@ -7,6 +7,17 @@ from pydantic import BaseModel, Field
 from truepath.app.jobs.conditions import ConditionType, Level
 
 
+class TemperatureOut(BaseModel):
+    """What one thermometer shows."""
+
+    channel: str = Field(examples=["X_degC"])
+    value_degC: float  # noqa: N815
+    change_degC: float = Field(  # noqa: N815
+        description="Highest less lowest reading in the last `over_s`."
+    )
+    over_s: float = Field(description="600 s at most; less since the first reading.")
+
+
 class ConditionOut(BaseModel):
     """Something that has to be so before the machine moves, as it is now."""
 
@@ -21,6 +32,10 @@ class ConditionOut(BaseModel):
         description="While this is `false`, no job is armed on this machine."
     )
     since: str = Field(description="When the level became what it is, UTC.")
+    temperatures: list[TemperatureOut] = Field(
+        default_factory=list["TemperatureOut"],
+        description="Of `temperature-steady`: what the thermometers show.",
+    )
 
 
 class ConditionList(BaseModel):

@@ -29,20 +29,21 @@ from truepath.app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS, MAX_REANALYSED = 50, 10_000
 ADAPTIVE_MINUTES = 10.0
-_MEASURED = {"machine", "plan_id", "target_um", "model_id", "continues", "on_notice"}
+_DRIVEN = {"machine", "control_compensation"}
+_MEASURED = {*_DRIVEN, "plan_id", "target_um", "model_id", "continues", "on_notice"}
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _USUAL_POINTS = ("diagonals", "random-points")
 _OF_VERIFICATION = {"result_id", "what", "seed", "tolerance_um", "compensation_id"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
-    "measure-adaptive": {"machine", "planning", "target_um", "model_id", "on_notice"},
-    "measure-extra": {"machine", "discovery_id"},
+    "measure-adaptive": {*_DRIVEN, "planning", "target_um", "model_id", "on_notice"},
+    "measure-extra": {*_DRIVEN, "discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
     "reanalyse": {"run_ids", "machine", "since"},
-    "verify": {"machine", *_OF_VERIFICATION},
+    "verify": {*_DRIVEN, *_OF_VERIFICATION},
 }
 
 
@@ -209,6 +210,14 @@ class JobRequest(RequestBody):
         None,
         description="Of a verification: the kept files that the controller applies.",
     )
+    control_compensation: Literal["on", "off"] | None = Field(
+        None,
+        description="Whether the control has to correct its axes by error tables of "
+        "its own: `off` for tables that are to replace them (as found, without), `on` "
+        "for what the machine does with them (as left). Arming is refused while the "
+        "control says otherwise. Without it `on` for a verification that names a "
+        "`compensation_id`; else either will do.",
+    )
     plan_id: Identifier | None = Field(
         None,
         description="A plan whose rows are driven, in place of rows sent in; one of "
@@ -321,6 +330,7 @@ class JobRequest(RequestBody):
                 order["seed"] = secrets.randbelow(2**31)
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id", "continues", "machine")
+        same += ("control_compensation",)
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],

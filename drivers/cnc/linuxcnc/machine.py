@@ -20,6 +20,8 @@ class LinuxCncAxes:
 
     joints : number of the joint that tells the position of each axis
     joint_count : joints that have to be homed
+    has_compensation : whether the INI file gives a joint a table or a backlash to
+        correct; None where there is no INI file
     """
 
     name: str
@@ -27,6 +29,7 @@ class LinuxCncAxes:
     travel: tuple[tuple[float, float], ...]
     joints: tuple[int, ...]
     joint_count: int
+    has_compensation: bool | None = None
 
 
 def parse_travel(text: str) -> LinuxCncAxes:
@@ -69,7 +72,13 @@ def read_ini(file: Path) -> LinuxCncAxes:
         tuple(_read_travel(sections, axis, letters) for axis in axes),
         tuple(letters.index(axis) for axis in axes),
         len(letters),
+        any(_has_compensation(sections[f"JOINT_{n}"]) for n in range(len(letters))),
     )
+
+
+def _has_compensation(joint: Mapping[str, str]) -> bool:
+    """Tell whether LinuxCNC corrects a joint: it always does where it is told how."""
+    return "COMP_FILE" in joint or float(joint.get("BACKLASH", 0.0)) != 0.0
 
 
 def _parse_sections(text: str) -> Mapping[str, dict[str, str]]:

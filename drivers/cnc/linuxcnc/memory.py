@@ -67,7 +67,13 @@ class MotionMemory:
         elif is_held:
             state, reason = MotionState.HELD, self._find_hold_reason(look)
         return MotionStatus(
-            state, look.position, self.line, text, reason, look.override
+            state,
+            look.position,
+            self.line,
+            text,
+            reason,
+            look.override,
+            look.referenced,
         )
 
     def _find_hold_reason(self, look: Reading) -> str:

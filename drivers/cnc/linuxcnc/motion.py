@@ -44,9 +44,10 @@ class LinuxCncMotion:
 
         Raises MotionFault, and aborts, where a motion does not do what its rows say.
         """
-        look = self._session.look()
+        look, machine = self._session.look(), self._session.machine
         was_under_way = self._memory.is_under_way
-        status = self._memory.judge(look)
+        has_compensation = machine.has_compensation if machine else None
+        status = replace(self._memory.judge(look), compensation=has_compensation)
         if was_under_way and look.follows_tip and self._memory.has_moved(look):
             self.abort()
             raise MotionFault(f"{self._session.name}: {TIP_IS_FOLLOWED}")

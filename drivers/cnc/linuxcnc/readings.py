@@ -28,6 +28,7 @@ class Reading:
     line : of the program's file, from 1
     follows_tip : coordinates are not the positions of the axes (RTCP), after `position`
         was read
+    referenced : every joint is homed
     dead : names of LinuxCNC's processes that do not run, where the watchdog says so
     """
 
@@ -40,6 +41,7 @@ class Reading:
     position: tuple[float, ...]
     override: float
     follows_tip: bool
+    referenced: bool
     dead: str = ""
 
     @property
@@ -69,6 +71,7 @@ def read_machine(
         read_position(rsh, machine),
         _numbers(rsh.read("feed_override"))[0] / 100.0,
         differs_from_joints(rsh, machine),
+        _is_referenced(rsh, machine),
     )
 
 
@@ -106,10 +109,12 @@ def _find_hindrance(rsh: RshLink, machine: LinuxCncAxes) -> MotionState | None:
         return MotionState.ESTOP
     if rsh.read("machine").upper() != "ON":
         return MotionState.NOT_READY
+    return None if _is_referenced(rsh, machine) else MotionState.UNHOMED
+
+
+def _is_referenced(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     homed = rsh.read("joint_homed").upper().split()
-    if "NO" in homed[: machine.joint_count]:
-        return MotionState.UNHOMED
-    return None
+    return "NO" not in homed[: machine.joint_count]
 
 
 def _numbers(text: str) -> list[float]:

@@ -292,8 +292,9 @@ class CommandChannel:
 
     def _read_status(self) -> ControllerStatus:
         controller = self._controller
-        tells_override = controller is not None and controller.tells_override
-        status = parse_status(self._read(r.STATUS), tells_override=tells_override)
+        block = controller.status_block if controller else r.STATUS
+        features = controller.features if controller else 0
+        status = parse_status(self._read(block), features=features)
         axes = len(controller.axes) if controller else r.MAX_AXES
         position = status.motion.position[:axes]
         return replace(status, motion=replace(status.motion, position=position))

@@ -22,7 +22,7 @@ _HOLD_REASONS[r.HoldReason.NONE] = ""
 class Controller:
     """Who answers, and what it can do: read once, at `connect`.
 
-    tells_override : an override of 0 is one, and not one that is not told
+    features : bits of the register of that name
     """
 
     identity: Identity
@@ -30,7 +30,14 @@ class Controller:
     travel: tuple[tuple[float, float], ...]
     max_feed_mm_min: float
     max_waypoints: int
-    tells_override: bool
+    features: int = 0
+
+    @property
+    def status_block(self) -> r.Block:
+        """What is polled: the status, and the readiness where it is told."""
+        if self.features & (r.TELLS_REFERENCED | r.TELLS_COMPENSATION):
+            return r.Block(r.STATUS.address, r.STATUS.count + r.READINESS.count)
+        return r.STATUS
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +76,7 @@ def parse_controller(words: Sequence[int]) -> Controller:
         travel[:count],
         numbers("max_feed")[0] / r.FEED_COUNTS,
         numbers("max_waypoints")[0],
-        bool(numbers("features")[0] & r.TELLS_OVERRIDE),
+        numbers("features")[0],
     )
 
 
@@ -103,7 +110,7 @@ def explain_magic(words: Sequence[int]) -> str:
     return ""
 
 
-def parse_status(words: Sequence[int], *, tells_override: bool) -> ControllerStatus:
+def parse_status(words: Sequence[int], *, features: int = 0) -> ControllerStatus:
     """Return what the status block says, with positions of all six axes."""
 
     def number(name: str) -> int:
@@ -120,7 +127,8 @@ def parse_status(words: Sequence[int], *, tells_override: bool) -> ControllerSta
         number("line"),
         _explain(r.STATES[state], alarm),
         _HOLD_REASONS.get(reason, f"reason {reason}"),
-        override if override > 0.0 or tells_override else None,
+        override if override > 0.0 or features & r.TELLS_OVERRIDE else None,
+        *_read_readiness(words, features),
     )
     return ControllerStatus(
         motion,
@@ -128,6 +136,20 @@ def parse_status(words: Sequence[int], *, tells_override: bool) -> ControllerSta
         number("command_result"),
         number("path_rows"),
         number("path_crc"),
+    )
+
+
+def _read_readiness(
+    words: Sequence[int], features: int
+) -> tuple[bool | None, bool | None]:
+    """Return whether it is referenced and compensates, None for what is not told."""
+    if len(words) <= r.STATUS.count:
+        return None, None
+    (bits,) = r.decode("readiness", words, r.STATUS)
+    referenced, compensates = bits & r.IS_REFERENCED, bits & r.IS_COMPENSATING
+    return (
+        bool(referenced) if features & r.TELLS_REFERENCED else None,
+        bool(compensates) if features & r.TELLS_COMPENSATION else None,
     )
 
 

@@ -119,7 +119,10 @@ class HoldReason(IntEnum):
     COMMAND = 3
 
 
-TELLS_OVERRIDE = 1  # bit of `features`
+# Bits of `features`: what a device tells beside the rest.
+TELLS_OVERRIDE, TELLS_REFERENCED, TELLS_COMPENSATION = 1, 2, 4
+# Bits of `readiness`.
+IS_REFERENCED, IS_COMPENSATING = 1, 2
 
 
 class AxisKind(IntEnum):
@@ -183,7 +186,8 @@ REGISTERS: tuple[Register, ...] = (
         "features",
         19,
         _U16,
-        "1: `override` is told, and 0 is a feed of nothing; else 0",
+        "sum of 1: `override` is told, and 0 is a feed of nothing; 2 and 4: bits 1 "
+        "and 2 of `readiness` are told",
     ),
     Register("maker", 20, _TEXT, "maker", count=8),
     Register("model", 28, _TEXT, "model", count=8),
@@ -213,6 +217,13 @@ REGISTERS: tuple[Register, ...] = (
     Register("path_crc", 108, _U32, "CRC-32 of the committed path, 0 without one"),
     Register("feed", 110, _U32, "feed now", _FEED_UNIT),
     Register("position", 112, _I32, "position now", _POSITION_UNIT, count=MAX_AXES),
+    Register(
+        "readiness",
+        124,
+        _U16,
+        "sum of 1: all axes are referenced; 2: the error compensation of the control "
+        "is on",
+    ),
     Register("alarm_text", 130, _TEXT, "alarm in words", count=32),
     Register(
         "heartbeat", 180, _U16, "any change is a beat of the host", "", Access.WRITE
@@ -260,6 +271,7 @@ BY_NAME: dict[str, Register] = {register.name: register for register in REGISTER
 
 IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
+READINESS = Block(124, 1)  # of devices whose `features` tell it, read with the status
 ALARM_TEXT = Block(130, 32)
 CONTROL = Block(180, 2)
 LIMITS = Block(182, 1)  # which not every device has

@@ -3,6 +3,7 @@
 import importlib.util
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path as File
 
 import numpy as np
@@ -11,11 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from truepath.drivers.cnc.modbus import registers as r
-from truepath.drivers.cnc.modbus.controller_map import parse_status
+from truepath.drivers.cnc.modbus.controller_map import Controller, parse_status
 from truepath.drivers.interfaces.errors import WrongDevice
-from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.records import Identity, MotionState, Path
 
-BLOCKS = [r.IDENTITY, r.STATUS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND]
+BLOCKS = [
+    r.IDENTITY,
+    r.STATUS,
+    r.READINESS,
+    r.ALARM_TEXT,
+    r.CONTROL,
+    r.LIMITS,
+    r.COMMAND,
+]
 DOCS = File(__file__).parents[3] / "docs"
 
 
@@ -93,17 +102,39 @@ def test_rows_are_big_endian_counts():
 def test_a_state_that_the_map_lacks_is_no_state():
     words = [99] + [0] * 23
     with pytest.raises(WrongDevice, match="reports state 99"):
-        parse_status(words, tells_override=False)
+        parse_status(words)
 
 
 def test_hold_reasons_read_as_words_and_unknown_ones_as_numbers():
     def reason(code):
         words = [0] * 24
         words[:2] = [r.STATES.index(MotionState.HELD), code]
-        return parse_status(words, tells_override=False).motion.hold_reason
+        return parse_status(words).motion.hold_reason
 
     words = [reason(code) for code in (0, 1, 2, 3, 9)]
     assert words == ["", "operator", "watchdog", "command", "reason 9"]
+
+
+@pytest.mark.parametrize(
+    ("features", "bits", "said"),
+    [
+        (0, 3, (None, None)),
+        (r.TELLS_REFERENCED, 0, (False, None)),
+        (r.TELLS_REFERENCED, r.IS_REFERENCED | r.IS_COMPENSATING, (True, None)),
+        (r.TELLS_COMPENSATION, r.IS_COMPENSATING, (None, True)),
+        (r.TELLS_REFERENCED | r.TELLS_COMPENSATION, r.IS_REFERENCED, (True, False)),
+    ],
+)
+def test_readiness_is_what_the_features_say_that_a_device_tells(features, bits, said):
+    motion = parse_status([0] * 24 + [bits], features=features).motion
+    assert (motion.referenced, motion.compensation) == said
+
+
+def test_a_device_without_the_feature_is_not_asked_beyond_its_status_block():
+    old = Controller(Identity("", "", "", ""), ("X",), ((0.0, 1.0),), 1.0, 1)
+    assert old.status_block == r.STATUS
+    newer = replace(old, features=r.TELLS_OVERRIDE | r.TELLS_REFERENCED)
+    assert newer.status_block == r.Block(100, 25)
 
 
 def test_the_page_shows_the_map():
