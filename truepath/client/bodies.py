@@ -178,7 +178,11 @@ class Estimate(TypedDict):
 
 
 class Condition(TypedDict):
-    """Something that has to be so before the machine moves."""
+    """Something that has to be so before the machine moves.
+
+    temperatures : of `temperature-steady`: of each thermometer `channel`,
+        `value_degC`, `change_degC`, `over_s`
+    """
 
     type: str
     level: str
@@ -186,6 +190,7 @@ class Condition(TypedDict):
     message: str
     is_required: bool
     since: str
+    temperatures: list[Json]
 
 
 class Arming(TypedDict):

@@ -186,8 +186,8 @@ REGISTERS: tuple[Register, ...] = (
         "features",
         19,
         _U16,
-        "sum of 1: `override` is told, and 0 is a feed of nothing; 2 and 4: bits 1 "
-        "and 2 of `readiness` are told",
+        "sum of what is told: 1 `override`, and its 0 is a feed of nothing; 2 and 4 "
+        "the summands 1 and 2 of `readiness`",
     ),
     Register("maker", 20, _TEXT, "maker", count=8),
     Register("model", 28, _TEXT, "model", count=8),
@@ -211,7 +211,7 @@ REGISTERS: tuple[Register, ...] = (
         "override",
         107,
         _U16,
-        "feed override; where `features` is 0, 0 says that it is not told",
+        "feed override; where `features` lacks 1, 0 says that it is not told",
         "0.1 %",
     ),
     Register("path_crc", 108, _U32, "CRC-32 of the committed path, 0 without one"),
