@@ -573,3 +573,69 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
     service.conditions = [SHUT]
     expect(page.locator(NEXT)).to_be_enabled()
     expect(row).to_have_attribute("data-level", "true")
+
+
+WARM = {
+    "type": "temperature-steady",
+    "level": "false",
+    "reason": "temperature-drifts",
+    "message": "X has changed by 1.4 °C in 10 min; let it warm up",
+    "is_required": False,
+    "since": "2026-01-01T10:00:00.000Z",
+    "temperatures": [
+        {"channel": "X_degC", "value_degC": 22.4, "change_degC": 1.4, "over_s": 600.0}
+    ],
+}
+OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
+
+
+def test_a_change_of_a_condition_is_shown_by_its_event(panel, service):
+    """What is asked for still says the door is open: only the event tells."""
+    service.connected, service.conditions = True, [SHUT, OFF]
+    job = service.new_job("measure-otf")["id"]
+    service.change(job, state="ready")
+    page = panel.open(f"#/check/{job}")
+    row = page.locator('[data-type="controller-able"]')
+    expect(row).to_have_attribute("data-level", "true")
+    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
+        "It is off."
+    )
+    page.evaluate(
+        """() => {
+          const row = document.querySelector('[data-type="controller-able"]');
+          window.levels = [row.dataset.level];
+          new MutationObserver(() => {
+            const now = document.querySelector('[data-type="controller-able"]');
+            if (now) window.levels.push(now.dataset.level);
+          }).observe(document.body, { childList: true, subtree: true });
+        }"""
+    )
+    service.tell("condition", {"machine": "another", **DOOR})
+    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
+    service.tell("condition", {"machine": "default", **DOOR})
+    page.wait_for_function("window.levels.includes('false')")
+
+
+@pytest.mark.parametrize(
+    ("language", "step", "words"),
+    [
+        ("en", "plan", "X 22.4 °C, changed by 1.4 °C in 10 min"),
+        ("de", "connect", "X 22,4 °C, geändert um 1,4 °C in 10 min"),
+    ],
+)
+def test_temperatures_and_warm_up_are_shown_before_a_run(
+    panel, service, language, step, words
+):
+    service.connected, service.conditions = True, [WARM]
+    page = panel.open(f"#/{step}", language=language)
+    row = page.locator('[data-type="temperature-steady"]')
+    expect(row).to_have_attribute("data-level", "told")
+    expect(row).to_contain_text(words)
+
+
+def test_plan_says_nothing_of_temperatures_where_no_thermometer_does(panel, service):
+    service.connected = True
+    service.conditions = [WARM | {"level": "unknown", "temperatures": []}]
+    page = panel.open("#/plan")
+    expect(page.locator("h1")).to_be_visible()
+    expect(page.get_by_text("Temperatures before the measurement")).to_be_hidden()

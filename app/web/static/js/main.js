@@ -10,6 +10,7 @@ import { listen, STALE_MS } from "./stream.js";
 import { t } from "./texts.js";
 import * as certificate from "./views/certificate.js";
 import * as check from "./views/check.js";
+import { replaceCondition } from "./views/conditions-card.js";
 import * as connect from "./views/connect.js";
 import * as discover from "./views/discover.js";
 import * as exporting from "./views/export.js";
@@ -116,6 +117,7 @@ function hear(type, data) {
   const { job } = store.get();
   if (type === "refused") checkSession();
   if (type === "job") actions.hear(data);
+  if (type === "condition") hearCondition(data);
   if (type === "open" && job) actions.fetchEstimate();
   const own = job && !hasEnded(job) && (data.job_id ?? job.id) === job.id;
   if (type === "progress" && own) {
@@ -127,6 +129,12 @@ function hear(type, data) {
     estimated = { at: Date.now(), ms: performance.now() };
     actions.hearEstimate(data);
   }
+}
+
+/** Show a change of a condition at once, where somebody looks at those of this machine. */
+function hearCondition({ machine, ...told }) {
+  const { conditions, machine_id } = store.get();
+  if (conditions && machine === machine_id) store.set({ conditions: replaceCondition(conditions, told) });
 }
 
 let estimated = null;

@@ -25,7 +25,7 @@ export function listen(hear, age, ask) {
 
   function open() {
     source = new EventSource(links.events);
-    for (const type of ["tick", "job", "progress", "live", "estimate"]) {
+    for (const type of ["tick", "job", "progress", "live", "estimate", "condition"]) {
       source.addEventListener(type, (event) => receive(type, event));
     }
     source.addEventListener("open", () => hear("open", {}));

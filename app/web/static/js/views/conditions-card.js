@@ -1,11 +1,12 @@
-/* What has to be so before the machine moves, as the service holds it, asked once a second. */
+/* What has to be so before the machine moves, as the service holds it: told by events, asked every few seconds. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { card } from "../parts.js";
-import { known, t } from "../texts.js";
+import { known, number, t } from "../texts.js";
 
 const ASK_MS = 1000;
 const SHAPES = { true: "check", false: "warning", unknown: "info" };
+const TEMPERATURES = "temperature-steady";
 
 /** The first condition that keeps the machine from being started; null where none does. */
 export const obstacle = (conditions) =>
@@ -14,11 +15,13 @@ export const obstacle = (conditions) =>
 /** A condition in words: what is wrong and what to do. */
 export const wordsOf = ({ reason, message }) => known(`condition.reason.${reason}`, message);
 
-/** Card with all conditions; `close` ends the asking. */
-export function conditionsCard(store) {
-  const list = h("ul", { class: "conditions" });
+/** The conditions with one of them as an event tells it. */
+export const replaceCondition = (conditions, told) =>
+  conditions.map((one) => (one.type === told.type ? { ...one, ...told } : one));
+
+/** Keep the conditions of the store fresh; returns what ends that. */
+export function followConditions(store) {
   let closed = false;
-  let shown = "";
 
   async function ask() {
     if (closed) return;
@@ -29,6 +32,17 @@ export function conditionsCard(store) {
   }
 
   ask();
+  return () => {
+    closed = true;
+    store.set({ conditions: null });
+  };
+}
+
+/** Card with all conditions; `close` ends the asking. */
+export function conditionsCard(store) {
+  const list = h("ul", { class: "conditions" });
+  let shown = "";
+  const close = followConditions(store);
   return {
     element: card(t("condition.title"), list),
     update(conditions) {
@@ -38,10 +52,28 @@ export function conditionsCard(store) {
       list.replaceChildren(...(conditions ? [...conditions].sort(byUrgency).map(row)
         : [h("li", { class: "empty" }, t("condition.none"))]));
     },
-    close() {
-      closed = true;
-      store.set({ conditions: null });
+    close,
+  };
+}
+
+/** Card with the temperatures before a Run; hidden where no thermometer shows any. */
+export function temperatureCard(store) {
+  const list = h("ul", { class: "conditions" });
+  const element = card(t("condition.temperatures"), list);
+  element.hidden = true;
+  let shown = "";
+  const close = followConditions(store);
+  return {
+    element,
+    update(conditions) {
+      const found = conditions?.find(({ type }) => type === TEMPERATURES);
+      const key = JSON.stringify(found);
+      if (key === shown) return;
+      shown = key;
+      element.hidden = !found?.temperatures?.length;
+      list.replaceChildren(...(element.hidden ? [] : [row(found)]));
     },
+    close,
   };
 }
 
@@ -54,13 +86,29 @@ const ORDER = ["false", "told", "unknown", "true"];
 const byUrgency = (a, b) => ORDER.indexOf(stateOf(a)) - ORDER.indexOf(stateOf(b));
 
 function row(condition) {
-  const { type, level, is_required, since } = condition;
+  const { type, level, since, temperatures } = condition;
   const state = stateOf(condition);
   const at = new Date(since).toLocaleTimeString(document.documentElement.lang);
+  const words = explain(condition);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
     h("b", {}, known(`condition.${type}`, type.replaceAll("-", " "))),
     h("span", { class: "condition-since" }, t("condition.since", { at })),
-    level === "true" ? null : h("p", {}, level === "unknown" ? t("condition.unknown") : wordsOf(condition)),
+    words ? h("p", {}, words) : null,
+    temperatures?.length ? h("p", { class: "quiet" }, temperatures.map(temperature).join("; ")) : null,
     state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle")));
+}
+
+/** What is wrong and what to do; of what is well, a state that is worth a word. */
+function explain(condition) {
+  const { type, level, reason, temperatures } = condition;
+  if (level === "false") return wordsOf(condition);
+  if (level === "true") return known(`condition.reason.${reason}`, "");
+  if (type === TEMPERATURES && temperatures?.length) return t("condition.warming");
+  return known(`condition.reason.${reason}`, t("condition.unknown"));
+}
+
+function temperature({ channel, value_degC: value, change_degC: change, over_s: over }) {
+  return t("condition.temperature", { of: channel.replace(/_degC$/, ""), value: number(value, 1),
+    change: number(change, 1), minutes: number(over / 60, 0) });
 }

@@ -5,6 +5,7 @@ import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { temperatureCard } from "./conditions-card.js";
 import { curveCard } from "./curve-card.js";
 import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
@@ -89,6 +90,7 @@ export function mount(root, { store, actions }) {
     if (choosesPlace() && choices.minutes === null) minutes.write(MINUTES.usual);
     changed();
   });
+  const temperatures = temperatureCard(store);
   const curve = curveCard({
     request: (most) => ({ ...planOrder(store.get().machine), minutes: most }),
     foresee: actions.foresee,
@@ -100,7 +102,7 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("plan.text")), modelNotice(store.get().machine), curve.element,
+    head(t("plan.title"), t("plan.text")), modelNotice(store.get().machine), temperatures.element, curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
@@ -109,6 +111,7 @@ export function mount(root, { store, actions }) {
   );
   return {
     update(state) {
+      temperatures.update(state.conditions);
       curve.update(state);
       curve.element.hidden = isAdaptive();
       minutes.element.hidden = isForTarget();
@@ -117,7 +120,10 @@ export function mount(root, { store, actions }) {
       policy.hidden = !mayEndEarly();
       place.hidden = isAdaptive();
     },
-    close: curve.close,
+    close() {
+      temperatures.close();
+      curve.close();
+    },
   };
 }
 
