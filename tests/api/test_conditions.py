@@ -156,6 +156,13 @@ def test_a_job_is_not_armed_while_a_door_is_open(tmp_path, machine_file):
             before = rig.read_position()["position"]
             wait_for(lambda: levels(client)[able] == "true", "the door to be shut")
             assert rig.read_position()["position"] == before
+            beam = "target-in-sight"
+            wait_for(lambda: levels(client)[beam] == "true", "the beam")
+            rig.inject("tracker:beam-break@0s+120s")  # of the machine: 10 s
+            wait_for(lambda: levels(client)[beam] == "false", "the broken beam")
+            assert arm_over_http(client, job).json()["conditions"] == [beam]
+            wait_for(lambda: levels(client)[beam] == "true", "the beam again")
+            assert rig.read_position()["position"] == before
             arm(client, job)
             wait_for(lambda: rig.read_position()["position"] != before, "motion")
             client.post("/api/v1/stop")

@@ -159,6 +159,8 @@ class FakeMotion(MotionController):
         self.out_of_reach = False
         self.has_watchdog = True
         self.override: float | None = None
+        self.referenced: bool | None = None
+        self.compensation: bool | None = None
         self.limits_override = True
         self.ignores_hold = self.ignores_resume = self.ignores_abort = False
         self.ends_after_s: float | None = None
@@ -211,6 +213,8 @@ class FakeMotion(MotionController):
                 self.alarm,
                 self._reason,
                 self.override,
+                self.referenced,
+                self.compensation,
             )
 
     def limit_override(self, largest: float) -> None:

@@ -870,6 +870,25 @@ def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
     assert said[1] in fault.action
 
 
+def test_a_machine_that_says_it_is_not_referenced_is_not_driven(
+    begin, long_order, motion, journal
+):
+    motion.referenced = False
+    assert begin(long_order).ended() == "failed"
+    assert motion.calls == []
+    assert journal.faults == ["motion-unhomed"]
+
+
+@pytest.mark.parametrize(
+    ("told", "noted"), [(True, "on"), (False, "off"), (None, None)]
+)
+def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told, noted):
+    motion.compensation = told
+    running = begin(order)
+    assert running.ended() == "finished"
+    assert running.run.provenance.get("control_compensation") == noted
+
+
 @pytest.mark.fault_row(19)
 @pytest.mark.parametrize(
     ("state", "code", "said"),

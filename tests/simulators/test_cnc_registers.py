@@ -443,3 +443,19 @@ def test_start_runs_the_path_that_is_meant_and_no_other(master: Master) -> None:
     master.registers.write(BY_NAME["command_sequence"].address, request)
     assert master.value("command_result") == Result.CRC_MISMATCH
     assert master.state is MotionState.READY
+
+
+def test_readiness_tells_reference_and_compensation(master: Master) -> None:
+    assert master.value("readiness") == regmap.IS_REFERENCED
+    master.controller.is_compensating = True
+    both = regmap.IS_REFERENCED | regmap.IS_COMPENSATING
+    assert master.value("readiness") == both
+    for lose in (
+        lambda: master.controller.disable(MotionState.UNHOMED, master.now_s),
+        lambda: setattr(master.controller, "is_referenced", False),
+    ):
+        lose()
+        assert master.value("readiness") == regmap.IS_COMPENSATING
+        assert master.command(Command.HOME) is Result.DONE
+        assert master.value("readiness") == both
+        assert master.state is MotionState.IDLE

@@ -91,6 +91,20 @@ def test_an_added_fault_counts_from_now() -> None:
     assert schedule.strikes("delay", 55.0)
 
 
+def test_time_counts_anew_for_what_has_not_struck_yet() -> None:
+    schedule = Schedule(map(parse_fault, ["tracker:silence@5s", "tracker:delay@1s"]))
+    schedule.add(parse_fault("tracker:beam-break@5s"), 0.0)
+    schedule.begin(0.0)
+    assert schedule.strikes("delay", 2.0)
+    schedule.begin_anew()
+    assert not schedule.strikes("silence", 6.0)
+    schedule.begin(6.0)
+    assert not schedule.strikes("silence", 10.0)
+    assert schedule.strikes("silence", 11.0)
+    assert schedule.strikes("delay", 6.0)
+    assert schedule.strikes("beam-break", 5.0)
+
+
 def test_every_kind_of_fault_is_documented() -> None:
     page = (Path(__file__).parents[2] / "docs" / "simulators.md").read_text()
     for kinds in KINDS.values():

@@ -357,6 +357,25 @@ def test_axes_and_travel_come_from_the_ini_file(tmp_path):
         read_ini(tmp_path / "none.ini")
 
 
+@pytest.mark.parametrize(
+    ("entry", "has"),
+    [
+        ("", False),
+        ("COMP_FILE = x.tbl", True),
+        ("BACKLASH = 0.0", False),
+        ("BACKLASH = 0.01", True),
+    ],
+)
+def test_the_ini_file_tells_whether_linuxcnc_compensates(tmp_path, entry, has):
+    file = tmp_path / "machine.ini"
+    file.write_text(
+        "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
+        f"[JOINT_1]\nMIN_LIMIT = 0\n{entry}\n"
+    )
+    assert read_ini(file).has_compensation is has
+    assert parse_travel("X 0 500").has_compensation is None
+
+
 def test_a_travel_that_is_none_is_said():
     assert parse_travel("X 0 500, c -360 360").axes == ("X", "C")
     with pytest.raises(ValueError, match="'X 0'"):

@@ -76,6 +76,12 @@ def test_what_is_said_means_a_state(said, state, reason):
     assert (status.state, status.hold_reason) == (state, reason)
 
 
+@pytest.mark.parametrize(("homed", "referenced"), [("YES", True), ("NO", False)])
+def test_a_machine_that_is_off_still_says_whether_it_is_referenced(homed, referenced):
+    status = judge(machine="OFF", joint_homed=f"YES {homed} YES NO NO NO")
+    assert (status.state, status.referenced) == (MotionState.NOT_READY, referenced)
+
+
 def test_position_line_and_override_are_those_said():
     status = judge(program_status="RUNNING", program_line="9", feed_override="87.500")
     assert status.position == (10.0, 5.0, -2.0)

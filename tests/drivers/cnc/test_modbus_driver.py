@@ -747,6 +747,8 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
 ):
     with Bench() as bench, ModbusController(**bench.motion_options) as controller:
         assert controller.status().override == 1.0
+        assert controller.status().referenced is True
+        assert controller.status().compensation is False
         bench.inject(f"cnc:{fault}")
         until(lambda: controller.status().state is state)
         for verb in (
