@@ -19,6 +19,7 @@ from scripted_data import (
     VERSIONS,
     certificate,
     compensation,
+    machine_entry,
     plan_curve,
     volumetric_map,
 )
@@ -205,6 +206,28 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def machines() -> Any:
         return {"items": service.machines}
 
+    @app.post(f"{API}/machines", status_code=201)
+    async def add_machine(request: Request) -> Any:
+        new = await request.json()
+        service.requests.append(("POST", "/machines", new))
+        if new["id"] in {one["id"] for one in service.machines}:
+            return problem(409, "machine-known", "Known", new["id"], "Choose another.")
+        name, file = new["machine_file"]["name"], new["machine_file"]
+        own = {"origin": "catalogue", "cell": "none", "connected": False}
+        entry = machine_entry(new["id"], name=name, machine_file=file, **own)
+        service.machines.append(entry)
+        return entry
+
+    @app.put(f"{API}/machines/{{machine_id}}/machine-file")
+    async def describe_machine(machine_id: str, request: Request) -> Any:
+        content = await request.json()
+        service.requests.append(
+            ("PUT", f"/machines/{machine_id}/machine-file", content)
+        )
+        entry = next(one for one in service.machines if one["id"] == machine_id)
+        entry["machine_file"] = content["machine_file"]
+        return entry
+
     @app.patch(f"{API}/machines/{{machine_id}}")
     async def change_machine(machine_id: str, request: Request) -> Any:
         change = await request.json()
@@ -217,7 +240,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def machine_record(machine_id: str) -> Any:
         found = next(one for one in service.machines if one["id"] == machine_id)
         known = {"machine_file": service.machine, "connected": service.connected}
-        return found | known
+        return known | found if found["origin"] == "catalogue" else found | known
 
     @app.get(f"{API}/drivers")
     def drivers() -> Any:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import json
 import re
 
 import pytest
 from playwright.sync_api import Page, expect
-from scripted_data import machine_entry, machine_history, verification
+from scripted_data import MACHINE, machine_entry, machine_history, verification
 
 NEXT = "#next button"
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
@@ -162,6 +164,56 @@ def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
     other = page.locator("[data-machine=mill-4]")
     expect(other).to_contain_text("never")
     expect(other.locator("[data-standing=unknown]")).to_be_visible()
+
+
+ADDING = {
+    "en": ("Add a machine", "X, most", "Save"),
+    "de": ("Maschine hinzufügen", "X, größter Wert", "Spei"),
+}
+
+
+@pytest.mark.parametrize(("language", "size"), [("en", (1280, 800)), ("de", PHONE)])
+def test_a_machine_is_added_from_its_file_and_described_anew(
+    panel, service, language, size
+):
+    add, most, save = ADDING[language]
+    page = panel.open("#/machine", size=size, language=language)
+    panel.witness.expect("409")
+    page.locator("[data-card=add] summary").click()
+    form = page.locator("[data-form=add]")
+
+    def choose(text):
+        file = {"name": "mill.json", "mimeType": "application/json", "buffer": text}
+        form.locator("input[type=file]").set_input_files(file)
+
+    choose(b"{}")
+    expect(form.get_by_role("alert")).to_contain_text("mill.json")
+    content = {**copy.deepcopy(MACHINE), "name": "VMC 700"}
+    choose(json.dumps(content).encode())
+    form.get_by_label(most).fill("612.5")
+    if language == "de":
+        form.get_by_label(most).fill("612,5")
+    form.locator("#add-id").fill("default")
+    form.get_by_role("button", name=add).click()
+    expect(form.get_by_role("alert")).not_to_be_empty()
+    form.locator("#add-id").fill("mill-5")
+    form.get_by_role("button", name=add).click()
+    expect(page.locator("[data-machine=mill-5]")).to_contain_text("VMC 700")
+    sent = service.requests[-1][2]
+    content["axes"]["X"]["max_mm"] = 612.5
+    assert sent == {"id": "mill-5", "machine_file": content}
+    expect(page.locator("[data-card=devices]")).to_be_visible()
+    page.locator("[data-card=describe] summary").click()
+    changed = page.locator("[data-form=describe]")
+    expect(changed.get_by_label(most)).to_have_value(re.compile("612.5"))
+    changed.get_by_label(most).fill("700")
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    changed.get_by_role("button", name=save).click()
+    expect(page.locator("[data-card=describe] form")).to_be_hidden()
+    method, path, sent = service.requests[-1]
+    assert (method, path) == ("PUT", "/machines/mill-5/machine-file")
+    assert sent["machine_file"]["axes"]["X"]["max_mm"] == 700
+    assert sent["machine_file"]["tool_offset_mm"] == content["tool_offset_mm"]
 
 
 @pytest.mark.parametrize("language", ["en", "de"])

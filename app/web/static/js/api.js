@@ -96,6 +96,10 @@ export const machines = async () => items(await call("GET", "/machines"));
 export const machineRecord = (id) => call("GET", `/machines/${id}`);
 /** Say who a machine is. */
 export const changeMachine = (id, change) => call("PATCH", `/machines/${id}`, { json: change });
+/** Add a machine by its machine file; its devices are chosen next. */
+export const addMachine = (id, file) => call("POST", "/machines", { json: { id, machine_file: file } });
+/** Describe a machine anew; nothing moves. */
+export const describeMachine = (id, file) => call("PUT", `/machines/${id}/machine-file`, { json: { machine_file: file }, patience_ms: 60000 });
 /** The installed drivers and their options. */
 export const drivers = async () => items(await call("GET", "/drivers"));
 /** Choose drivers and options; no port is opened yet. */

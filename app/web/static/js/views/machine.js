@@ -6,6 +6,8 @@ import { card, head, notice } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { dateTime, number, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
+import { deviceCard } from "./device-card.js";
+import { machineForm, mayDescribe } from "./machine-form.js";
 
 const DAY_MS = 86400e3;
 const HOUR_MS = 3600e3;
@@ -21,11 +23,13 @@ export function lead({ job, busy }, { go }) {
 /** Show the machines. */
 export function mount(root, { store, actions }) {
   const list = h("div", { class: "machine-list" });
-  const identity = h("div");
-  root.append(head(t("machine.title"), t("machine.text")), h("div", { class: "stack" }, list, identity));
+  const identity = h("div", { class: "stack" });
+  const adding = h("div");
+  root.append(head(t("machine.title"), t("machine.text")), h("div", { class: "stack" }, list, identity, adding));
 
-  async function load() {
+  async function load(shown = null) {
     const entries = await api.machines();
+    if (mayDescribe()) adding.replaceChildren(addCard(add));
     if (!entries.length) {
       list.replaceChildren(notice(null, t("connect.no_machine")));
       return;
@@ -33,26 +37,46 @@ export function mount(root, { store, actions }) {
     const known = await Promise.all(entries.map(async (entry) => ({ entry, ...await standingOf(entry.id) })));
     const { machine_id: chosen } = store.get();
     list.replaceChildren(...known.map((one) => machineCard(one, { chosen, several: entries.length > 1, choose })));
-    edit(entries.find(({ id }) => id === chosen) ?? entries[0]);
+    await edit(entries.find(({ id }) => id === (shown ?? chosen)) ?? entries[0]);
+  }
+
+  async function add(id, machineFile) {
+    await api.addMachine(id, machineFile);
+    await Promise.all([load(id), actions.loadSystem()]);
+    identity.scrollIntoView({ block: "nearest" });
   }
 
   async function choose(entry) {
     if (entry.cell !== "none") await actions.choose(entry.id);
-    await load().catch(actions.refuse);
-    if (entry.cell === "none") edit(entry);
+    await load(entry.id).catch(actions.refuse);
   }
 
-  function edit(entry) {
-    identity.replaceChildren(identityCard(entry, async (change) => {
+  async function edit(entry) {
+    const who = identityCard(entry, async (change) => {
       try {
         await api.changeMachine(entry.id, change);
-        await Promise.all([load(), actions.loadSystem()]);
+        await Promise.all([load(entry.id), actions.loadSystem()]);
         return true;
       } catch (error) {
         actions.refuse(error);
         return false;
       }
-    }));
+    });
+    identity.replaceChildren(who, ...await configurationCards(entry));
+  }
+
+  /** Of a machine that is configured here: its axes, and its devices while nothing drives it. */
+  async function configurationCards(entry) {
+    if (entry.origin !== "catalogue" || !mayDescribe()) return [];
+    const { machine_file: content } = await api.machineRecord(entry.id);
+    const axes = describeCard(content, async (_, described) => {
+      await api.describeMachine(entry.id, described);
+      await Promise.all([load(entry.id), actions.loadSystem()]);
+    });
+    if (entry.cell !== "none") return [axes];
+    const devices = deviceCard({ actions });
+    devices.update({ machine_id: entry.id, job: null });
+    return [axes, devices.element];
   }
 
   load().catch(actions.refuse);
@@ -118,6 +142,12 @@ function wordsOf(standing) {
   const { tolerance, has_changed: changed } = standing;
   return [t(`machine.tolerance_${tolerance ?? "none"}`), changed === null ? t("machine.change_unknown") : t(changed ? "machine.changed" : "machine.unchanged")];
 }
+
+const addCard = (save) => h("details", { class: "card", "data-card": "add" }, h("summary", {}, t("machine.add")),
+  h("p", { class: "quiet" }, t("machine.add_text")), machineForm({ name: "add", asksId: true, label: t("machine.add"), save }));
+
+const describeCard = (content, save) => h("details", { class: "card", "data-card": "describe" }, h("summary", {}, t("machine.describe")),
+  h("p", { class: "quiet" }, t("machine.describe_text")), machineForm({ name: "describe", content, label: t("machine.save"), save }));
 
 /** Who the machine is; asked once, stated on every certificate. */
 function identityCard(entry, save) {
