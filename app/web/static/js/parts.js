@@ -14,6 +14,10 @@ export const head = (title, text) =>
 export const card = (title, ...content) =>
   h("section", { class: "card" }, title && h("h2", {}, title), content);
 
+/** Room for a table that may be wider than its card; arrow keys scroll it. */
+export const tableFrame = (label, ...content) =>
+  h("div", { class: "table-scroll", tabindex: "0", role: "region", "aria-label": label }, content);
+
 /** Name and value in rows: pairs([[name, value], …]). */
 export const pairs = (rows) =>
   h("dl", { class: "pairs" }, rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));

@@ -1,6 +1,6 @@
 /* Where the uncertainty of the volume comes from: shares of its square, by source. */
 import { h } from "../dom.js";
-import { card } from "../parts.js";
+import { card, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { known, number, t } from "../texts.js";
 import { figure, unitOf } from "../units.js";
@@ -18,7 +18,7 @@ export function budgetCard({ uncertainty_budget: budget }) {
   const cells = (parts) => COLUMNS.map((name) => h("td", { class: "right" }, figure(COVERAGE * parts[name], "gap")));
   const element = card(t("budget.title"),
     h("p", { class: "quiet" }, t("budget.text", { k: COVERAGE, unit: micro })),
-    h("div", { class: "table-scroll" }, h("table", { class: "budget" },
+    tableFrame(t("budget.title"), h("table", { class: "budget" },
       h("thead", {}, h("tr", {}, h("th", { scope: "col" }, t("budget.source")), h("th", { scope: "col" }, t("budget.share")),
         title(t("budget.volume")), ["X", "Y", "Z"].map(title))),
       h("tbody", {}, rows.map(([source, parts]) => h("tr", { "data-source": source }, h("td", {}, known(`budget.${source}`, source)),

@@ -1,7 +1,7 @@
 /* A result beside an earlier calibration of the same machine: what has changed by more than both know. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { kindOf, notice } from "../parts.js";
+import { kindOf, notice, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
@@ -46,7 +46,7 @@ export function describe(now, then) {
   const beyond = rows.filter((row) => row.ratio > 1).length;
   return h("div", { class: "stack" },
     h("p", {}, t(beyond ? "compare.changed" : "compare.same", { count: number(beyond), total: number(rows.length), k: COVERAGE })),
-    h("div", { class: "table-scroll" }, h("table", { class: "compare" },
+    tableFrame(t("compare.title"), h("table", { class: "compare" },
       h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", { class: "right" }, t("compare.change")),
         h("th", { class: "right" }, t("compare.u", { k: COVERAGE })), h("th", { class: "right" }, t("compare.at")), h("th", {}, ""))),
       h("tbody", {}, rows.map(row)))),

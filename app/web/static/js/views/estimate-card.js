@@ -1,7 +1,7 @@
 /* What is known of the machine while it moves: tables that tighten, the uncertainty over time. */
 import { h, mark, write } from "../dom.js";
 import { isMoving } from "../flow.js";
-import { segments } from "../parts.js";
+import { segments, tableFrame } from "../parts.js";
 import { drawCourse } from "../plots/course-chart.js";
 import { COVERAGE, drawErrors, reachOf, roundReach } from "../plots/error-chart.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
@@ -17,7 +17,8 @@ export function estimateCard() {
   const age = h("p", { class: "quiet number estimate-age" });
   const waiting = h("p", { class: "empty" }, t("estimate.waiting"));
   const course = courseFigure();
-  const singles = h("div", { class: "table-scroll estimate-singles" });
+  const singles = tableFrame(t("result.squareness"));
+  singles.classList.add("estimate-singles");
   const grid = h("div", { class: "charts is-live", role: "group" });
   const content = h("div", { class: "estimate-content", hidden: true },
     h("div", { class: "estimate-top" }, course.element, singles), grid);

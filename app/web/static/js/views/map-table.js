@@ -1,12 +1,13 @@
 /* The map in numbers: at ends and middles of the travel, for who cannot see the picture. */
 import { h } from "../dom.js";
+import { tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { t } from "../texts.js";
 import { figure, unitOf } from "../units.js";
 
 /** A table that is written when it is opened. */
 export function mapTable(map) {
-  const content = h("div", { class: "table-scroll", tabindex: "0", role: "region", "aria-label": t("map.table") });
+  const content = tableFrame(t("map.table"));
   const details = h("details", { class: "map-table" }, h("summary", {}, t("map.table")), content);
   details.addEventListener("toggle", () => {
     if (details.open && !content.children.length) content.append(table(map));

@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { isVerification } from "../flow.js";
-import { card, linkButton } from "../parts.js";
+import { card, linkButton, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -63,7 +63,7 @@ function numbers(verification) {
   const rows = ROWS.map((name) => h("tr", {}, h("th", { scope: "row" }, t(`verify.${name}`)),
     SIZES.map((size) => h("td", { class: "right" }, sized(verification.volumetric_error_um[name], size)))));
   const said = currentLanguage() === "en" && h("ul", { class: "lines" }, verification.statements.map((text) => h("li", {}, text)));
-  return card(t("verify.numbers"), h("div", { class: "table-scroll" }, h("table", { class: "proof-table" },
+  return card(t("verify.numbers"), tableFrame(t("verify.numbers"), h("table", { class: "proof-table" },
     h("thead", {}, h("tr", {}, h("th", {}, t("verify.error_of")), SIZES.map((size) => h("th", { class: "right" }, t(`verify.${size}`))))),
     h("tbody", {}, rows))), h("p", { class: "quiet" }, t("verify.numbers_note", { k: COVERAGE })), said);
 }

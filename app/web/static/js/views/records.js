@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, statesTables } from "../flow.js";
-import { card, head, kindOf, linkButton, notice, shapeOf, wordOf } from "../parts.js";
+import { card, head, kindOf, linkButton, notice, shapeOf, tableFrame, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { wordProblem } from "../problems.js";
 import { dateTime, duration, number, t } from "../texts.js";
@@ -20,8 +20,8 @@ export function lead({ job }, { go }) {
 
 /** Show the lists. */
 export function mount(root, { store, actions, go }) {
-  const jobs = h("div", { class: "table-scroll" });
-  const runs = h("div", { class: "table-scroll" });
+  const jobs = tableFrame(t("records.jobs"));
+  const runs = tableFrame(t("records.runs"));
   const over = h("div", { class: "stack" });
   const compared = h("div", { class: "stack", "aria-live": "polite" });
   const picked = new Set();

@@ -1,7 +1,7 @@
 /* The step Result: error tables with their uncertainty, squareness, and what can be taken away. */
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
-import { card, earlyEndNotice, head, kindOf, linkButton, segments, tile } from "../parts.js";
+import { card, earlyEndNotice, head, kindOf, linkButton, segments, tableFrame, tile } from "../parts.js";
 import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
@@ -205,7 +205,7 @@ function squareness(result) {
       h("td", { class: "right" }, quantity(value, kind)),
       h("td", { class: "right" }, `± ${uncertainty === null ? "–" : quantity(COVERAGE * uncertainty, kind)}`)));
   return card(t(result.axis_location ? "result.squareness_location" : "result.squareness"),
-    h("div", { class: "table-scroll" }, h("table", {},
+    tableFrame(t("result.squareness"), h("table", {},
       h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
         h("th", { class: "right" }, t("result.value")),
         h("th", { class: "right" }, t("result.u", { k: COVERAGE })))),

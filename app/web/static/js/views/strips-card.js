@@ -1,6 +1,6 @@
 /* Where simulation and measurement disagree: strips of cells, darker where it is more. */
 import { h } from "../dom.js";
-import { card } from "../parts.js";
+import { card, tableFrame } from "../parts.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
@@ -82,7 +82,7 @@ const scale = (highest) => h("p", { class: "strip-scale", "aria-hidden": "true" 
 
 function table({ name, cells }) {
   const right = (tag, text) => h(tag, { class: "right" }, text);
-  return h("div", { class: "table-scroll" }, h("table", {},
+  return tableFrame(name, h("table", {},
     h("thead", {}, h("tr", {}, h("th", {}, name), right("th", t("strips.count")), right("th", t("strips.before")), right("th", t("strips.after")))),
     h("tbody", {}, cells.map((one) => h("tr", {}, h("td", {}, one.name), right("td", number(one.count)),
       right("td", quantity(one.before, "gap")), right("td", quantity(one.after, "gap")))))));

@@ -1,6 +1,6 @@
 /* Which Runs tell how the machine changes, when they were, and what it may be off by. */
 import { h, icon } from "../dom.js";
-import { card } from "../parts.js";
+import { card, tableFrame } from "../parts.js";
 import { dateTime, t } from "../texts.js";
 import { numberField, within } from "./number-field.js";
 
@@ -22,7 +22,7 @@ export function trendForm(store) {
   const chosen = new Map(); // id of a Run: text of its hours
   let limit_um = 5;
   let shown = null;
-  const list = h("div", { class: "table-scroll" });
+  const list = tableFrame(t("trend.runs"));
   const field = numberField({ id: "trend-limit", kind: "error", label: t("trend.limit"), note: t("trend.limit_note"),
     less: t("trend.limit_less"), more: t("trend.limit_more"), none: t("trend.none"), least: LEAST_UM, most: MOST_UM,
     get: () => limit_um, set: (value) => { limit_um = value; tell(); },

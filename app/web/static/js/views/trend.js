@@ -2,7 +2,7 @@
 import { links } from "../api.js";
 import { h } from "../dom.js";
 import { place } from "../flow.js";
-import { card, head, linkButton, notice, segments } from "../parts.js";
+import { card, head, linkButton, notice, segments, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { drawOverTime } from "../plots/time-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
@@ -159,7 +159,7 @@ function runsCard({ runs, later }) {
     h("td", { class: "right" }, number(at.time_h, 2)), h("td", { class: "right" }, quantity(at.change_um.median, "error")),
     h("td", { class: "right" }, quantity(at.change_um.high, "error")));
   const titles = [t("trend.run"), t("trend.hours"), t("trend.off"), t("trend.off_high")];
-  return card(t("trend.runs"), h("div", { class: "table-scroll" }, h("table", {},
+  return card(t("trend.runs"), tableFrame(t("trend.runs"), h("table", {},
     h("thead", {}, h("tr", {}, titles.map((title, i) => h("th", i ? { class: "right" } : {}, title)))),
     h("tbody", {}, [...runs, ...later].map(row)))));
 }
