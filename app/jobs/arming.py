@@ -19,6 +19,7 @@ from truepath.app.jobs.conditions import Condition, Finding, Level
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.resumption import Resumption
+from truepath.app.jobs.station_resumption import select_left
 from truepath.app.kinematics.machine import Machine, Target, position_unit
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
@@ -97,7 +98,7 @@ def list_commanded(plan: Mapping[str, Any] | None) -> list[Commanded]:
     if "stations" in plan:
         points = decode_commanded_json(plan["known_points"])
         left = [one for one in plan["stations"] if not one.get("measured")]
-        return [rows for one in left for rows in (points, decode_commanded_json(one))]
+        return [rows for one in left for rows in (points, select_left(one))]
     commanded, resumption = decode_commanded_json(plan), Resumption.read(plan)
     if resumption is None:
         return [commanded]

@@ -105,7 +105,8 @@ class Health:
 class StationCheck:
     """How a station agrees with the one before, by the known points.
 
-    problem : `not-seen`, `not-moved` or `residual` where it does not, else empty
+    problem : `not-seen`, `not-moved` or `residual` where it does not, `moved` where it
+        has gone on and is not where it was; else empty
     text : that in words
     """
 

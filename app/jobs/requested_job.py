@@ -23,7 +23,7 @@ from truepath.app.jobs.plan_orders import (
     plan_extra_lines,
     refuse_several_targets,
 )
-from truepath.app.jobs.station_steps import count_measured
+from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
 from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.travel import check_travel
@@ -236,12 +236,21 @@ def _continue_job(
         )
     for rows in list_station_rows(plan):
         check_travel(machine, rows)
-    run_id, *further = [s["run_id"] for s in stations if s.get("measured")] or [None]
-    only = request.perpendicular_only
+    measured = list_analysed_ids(plan)
     new = Job(
-        job.kind, run_id=run_id, further_run_ids=tuple(further), perpendicular_only=only
+        job.kind,
+        run_id=next(iter(measured), None),
+        further_run_ids=tuple(measured[1:]),
+        perpendicular_only=request.perpendicular_only,
     )
-    return new, plan
+    left = [s if s.get("measured") else _forget_runs(s) for s in stations]
+    return new, {**plan, "stations": left}
+
+
+def _forget_runs(station: Json) -> Json:
+    """Return a station whose Runs another job has made, to be measured whole."""
+    made = {"run_id", "points_id", "parts", "resumption"}
+    return {key: value for key, value in station.items() if key not in made}
 
 
 def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:

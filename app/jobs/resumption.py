@@ -69,13 +69,15 @@ def _find_reason(job: Job, plan: Json) -> str:
     kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
     if job.kind not in _GOES_ON:
         return f"{_name_obstacle(job.kind)}; {kept}; begin a new job"
-    if "stations" in plan:
-        return f"it has several stations; begin a job that `continues` it; {kept}"
     if job.on_notice is not OnNotice.NOTE:
         return f"it drives lines again by what it notices; {kept}; begin a new job"
     if len(set(plan.get("target", ()))) > 1:
         return f"its targets have to be measured in one Run; {kept}; begin a new job"
-    if job.stage in _MEASURED:
+    stations = plan.get("stations", ())
+    is_measured = job.stage in _MEASURED
+    if stations:  # their checks are computed in a stage of the analysis
+        is_measured = all(station.get("measured") for station in stations)
+    if is_measured:
         then = "discover in" if job.kind.discovers else "analyse"
         return f"all its rows are measured; {then} its Runs; {kept}"
     return ""
@@ -87,6 +89,17 @@ def _name_obstacle(kind: JobKind) -> str:
     if kind.measures:
         return "its rows depend on what was measured before"
     return "it only computes"
+
+
+def choose_first_row(commanded: Commanded, next_row: int) -> int:
+    """Return the row that a further part begins at; some again where few are left.
+
+    A line begins where the one before has ended.
+    """
+    latest = len(commanded) - _FEWEST
+    if isinstance(commanded, Path):
+        return max(min(next_row, latest) - 1, 0)
+    return max(min(next_row, latest), 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +185,7 @@ class ResumedSteps:
         rows = [base + row for row in last["row"]]
         commanded = decode_commanded_json(plan)
         return {
-            "first_row": _choose_first_row(commanded, base + last["next_row"]),
+            "first_row": choose_first_row(commanded, base + last["next_row"]),
             "kept_run_ids": [parts[k]["run_id"] for k in usable],
             # One row more: the first place is then come to from where it was before.
             "closure_row": [*range(max(rows[0] - 1, 0), rows[0]), *rows],
@@ -245,14 +258,3 @@ class ResumedSteps:
         log.info("closure checked", **found)
         if found["problem"]:
             raise MachineFault(CLOSURE_CODE, found["problem"], _REMEDY)
-
-
-def _choose_first_row(commanded: Commanded, next_row: int) -> int:
-    """Return the row to begin at; some rows again where few are left.
-
-    A line begins where the one before has ended.
-    """
-    latest = len(commanded) - _FEWEST
-    if isinstance(commanded, Path):
-        return max(min(next_row, latest) - 1, 0)
-    return max(min(next_row, latest), 0)

@@ -5,7 +5,8 @@ sees what it has to see, and agrees with the station before. Between stations th
 waits, nothing moves, and a person moves the tracker and arms the job again. A station
 that the known points contradict is asked for again, with the reason. What each station
 has recorded is in the catalogue, and with the plan, before the next one is asked for:
-a job that ended early is continued from there.
+a job that ended early is continued from there. One that was cut short goes on with the
+rows that are left of its station (`station_resumption`).
 """
 
 from __future__ import annotations
@@ -31,12 +32,19 @@ from truepath.app.jobs.job import (
     StationProgress,
     make_id,
 )
+from truepath.app.jobs.station_resumption import (
+    list_kept_ids,
+    make_resumption,
+    select_left,
+)
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.measurement.messages import MeasurementOrder
 from truepath.app.motion.configurations import Commanded
 
 _UNSEEN = frozenset({"beam-lost", "not-resumed"})
+_ASKED = frozenset({"moved", "residual"})
+_MOVED = "Put it back, or arm as it stands: the rest is then measured as a new station."
 
 log = structlog.get_logger(__name__)
 
@@ -56,7 +64,15 @@ def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
 
     key : `points_id` for those of the known points
     """
-    return [s[key] for s in plan.get("stations", ()) if s.get(key)]
+    stations = plan.get("stations", ())
+    made = (one.get(key) for s in stations for one in (*s.get("parts", ()), s))
+    return list(dict.fromkeys(run_id for run_id in made if run_id))
+
+
+def list_analysed_ids(plan: Json) -> list[str]:
+    """Return the Runs of the stations of a plan that are measured."""
+    measured = [s for s in plan.get("stations", ()) if s.get("measured")]
+    return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
 
 
 def count_measured(plan: Json) -> int:
@@ -81,6 +97,26 @@ class StationSteps:
     context: JobContext
     compute: Callable[..., Any]
 
+    def prepare(self) -> None:
+        """Find how far the station has got that was cut short; keep it in the plan."""
+        plan = self._read_plan()
+        number, runs = count_measured(plan) + 1, self.context.runs
+        station = plan["stations"][number - 1]
+        made = station.get("parts", ())
+        known = set(runs.find(list_run_ids(plan) + list_run_ids(plan, "points_id")))
+        parts = [p for p in made if {p["run_id"], p["points_id"]} <= known]
+        ids = [part[key] for key in ("run_id", "points_id") for part in parts]
+        found = self.compute(
+            State.PREPARING,
+            Stage.PLANNING,
+            self.context.resumer,
+            [str(runs.file(run_id)) for run_id in ids],
+            self.context.require_machine(),
+        )
+        resumption = make_resumption(station, parts, found)
+        self._keep(number, parts=list(made), resumption=resumption)
+        log.info("the station can go on", station=number, resumption=resumption)
+
     def run(self) -> tuple[str, ...]:
         """Measure from every station that is left; return the Runs of all."""
         plan = self._read_plan()
@@ -91,7 +127,7 @@ class StationSteps:
             while not self._agrees(number):
                 self._await_move(number)
             self._measure(number)
-        return tuple(s["run_id"] for s in self._read_plan()["stations"])
+        return tuple(list_analysed_ids(self._read_plan()))
 
     def _await_move(self, number: int) -> None:
         """Ask for the tracker at a station; wait until the job is armed again."""
@@ -131,16 +167,44 @@ class StationSteps:
     def _compare(self, number: int) -> StationCheck:
         plan, runs = self._read_plan(), self.context.runs
         here = plan["stations"][number - 1]
+        if here.get("resumption") is not None:
+            return self._compare_with_itself(number, here)
         before, asked_mm = None, 0.0
         if number > 1:
             last = plan["stations"][number - 2]
             before = str(runs.file(last["points_id"]))
             asked_mm = math.dist(last["position_mm"], here["position_mm"])
+        return self._check(number, before, asked_mm)
+
+    def _compare_with_itself(self, number: int, here: Json) -> StationCheck:
+        """Compare a station that goes on with itself as it was.
+
+        Where it was moved since, somebody is asked; left there, it is a new station.
+        """
+        resumption, file = here["resumption"], self.context.runs.file
+        closure = self.compute(
+            State.RUNNING,
+            Stage.ALIGNING,
+            self.context.closer,
+            str(file(here["points_id"])),
+            resumption["place_mm"],
+        )
+        by = {"residual_um": closure["step_um"], "allowed_um": closure["allowed_um"]}
+        if not closure["problem"]:
+            return StationCheck(number, **by)
+        checks = self._read_progress(number).checks
+        if any(c.station == number and c.problem in _ASKED for c in checks):
+            return self._check(number, str(file(resumption["points_id"])), 0.0)
+        text = f"{closure['problem']}: tracker or reflector was moved. {_MOVED}"
+        return StationCheck(number, problem="moved", text=text, **by)
+
+    def _check(self, number: int, before: str | None, asked_mm: float) -> StationCheck:
+        plan = self._read_plan()
         found = self.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.checker,
-            str(runs.file(here["points_id"])),
+            str(self.context.runs.file(plan["stations"][number - 1]["points_id"])),
             before,
             asked_mm,
             plan["specification"],
@@ -148,14 +212,22 @@ class StationSteps:
         return StationCheck(number, **found)
 
     def _measure(self, number: int) -> None:
-        """Make the Run of a station."""
-        run_id = self.job.id if number == 1 else make_id()
-        self._keep(number, run_id=run_id)
+        """Make the Run of a station, or a further one for what is left of it."""
         station = self._read_plan()["stations"][number - 1]
-        commanded = decode_commanded_json(station)
+        is_first = number == 1 and not station.get("run_id")
+        run_id = self.job.id if is_first else make_id()
+        part = {
+            "run_id": run_id,
+            "points_id": station["points_id"],
+            "first_row": (station.get("resumption") or {}).get("first_row", 0),
+        }
+        self._keep(number, run_id=run_id, parts=[*station.get("parts", ()), part])
+        run_ids = [*list_kept_ids(station), run_id]
         try:
-            self._drive(commanded, run_id, f"station {number}", gives_up=False)
-            self._keep(number, measured=True)
+            self._drive(
+                select_left(station), run_id, f"station {number}", gives_up=False
+            )
+            self._keep(number, measured=True, run_ids=run_ids)
         finally:
             self._store_runs()
 

@@ -149,7 +149,7 @@ class _JobSteps:
         if chooses and context.store.read_plan(job.id) is None:
             self._plan()
         elif job.kind.measures and job.started is not None:
-            self._resumed_steps.prepare()
+            self._prepare_rest()
         elif job.kind is JobKind.PLAN:  # planned before the service ended
             self.active.enter(State.RUNNING, Stage.PLANNING)
         if job.kind.measures:
@@ -175,6 +175,12 @@ class _JobSteps:
         planner = self.context.planner
         plan = self._compute(state, Stage.PLANNING, planner, machine, order)
         self.context.store.keep_plan(self.job.id, plan)
+
+    def _prepare_rest(self) -> None:
+        """Find what is left of a measurement that was cut short."""
+        plan = self.context.store.read_plan(self.job.id) or {}
+        steps = self._station_steps if "stations" in plan else self._resumed_steps
+        steps.prepare()
 
     def _wait_until_armed(self) -> Commanded:
         """Return what the user lets the machine drive, checked against its travel."""
@@ -221,8 +227,7 @@ class _JobSteps:
         """Measure, from every station of the plan; return the Runs to go by."""
         plan, job = self.context.store.read_plan(self.job.id) or {}, self.job
         if "stations" in plan:
-            steps = StationSteps(job, self.active, self.context, self._compute)
-            return tuple(dict.fromkeys((*job.run_ids, *steps.run())))
+            return self._station_steps.run()
         resumption, run_id, before = Resumption.read(plan), job.id, job.run_ids
         if job.started is not None:
             before = self._resumed_steps.list_kept(resumption)
@@ -238,6 +243,10 @@ class _JobSteps:
     @property
     def _resumed_steps(self) -> ResumedSteps:
         return ResumedSteps(self.job, self.active, self.context, self._compute)
+
+    @property
+    def _station_steps(self) -> StationSteps:
+        return StationSteps(self.job, self.active, self.context, self._compute)
 
     @property
     def _is_adaptive(self) -> bool:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import pytest
 from arming import arm_at_once
+from resumption_doubles import PLACES as SEEN_MM
+from resumption_doubles import Closer, Resumer
 from scripted_cell import wait_until
 
 from truepath.app.errors import IllegalTransition, NotFound, PlanningError
@@ -22,6 +24,7 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
+LONG = tuple({**ROWS[row % 2], "z_mm": 10.0 + row} for row in range(11))
 ADVICE = {"tracker": {}, "stations": {"recommended": 3}, "at_stations": []}
 GOOD = {"place_mm": (1.0, 2.0, 3.0)}
 BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
@@ -44,11 +47,21 @@ def checker():
 
 
 @pytest.fixture
+def resumer():
+    return Resumer()
+
+
+@pytest.fixture
+def closer():
+    return Closer()
+
+
+@pytest.fixture
 def planner(machine):
-    """A plan of as many stations as are asked for."""
+    """A plan of as many stations as are asked for, ten lines from each."""
 
     def plan(_, order, *, on_progress):
-        path = encode_commanded_json(command_rows(machine, ROWS, is_path=True))
+        path = encode_commanded_json(command_rows(machine, LONG, is_path=True))
         points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]
         known = encode_commanded_json(command_rows(machine, points, is_path=False))
         places = PLACES[: order["stations"]]
@@ -65,10 +78,12 @@ def planner(machine):
 
 
 @pytest.fixture
-def open_dispatcher(context, event_bus, planner, checker):
+def open_dispatcher(context, event_bus, planner, checker, resumer, closer):
     """Opens the service again and again on the same catalogue."""
     opened = []
-    full = replace(context, planner=planner, checker=checker)
+    full = replace(
+        context, planner=planner, checker=checker, resumer=resumer, closer=closer
+    )
     context.require_cell().start()
 
     def make():
@@ -198,6 +213,118 @@ def test_a_service_that_ends_meanwhile_loses_nothing_and_another_job_goes_on(
     assert len(science.calls[-1][0]) == 3
     with pytest.raises(IllegalTransition, match="all stations"):
         begin(second, continues=last.id)
+
+
+@pytest.fixture
+def cut_short(begin, measure, dispatcher, make_cell, until):
+    """A job that a fault has ended on the lines of its second station."""
+
+    def made():
+        job = measure(begin(), POINTS, LINES)
+        arm_at_once(dispatcher, job.id, job.version)
+        cell = make_cell.cell
+        wait_until(cell.begun.is_set, "the known points")
+        cell.begun.clear()
+        cell.end()
+        wait_until(cell.begun.is_set, "the lines")
+        cell.begun.clear()
+        cell.fault()
+        cell.end("faulted")
+        return until(job, State.FAULTED)
+
+    return made
+
+
+@pytest.fixture
+def go_on(dispatcher, until):
+    def done(job):
+        dispatcher.acknowledge(job.id)
+        return until(job, State.READY)
+
+    return done
+
+
+def test_a_station_that_was_cut_short_goes_on_with_the_rest_of_its_lines(
+    cut_short, go_on, measure, make_cell, resumer, closer, context, science
+):
+    job, resumer.next_row = cut_short(), 4
+    ready = go_on(job)
+    assert ready.station.number == 2
+    asked = measure(ready, POINTS, LINES)
+    assert asked.station.number == 3
+    rest = make_cell.cell.order.commanded
+    assert rest.position[:, 2].tolist() == [10.0 + row for row in range(3, 11)]
+    assert closer.calls == [SEEN_MM]
+    last = measure(asked, POINTS, LINES, then=State.SUCCEEDED)
+    assert len(last.run_ids) == 4
+    assert science.calls[-1][0] == [str(context.runs.file(i)) for i in last.run_ids]
+
+
+def test_a_station_that_was_moved_meanwhile_is_said_and_measured_on_as_a_new_one(
+    cut_short, go_on, measure, closer, checker
+):
+    job, closer.problem = cut_short(), "the target is 51 µm from where it was"
+    before = len(checker.calls)
+    asked = measure(go_on(job), POINTS)
+    (check,) = asked.station.checks
+    assert (asked.station.number, check.station, check.problem) == (2, 2, "moved")
+    assert closer.problem in check.text
+    assert "new station" in check.text
+    assert len(checker.calls) == before
+    checker.answers = [{"problem": "residual", "text": "they do not fit"}, GOOD]
+    again = measure(asked, POINTS)
+    assert again.station.checks[-1].problem == "residual"
+    assert measure(again, POINTS, LINES).station.number == 3
+    _, itself, asked_mm = checker.calls[-1]
+    assert itself == checker.calls[before - 1][0], "its own known points before"
+    assert asked_mm == 0.0
+
+
+def test_a_station_that_is_put_back_where_it_was_is_no_new_one(
+    cut_short, go_on, measure, closer, checker
+):
+    job, closer.problem = cut_short(), "the target is 51 µm from where it was"
+    before = len(checker.calls)
+    asked = measure(go_on(job), POINTS)
+    closer.problem = ""
+    assert measure(asked, POINTS, LINES).station.number == 3
+    assert len(checker.calls) == before
+
+
+def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_out(
+    cut_short, go_on, measure, make_cell, resumer, context, science
+):
+    job, resumer.next_row = cut_short(), None
+    asked = measure(go_on(job), POINTS, LINES)
+    assert len(make_cell.cell.order.commanded) == len(LONG)
+    last = measure(asked, POINTS, LINES, then=State.SUCCEEDED)
+    assert len(last.run_ids) == 4
+    assert len(science.calls[-1][0]) == 3
+
+
+def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_again(
+    begin, measure, open_dispatcher, until, dispatcher
+):
+    job = measure(begin(), POINTS, LINES)
+    dispatcher.close()
+    second = open_dispatcher()
+    until(job, State.INTERRUPTED)
+    second.acknowledge(job.id)
+    ready = until(job, State.READY)
+    assert ready.station.number == 2
+    asked = measure(ready, POINTS, LINES, dispatcher=second)
+    assert asked.station.number == 3
+    assert len(asked.run_ids) == 2
+
+
+def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole(
+    cut_short, begin, measure, make_cell
+):
+    job = cut_short()
+    again = begin(continues=job.id)
+    assert again.station.number == 2
+    measure(again, POINTS, LINES)
+    assert len(make_cell.cell.order.commanded) == len(LONG)
 
 
 def test_what_cannot_be_continued_is_refused(begin, measure, dispatcher, plan_id):

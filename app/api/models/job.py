@@ -122,7 +122,7 @@ class StationCheckOut(BaseModel):
         "last station saw them."
     )
     allowed_um: float | None
-    problem: Literal["", "not-seen", "not-moved", "residual"] = Field(
+    problem: Literal["", "not-seen", "not-moved", "moved", "residual"] = Field(
         examples=["not-moved"], description="Empty if the station is good."
     )
     text: str

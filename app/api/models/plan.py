@@ -58,6 +58,18 @@ class Waypoint(Point):
     feed_mm_min: Feed | None = None
 
 
+class StationResumptionOut(BaseModel):
+    """How a station goes on whose Run was cut short; its known points come first."""
+
+    first_row: int = Field(description="Of its rows, where the further Run begins.")
+    kept_run_ids: list[str] = Field(description="Runs before it that are analysed.")
+    points_id: str = Field(description="Run of its known points before.")
+    place_mm: list[list[float]] = Field(
+        description="Where the target has to be at the last known points, in the "
+        "tracker's frame."
+    )
+
+
 class StationRows(BaseModel):
     """What is commanded from one of several stations."""
 
@@ -67,7 +79,12 @@ class StationRows(BaseModel):
     feed_mm_min: list[float]
     dwell_s: list[float]
     target: list[str]
-    run_id: str | None = Field(None, description="Of its Run, once that has begun.")
+    run_id: str | None = Field(
+        None, description="Of its Run, the newest one, once that has begun."
+    )
+    resumption: StationResumptionOut | None = Field(
+        None, description="Of a station whose Run was cut short and that goes on."
+    )
 
 
 class ResumptionOut(BaseModel):

@@ -9,7 +9,7 @@ const RESUMABLE = new Set(["measure-otf", "measure-standstill", "measure-extra"]
 
 /** Whether a measurement that was cut short may be prepared to go on. */
 export const mayGoOn = (job) =>
-  Boolean(job.links?.verbs?.acknowledge) && RESUMABLE.has(job.kind) && !job.station;
+  Boolean(job.links?.verbs?.acknowledge) && RESUMABLE.has(job.kind);
 
 /** Notices of the end of a job, or of what holds it. */
 export function endingNotices(job) {

@@ -33,7 +33,7 @@ export function lead({ job, plan, link }, { actions, go }) {
     return { next: { key: "result", label: nextOf(job), run: () => go(addressOf(job)) } };
   }
   if (hasEnded(job)) {
-    return mayGoOn(job) ? { next: acknowledgement(actions), back: again(job, plan, go) }
+    return mayGoOn(job) ? { next: acknowledgement(actions), back: goOn(job, actions) ?? again(job, plan, go) }
       : { next: again(job, plan, go), back: goOn(job, actions) };
   }
   const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.cancel };

@@ -6,6 +6,7 @@ import { placeText } from "./advice-card.js";
 
 const REASONS = {
   "not-moved": "station.not-moved", "not-seen": "station.not-seen", residual: "station.residual",
+  moved: "station.moved",
 };
 
 /** What a person has to do with the tracker before the job is armed, as notices. */
