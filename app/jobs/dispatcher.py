@@ -34,7 +34,11 @@ from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
-from truepath.app.jobs.resumption import list_part_ids, require_resumable
+from truepath.app.jobs.resumption import (
+    list_part_ids,
+    require_resumable,
+    require_targets_apart,
+)
 from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.store import IdempotencyKey, require_version
 from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
@@ -255,8 +259,10 @@ class Dispatcher:
         job = self._context.store.get(job_id)
         if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
             return job
-        require_resumable(job, self._context.store.read_plan(job_id))
-        self._context.machines.choose(job.machine)  # it may have gone meanwhile
+        plan = self._context.store.read_plan(job_id)
+        require_resumable(job, plan)
+        driven = self._context.machines.choose(job.machine)  # it may have gone
+        require_targets_apart(plan, driven.machine)
         if self._closing:
             raise CellDown("the service is ending")
         job = self._context.store.change(job_id, leave_end, version=job.version)

@@ -24,8 +24,14 @@ from truepath.app.jobs.errors import MachineFault, NotResumable
 from truepath.app.jobs.job import Job, JobKind, Json, Stage, make_id
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.transitions import LEFT_BY_ACKNOWLEDGE, State
+from truepath.app.kinematics.machine import Machine
 from truepath.app.measurement.messages import MeasurementOrder
-from truepath.app.motion.configurations import Commanded, Configurations, select_rows
+from truepath.app.motion.configurations import (
+    Commanded,
+    Configurations,
+    select_rows,
+    split_by_target,
+)
 from truepath.drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
@@ -65,14 +71,30 @@ def require_resumable(job: Job, plan: Json | None) -> None:
         raise NotResumable(f"job {job.id} ({job.kind}) cannot go on: {reason}")
 
 
+def require_targets_apart(plan: Json | None, machine: Machine) -> None:
+    """Raise NotResumable where several targets have to be measured in one Run.
+
+    With rotary axes, and with targets on tool and workpiece, Runs of one target each
+    join nothing to where the axes are. Else every Run has a pose of its own, and each
+    target tells the same error motions at its offset.
+    """
+    rows = (plan or {}), *(plan or {}).get("stations", ())
+    names = {name for one in rows for name in one.get("target", ())}
+    sides = {target.on for target in machine.targets if target.name in names}
+    if len(names) > 1 and (machine.rotary_axes or len(sides) > 1):
+        raise NotResumable(
+            f"the targets {', '.join(sorted(names))} have to be measured in one Run on "
+            f"{machine.name}: it has rotary axes, or targets on tool and workpiece; "
+            "what was recorded is kept; begin a new job"
+        )
+
+
 def _find_reason(job: Job, plan: Json) -> str:
     kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
     if job.kind not in _GOES_ON:
         return f"{_name_obstacle(job.kind)}; {kept}; begin a new job"
     if job.on_notice is not OnNotice.NOTE:
         return f"it drives lines again by what it notices; {kept}; begin a new job"
-    if len(set(plan.get("target", ()))) > 1:
-        return f"its targets have to be measured in one Run; {kept}; begin a new job"
     stations = plan.get("stations", ())
     is_measured = job.stage in _MEASURED
     if stations:  # their checks are computed in a stage of the analysis
@@ -94,12 +116,24 @@ def _name_obstacle(kind: JobKind) -> str:
 def choose_first_row(commanded: Commanded, next_row: int) -> int:
     """Return the row that a further part begins at; some again where few are left.
 
-    A line begins where the one before has ended.
+    A line begins where the one before has ended. Of the target that is measured there
+    at least six rows follow, so that the part tells its own pose by it.
     """
-    latest = len(commanded) - _FEWEST
+    first, end = _find_target(commanded, next_row)
+    latest = max(end - _FEWEST, first)
     if isinstance(commanded, Path):
-        return max(min(next_row, latest) - 1, 0)
-    return max(min(next_row, latest), 0)
+        return max(min(next_row, latest) - 1, first)
+    return min(next_row, latest)
+
+
+def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
+    """Return first row, and that after the last, of the target that a row measures."""
+    first = 0
+    for block in split_by_target(commanded):
+        if row < first + len(block):
+            return first, first + len(block)
+        last, first = first, first + len(block)
+    return last, first
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,14 +216,16 @@ class ResumedSteps:
         if not usable:
             return None
         last, base = found[usable[-1]], parts[usable[-1]]["first_row"]
-        rows = [base + row for row in last["row"]]
         commanded = decode_commanded_json(plan)
+        rows = [base + row for row in last["row"]]
+        first, _ = _find_target(commanded, rows[-1])
+        rows = [row for row in rows if row >= first]  # nobody changes the target
         return {
             "first_row": choose_first_row(commanded, base + last["next_row"]),
             "kept_run_ids": [parts[k]["run_id"] for k in usable],
             # One row more: the first place is then come to from where it was before.
-            "closure_row": [*range(max(rows[0] - 1, 0), rows[0]), *rows],
-            "place_mm": last["place_mm"],
+            "closure_row": [*range(max(rows[0] - 1, first), rows[0]), *rows],
+            "place_mm": last["place_mm"][-len(rows) :],
         }
 
     def begin_part(self, resumption: Resumption, commanded: Commanded) -> str:

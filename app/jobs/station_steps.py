@@ -90,12 +90,14 @@ class StationSteps:
     """The stations of one job, armed once for the first that is to be measured.
 
     compute : lets the executor compute a task
+    look : at the devices, again and again while the tracker is moved
     """
 
     job: Job
     active: ActiveJob
     context: JobContext
     compute: Callable[..., Any]
+    look: Callable[[], None]
 
     def prepare(self) -> None:
         """Find how far the station has got that was cut short; keep it in the plan."""
@@ -141,7 +143,7 @@ class StationSteps:
         log.info("the tracker is to be moved", station=number)
         self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
         parts = list_commanded(self._read_plan())
-        self.active.wait_until_armed(hash_commanded(parts))
+        self.active.wait_until_armed(hash_commanded(parts), self.look)
 
     def _agrees(self, number: int) -> bool:
         """Measure the known points; tell whether the station can be used."""

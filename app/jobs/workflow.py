@@ -246,7 +246,8 @@ class _JobSteps:
 
     @property
     def _station_steps(self) -> StationSteps:
-        return StationSteps(self.job, self.active, self.context, self._compute)
+        look = self._hear_tracker
+        return StationSteps(self.job, self.active, self.context, self._compute, look)
 
     @property
     def _is_adaptive(self) -> bool:
