@@ -13,6 +13,7 @@ import psutil
 import pytest
 from service_process import acknowledge, arm, create, follow, process, wait_for
 
+from truepath.app.cli.demo import compare_with_truth
 from truepath.simulators.rig import running_rig
 from truepath.simulators.scenario import load_machine
 
@@ -30,18 +31,50 @@ ROWS = [
     for _ in range(24)
 ]
 
+AREAS = {
+    "tracker": {
+        "areas": [
+            {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
+            {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
+        ],
+        "nearest_mm": 300,
+        "move_minutes": 3,
+    }
+}
+
+TOOLS = {
+    "T1": {"on": "tool", "offset_mm": [20.0, 30.0, -150.0]},
+    "T2": {"on": "tool", "offset_mm": [60.0, -20.0, -90.0]},
+}
+# The change of the target repeats the row where the machine stands.
+TWO_TOOLS = [
+    *({**row, "target": "T1"} for row in ROWS[:12]),
+    *({**row, "target": "T2"} for row in ROWS[11:]),
+]
+
 
 @pytest.fixture
-def rig():
-    with running_rig({"speed": SPEED, "tracker": "tcp", "seed": 3}) as started:
+def machine(tmp_path, request):
+    """The file of the demo machine, or with other targets."""
+    file = tmp_path / "machine.json"
+    content, targets = load_machine("demo"), getattr(request, "param", None)
+    if targets is not None:
+        del content["tool_offset_mm"]
+        content["targets"] = targets
+    file.write_text(json.dumps(content))
+    return file
+
+
+@pytest.fixture
+def rig(machine):
+    options = {"speed": SPEED, "tracker": "tcp", "seed": 3, "machine": str(machine)}
+    with running_rig(options) as started:
         yield started
 
 
 @pytest.fixture
-def start(tmp_path, rig):
+def start(tmp_path, rig, machine):
     """Starts the service on the devices of the rig, again and again on one folder."""
-    machine = tmp_path / "machine.json"
-    machine.write_text(json.dumps(load_machine("demo")))
     environment = {
         "TRUEPATH_SIMULATED": "0",
         "TRUEPATH_MACHINE_FILE": str(machine),
@@ -56,18 +89,28 @@ def kill_in_motion(start, **order):
     with start() as (service, client):
         job = create(client, **order)
         arm(client, job)
-        wait_for(
-            lambda: (
-                client.get(f"/api/v1/jobs/{job['id']}").json()["progress"]["done"]
-                >= DONE
-            ),
-            "the first lines",
-        )
-        children = psutil.Process(service.pid).children(recursive=True)
-        service.kill()
-        service.wait(10)
-        psutil.wait_procs(children, timeout=20)
+        wait_until_done(client, job["id"], DONE, order.get("kind", "measure-otf"))
+        kill(service)
     return job["id"]
+
+
+def wait_until_done(client, job_id, number, kind="measure-otf"):
+    """Wait for so many lines, or points, of what a job measures."""
+    unit = "points" if kind == "measure-standstill" else "lines"
+
+    def is_done():
+        progress = client.get(f"/api/v1/jobs/{job_id}").json()["progress"]
+        return progress["unit"] == unit and progress["done"] >= number
+
+    wait_for(is_done, "the first lines")
+
+
+def kill(service):
+    """End the service as kill -9 does, and wait until nothing of it is left."""
+    children = psutil.Process(service.pid).children(recursive=True)
+    service.kill()
+    service.wait(10)
+    psutil.wait_procs(children, timeout=20)
 
 
 def stands(rig):
@@ -125,3 +168,74 @@ def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size
         assert client.get(f"/api/v1/runs/{job_id}/bundle").status_code == 200
         assert acknowledge(client, job_id)["error"] is None
         client.post("/api/v1/stop")
+
+
+def plan_stations(client):
+    """Plan a minute of lines from two places; return the job's order and the places."""
+    asked = {"mode": "otf", "minutes": 1.0, "workspace": AREAS, "stations": 2}
+    answer = client.post("/api/v1/plans", json=asked)
+    assert answer.status_code == 202, answer.text
+    at = f"/api/v1/plans/{answer.json()['id']}"
+    wait_for(lambda: client.get(at).json()["state"] == "succeeded", "the plan")
+    made = client.get(at).json()
+    places_mm = [one["position_mm"] for one in made["document"]["at_stations"]]
+    return {"kind": "measure-otf", "plan_id": made["id"]}, places_mm
+
+
+def share_covered(client, job, rig):
+    """Return how much of the truth lies within twice the stated uncertainty."""
+    result = client.get(job["result"]["result"]).json()
+    found = compare_with_truth(result, rig.truth_at)
+    print(f"left {found}")
+    return found.covered
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(300)
+def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
+    start, rig
+):
+    with start() as (service, client):
+        order, places_mm = plan_stations(client)
+        job = create(client, **order)
+        rig.move_tracker(places_mm[0], 1)
+        arm(client, job)
+        wait_until_done(client, job["id"], 4)
+        kill(service)
+    with start() as (_, client):
+        ready = acknowledge(client, job["id"])
+        assert ready["station"]["number"] == 1
+        plan = client.get(f"/api/v1/jobs/{job['id']}/plan").json()
+        assert plan["stations"][0]["resumption"]["first_row"] > 0
+        arm(client, ready)
+        asked = follow(client, job["id"], "awaiting-move")
+        assert [c["problem"] for c in asked["station"]["checks"]] == [""]
+        rig.move_tracker(places_mm[1], 2)
+        arm(client, asked)
+        ended = follow(client, job["id"], "succeeded")
+        assert len(ended["run_ids"]) == 3
+        assert share_covered(client, ended, rig) > 0.8
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("machine", [TOOLS], indirect=True)
+@pytest.mark.parametrize("done", [DONE, 15], ids=["first-tool", "second-tool"])
+def test_two_tools_whose_service_was_killed_go_on_and_agree_with_the_truth(
+    start, rig, done
+):
+    with start() as (service, client):
+        job = create(client, path=TWO_TOOLS)
+        arm(client, job)
+        wait_until_done(client, job["id"], done)
+        kill(service)
+    with start() as (_, client):
+        ready = acknowledge(client, job["id"])
+        resumption = client.get(f"/api/v1/jobs/{job['id']}/plan").json()["resumption"]
+        assert resumption["first_row"] >= done - 4
+        arm(client, ready)
+        ended = follow(client, job["id"], "succeeded")
+        assert len(ended["run_ids"]) == 2
+        assert share_covered(client, ended, rig) > 0.8

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from arming import arm_at_once
 from resumption_doubles import PLACES, Closer, Resumer
 
 from truepath.app.errors import IllegalTransition
+from truepath.app.files.machine_file import machine_from_json
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import CellBusy, NotResumable
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.resumption import choose_first_row, require_targets_apart
 from truepath.app.jobs.transitions import State
 from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.records import Path
+from truepath.simulators.scenario import load_machine
 
 PATH = tuple(
     {"x_mm": 20.0 + 40.0 * n, "y_mm": 30.0 + 10.0 * (n % 3), "z_mm": 40.0 + 5.0 * n}
@@ -187,6 +192,58 @@ def test_a_measurement_that_cannot_go_on_says_why(
     with pytest.raises(NotResumable, match=reason):
         going_on.acknowledge(job.id)
     assert context.store.get(job.id).state is State.FAULTED
+
+
+@pytest.mark.parametrize(
+    ("next_row", "point", "path_row"), [(0, 0, 0), (4, 1, 0), (7, 7, 7), (12, 7, 7)]
+)
+def test_a_part_begins_with_six_rows_of_its_target_or_with_all_of_them(
+    next_row, point, path_row
+):
+    axes, rows = ("X", "Y", "Z"), np.zeros((12, 3))
+    target = ("T1",) * 7 + ("T2",) * 5
+    points = Configurations(axes, rows, np.ones(12), target)
+    path = Path(axes, rows, np.ones(12), np.zeros(12), target)
+    assert choose_first_row(points, next_row) == point
+    assert choose_first_row(path, next_row) == path_row
+
+
+@pytest.mark.parametrize(
+    ("scenario", "names", "goes_on"),
+    [
+        ("demo", ("T1", "T2"), True),
+        ("demo", ("T1", "W1"), False),
+        ("trunnion", ("T1", "T2"), False),
+        ("trunnion", ("T1",), True),
+    ],
+)
+def test_targets_that_only_one_run_joins_keep_a_measurement_from_going_on(
+    scenario, names, goes_on
+):
+    content = load_machine(scenario)
+    content.pop("tool_offset_mm", None)
+    content["targets"] = load_machine("trunnion")["targets"]
+    machine = machine_from_json(content)
+    plan = {"target": ["T1"], "stations": [{"target": list(names)}]}
+    if goes_on:
+        require_targets_apart(plan, machine)
+        return
+    with pytest.raises(NotResumable, match=f"T1.*{names[-1]}.*have to be measured in"):
+        require_targets_apart(plan, machine)
+
+
+def test_the_closure_stands_where_the_last_target_stood_and_changes_none(
+    going_on, faulted, until, context, resumer
+):
+    job = faulted()
+    plan = dict(context.store.read_plan(job.id))
+    plan["target"] = ["T1"] * 3 + ["T2"] * 9
+    context.store.keep_plan(job.id, plan)
+    going_on.acknowledge(job.id)
+    until(job, "ready")
+    resumption = context.store.read_plan(job.id)["resumption"]
+    assert resumption["closure_row"] == [3]
+    assert resumption["place_mm"] == PLACES[1:]
 
 
 def test_only_a_fault_or_an_interruption_is_acknowledged(going_on, until, context):
