@@ -147,7 +147,8 @@ class _CellServer:
             readings = ()
         shown: dict[str, float] = {}
         for one in readings:
-            shown[one.channel], _ = self._judges[one.channel].judge(one)
+            if one.channel.endswith("_degC"):
+                shown[one.channel], _ = self._judges[one.channel].judge(one)
         is_away = not any(math.isfinite(value) for value in shown.values())
         pause_s = THERMOMETERS_AWAY_S if is_away else THERMOMETERS_S
         self._thermometers_s = time.monotonic() + pause_s

@@ -40,6 +40,8 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
     StreamTimeouts,
+    TemperaturesRead,
+    TrackerTrial,
 )
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.run_repair import repair_run
@@ -169,6 +171,27 @@ def moves(run) -> int:
     position = run.tracker.position_mm
     speed = np.linalg.norm(position[25:] - position[:-25], axis=1) / 0.05
     return int((np.diff((speed > 2.0).astype(int)) == 1).sum())
+
+
+def test_at_rest_thermometers_are_read_and_the_tracker_can_be_heard(bench):
+    config = replace(
+        config_of(bench),
+        thermometer_driver="modbus-registers",
+        thermometer_options=bench.thermometer_options,
+    )
+    driven = Driven(config)
+    driven.cell.start()
+    try:
+        driven.cell.connect()
+        driven.until(lambda: bool(driven.of(TemperaturesRead)))
+        readings = driven.of(TemperaturesRead)[0].readings
+        assert readings
+        assert all(10.0 < value < 40.0 for value in readings.values()), readings
+        tried = driven.cell.try_tracker(TrackerTrial(500.0, 0.2, streams_only=True))
+        assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
+        assert tried.usable == tried.samples
+    finally:
+        driven.cell.close()
 
 
 def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
