@@ -92,7 +92,7 @@ def require_targets_apart(plan: Json | None, machine: Machine) -> None:
 def _find_reason(job: Job, plan: Json) -> str:
     kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
     if job.kind not in _GOES_ON:
-        return f"{_name_obstacle(job.kind)}; {kept}; begin a new job"
+        return f"{_name_obstacle(job.kind)}; {kept}; {_name_way_out(job.kind)}"
     if job.on_notice is not OnNotice.NOTE:
         return f"it drives lines again by what it notices; {kept}; begin a new job"
     stations = plan.get("stations", ())
@@ -109,8 +109,14 @@ def _name_obstacle(kind: JobKind) -> str:
     if kind is JobKind.VERIFY:
         return "a result is held against one Run alone"
     if kind.measures:
-        return "its rows depend on what was measured before"
+        return "its rows are chosen by a live estimate that has ended with its Run"
     return "it only computes"
+
+
+def _name_way_out(kind: JobKind) -> str:
+    if kind is JobKind.MEASURE_ADAPTIVE:
+        return "begin a new job and analyse the Runs of both together"
+    return "begin a new job"
 
 
 def choose_first_row(commanded: Commanded, next_row: int) -> int:
@@ -128,12 +134,9 @@ def choose_first_row(commanded: Commanded, next_row: int) -> int:
 
 def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
     """Return first row, and that after the last, of the target that a row measures."""
-    first = 0
-    for block in split_by_target(commanded):
-        if row < first + len(block):
-            return first, first + len(block)
-        last, first = first, first + len(block)
-    return last, first
+    ends = np.cumsum([len(block) for block in split_by_target(commanded)])
+    number = int(np.searchsorted(ends[:-1], row, side="right"))
+    return int(ends[number - 1]) if number else 0, int(ends[number])
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 from arming import arm_over_http
+from service_process import (
+    acknowledge,
+    arm,
+    create,
+    follow,
+    kill,
+    process,
+    wait_until_done,
+)
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
@@ -209,3 +218,34 @@ def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
         runs = [run, extra["run_id"]]
         second = context.done(kind="discover", run_ids=runs, model_id=model)
         check_what_is_decided(context.found(second), LEANS, hidden, "half_width")
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(400)
+def test_extra_lines_whose_service_was_killed_go_on_and_decide(tmp_path):
+    (tmp_path / "bundle").mkdir()
+    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
+    settings = {
+        "TRUEPATH_SIMULATED_SPEED": str(SPEED),
+        "TRUEPATH_SIMULATED_SEED": str(MACHINE),
+        "TRUEPATH_SIMULATED_HIDDEN": json.dumps([json.dumps(as_json(hidden))]),
+    }
+    with process(tmp_path, **settings) as (service, client):
+        context = Shop(client)
+        before = context.upload(calibration(tmp_path / "bundle"))
+        model = context.done(kind="discover", run_id=before)["id"]
+        points = two_sides_of_y()
+        run = context.done(kind="measure-standstill", points=points)["run_id"]
+        first = context.done(kind="discover", run_id=run, model_id=model)
+        extra = create(client, kind="measure-extra", discovery_id=first["id"])
+        arm(client, extra)
+        wait_until_done(client, extra["id"], 3)
+        kill(service)
+    with process(tmp_path, **settings) as (_, client):
+        arm(client, acknowledge(client, extra["id"]))
+        ended = follow(client, extra["id"], "succeeded", patience_s=PATIENCE_S)
+        assert ended["run_ids"][0] == run
+        assert len(ended["run_ids"]) == 3
+        found = Shop(client).found(ended)
+        check_what_is_decided(found, LEANS, hidden, "half_width")

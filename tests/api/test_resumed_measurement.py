@@ -9,9 +9,17 @@ from __future__ import annotations
 import json
 import random
 
-import psutil
 import pytest
-from service_process import acknowledge, arm, create, follow, process, wait_for
+from service_process import (
+    acknowledge,
+    arm,
+    create,
+    follow,
+    kill,
+    process,
+    wait_for,
+    wait_until_done,
+)
 
 from truepath.app.cli.demo import compare_with_truth
 from truepath.simulators.rig import running_rig
@@ -92,25 +100,6 @@ def kill_in_motion(start, **order):
         wait_until_done(client, job["id"], DONE, order.get("kind", "measure-otf"))
         kill(service)
     return job["id"]
-
-
-def wait_until_done(client, job_id, number, kind="measure-otf"):
-    """Wait for so many lines, or points, of what a job measures."""
-    unit = "points" if kind == "measure-standstill" else "lines"
-
-    def is_done():
-        progress = client.get(f"/api/v1/jobs/{job_id}").json()["progress"]
-        return progress["unit"] == unit and progress["done"] >= number
-
-    wait_for(is_done, "the first lines")
-
-
-def kill(service):
-    """End the service as kill -9 does, and wait until nothing of it is left."""
-    children = psutil.Process(service.pid).children(recursive=True)
-    service.kill()
-    service.wait(10)
-    psutil.wait_procs(children, timeout=20)
 
 
 def stands(rig):

@@ -9,6 +9,7 @@ import time
 from contextlib import contextmanager
 
 import httpx2
+import psutil
 from arming import arm_over_http
 from scripted_cell import wait_until
 
@@ -122,3 +123,22 @@ def wait_for(reached, what, patience_s=90.0):
     while not reached():
         assert time.monotonic() < end, f"waited in vain for {what}"
         time.sleep(0.05)
+
+
+def wait_until_done(client, job_id, number, kind="measure-otf"):
+    """Wait for so many lines, or points, of what a job measures."""
+    unit = "points" if kind == "measure-standstill" else "lines"
+
+    def is_done():
+        progress = client.get(f"/api/v1/jobs/{job_id}").json()["progress"]
+        return progress["unit"] == unit and progress["done"] >= number
+
+    wait_for(is_done, "the first lines")
+
+
+def kill(service):
+    """End the service as kill -9 does, and wait until nothing of it is left."""
+    children = psutil.Process(service.pid).children(recursive=True)
+    service.kill()
+    service.wait(10)
+    psutil.wait_procs(children, timeout=20)

@@ -13,10 +13,14 @@ from truepath.app.errors import IllegalTransition
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import CellBusy, NotResumable
-from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.job import Job, JobKind, Stage
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.resumption import choose_first_row, require_targets_apart
+from truepath.app.jobs.resumption import (
+    choose_first_row,
+    require_resumable,
+    require_targets_apart,
+)
 from truepath.app.jobs.transitions import State
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import Path
@@ -244,6 +248,34 @@ def test_the_closure_stands_where_the_last_target_stood_and_changes_none(
     resumption = context.store.read_plan(job.id)["resumption"]
     assert resumption["closure_row"] == [3]
     assert resumption["place_mm"] == PLACES[1:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (JobKind.MEASURE_ADAPTIVE, r"live estimate.*analyse the Runs of both together"),
+        (JobKind.VERIFY, r"one Run alone.*begin a new job"),
+    ],
+)
+def test_a_kind_that_does_not_go_on_names_the_reason_and_the_way_out(kind, said):
+    job = Job(kind, id="a", state=State.FAULTED, run_id="a")
+    with pytest.raises(NotResumable, match=said):
+        require_resumable(job, {})
+
+
+@pytest.mark.parametrize(
+    ("stations", "goes_on"),
+    [([{"measured": True}, {}], True), ([{"measured": True}] * 2, False)],
+)
+def test_stations_go_on_until_all_are_measured_whatever_was_computed_last(
+    stations, goes_on
+):
+    job = Job(JobKind.MEASURE_OTF, state=State.FAULTED, stage=Stage.ALIGNING)
+    if goes_on:
+        require_resumable(job, {"stations": stations})
+        return
+    with pytest.raises(NotResumable, match="analyse its Runs"):
+        require_resumable(job, {"stations": stations})
 
 
 def test_only_a_fault_or_an_interruption_is_acknowledged(going_on, until, context):
