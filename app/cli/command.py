@@ -25,6 +25,7 @@ from truepath.app.cli import (
     reanalyse_command,
     result_commands,
     service_commands,
+    temperature_command,
     tls_commands,
     trend_commands,
     user_commands,
@@ -97,6 +98,7 @@ app.command()(verification_commands.verify)
 app.command()(result_commands.export)
 app.command()(certificate_command.certificate)
 app.command()(trend_commands.trend)
+app.command()(temperature_command.temperature)
 app.command()(reanalyse_command.reanalyse)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)

@@ -94,6 +94,13 @@ def export(
             help="Of ISG: of the measured tool, or of the one in use. [fixed]"
         ),
     ] = None,
+    at_temperature: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGC",
+            help="Of the machine, where RESULT.json is what `temperature` wrote.",
+        ),
+    ] = None,
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -123,6 +130,7 @@ def export(
             unmeasured=Unmeasured(unmeasured),
             choices={key: word for key, word in chosen.items() if word},
             accept_verdict=accept_verdict,
+            at_temperature_degc=at_temperature,
         )
     except NotUsable as error:
         raise BadInput(f"{error} --accept-verdict writes it all the same") from error
@@ -143,6 +151,8 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
     error = account["volumetric_error_um"]
     print(f"carries: {account['carries']}")
     print(f"not carried: {account['not_carried']}")
+    if stated := account["temperature"]:
+        print(f"of temperature: {stated['carried']}")
     print(
         f"mean volumetric error {error['before']['mean']:.2f} µm, "
         f"with these tables {_state_left(error['after'])}"

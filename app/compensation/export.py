@@ -21,6 +21,7 @@ from truepath.app.compensation.remaining_error import (
     find_remaining,
 )
 from truepath.app.compensation.tabulation import (
+    StatedTemperature,
     Tabulation,
     find_interpolation_losses_mm,
 )
@@ -31,10 +32,10 @@ from truepath.app.compensation.unmeasured import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.files.file_model import encode_json
-from truepath.app.files.result_file import read_result
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
 from truepath.app.files.whole_files import replace_file
+from truepath.app.results.temperature_json import read_result_at
 
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"
@@ -61,6 +62,7 @@ def export_files(
     unmeasured: Unmeasured = Unmeasured.HOLD,
     choices: Mapping[str, str] | None = None,
     accept_verdict: bool = False,
+    at_temperature_degc: float | None = None,
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
 
@@ -70,12 +72,13 @@ def export_files(
     unmeasured : what tables have where an axis was not measured
     choices : of the format, by name
     accept_verdict : write the files of a result that is not to be used all the same
+    at_temperature_degc : of a temperature model, which `result` may be as well
 
     Raises BundleError with the place in the result, BadInput as `export_result`,
     NotUsable where the result is not to be used.
     """
     suffix, place = load_format(name, choices).suffix, Path(output)
-    loaded = read_result(result)
+    loaded, model = read_result_at(result, at_temperature_degc)
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
     errors = map_errors(loaded)
@@ -88,6 +91,7 @@ def export_files(
         spacing_mm=spacing_mm,
         unmeasured=unmeasured,
         choices=choices,
+        temperature=model and StatedTemperature(model, at_temperature_degc or 0.0),
     )
     place.parent.mkdir(parents=True, exist_ok=True)
     beside = place.parent / f"{stem}.json"
@@ -110,6 +114,7 @@ def export_result(
     spacing_mm: float = SPACING_MM,
     unmeasured: Unmeasured = Unmeasured.HOLD,
     choices: Mapping[str, str] | None = None,
+    temperature: StatedTemperature | None = None,
 ) -> Export:
     """Return the files of a format and their account.
 
@@ -117,6 +122,7 @@ def export_result(
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
     unmeasured : what tables have where an axis was not measured
     choices : of the format, by name
+    temperature : where the errors are of a temperature model
 
     Raises BadInput for an unknown format or choice, where a part of the travel was not
     measured and is to be refused, or if the files, read back by the rule of the
@@ -125,8 +131,8 @@ def export_result(
     kind = load_format(name, choices)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     gaps = [one.describe() for one in measured.values() if one.missing]
-    stamp = _write_stamp(errors, kind, name, measured, gaps)
-    made = Tabulation(kind, stem, stamp, spacing_mm, measured)
+    stamp = _write_stamp(errors, kind, name, measured, gaps, temperature)
+    made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature)
     content = made.tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
@@ -144,6 +150,7 @@ def export_result(
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
+        "temperature": temperature and _state_temperature(temperature, kind),
         "effects": list(evaluate_effects(errors, made, correction)),
     }
     return Export(files, account)
@@ -215,10 +222,14 @@ def _write_stamp(
     name: str,
     measured: Mapping[str, MeasuredRange],
     gaps: Sequence[str],
+    temperature: StatedTemperature | None,
 ) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
+    celsius = f"measured at {_describe_temperature(provenance)}"
+    if temperature:
+        celsius = _describe_stated(temperature)
     offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
     ranges = (
         f"{one.axis.name} {one.low:g} to {one.high:g}" for one in measured.values()
@@ -229,7 +240,7 @@ def _write_stamp(
         f"for the tool at target offset {offset} mm",
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
-        f"measured at {_describe_temperature(provenance)}",
+        celsius,
         f"valid over {', '.join(ranges)} mm",
         f"carries {kind.carries}",
         f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
@@ -238,6 +249,25 @@ def _write_stamp(
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
+
+
+def _state_temperature(
+    stated: StatedTemperature, kind: CompensationFormat
+) -> dict[str, Any]:
+    return {
+        "at_degC": stated.at_degc,
+        "measured_degC": list(stated.model.measured_degc),
+        "valid_degC": list(stated.model.valid_degc),
+        "carried": kind.temperature,
+    }
+
+
+def _describe_stated(stated: StatedTemperature) -> str:
+    low, high = stated.model.measured_degc
+    return (
+        f"for a machine at {stated.at_degc:.1f} degC, from results at {low:.1f} to "
+        f"{high:.1f} degC"
+    )
 
 
 def _describe_temperature(provenance: Mapping[str, Any]) -> str:

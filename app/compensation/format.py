@@ -68,16 +68,34 @@ class AxisTable:
 
 
 @dataclass(frozen=True, slots=True)
+class TemperatureTables:
+    """How tables change with temperature.
+
+    at_degc : that the tables hold for; low_degc, high_degc : where the change does
+    per_kelvin : of each table, mm/K and rad/K in place of mm and rad
+    grows : axes whose positioning depends on temperature for sure
+    """
+
+    at_degc: float
+    low_degc: float
+    high_degc: float
+    per_kelvin: tuple[AxisTable, ...]
+    grows: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
 class CompensationTables:
     """The content of the files of a format.
 
     stem : of file names; stamp : lines for comments, in plain ASCII
+    temperature : where the tables are of a temperature model
     """
 
     stem: str
     machine: Machine
     tables: tuple[AxisTable, ...]
     stamp: tuple[str, ...]
+    temperature: TemperatureTables | None = None
 
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
@@ -92,6 +110,7 @@ class CompensationFormat(ABC):
     most_points : rows of a table that the controller takes
     resolution_um : of its values
     carries, not_carried : in words, for the account
+    temperature : what files of a temperature model have of it, in words
     sign : the rule that gives the file its sign
     sign_is_verified : whether that rule is from the maker's manual or source; else one
         deliberate value has to settle it at the machine before first use
@@ -106,6 +125,9 @@ class CompensationFormat(ABC):
     resolution_um: ClassVar[float] = 1e-3
     carries: ClassVar[str]
     not_carried: ClassVar[str]
+    temperature: ClassVar[str] = (
+        "nothing: the tables hold at the stated temperature; write them anew for others"
+    )
     sign: ClassVar[str]
     sign_is_verified: ClassVar[bool]
     note: str

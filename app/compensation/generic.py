@@ -38,11 +38,13 @@ from truepath.app.kinematics.machine import Machine
 
 _MOTIONS = ("x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad")
 _COLUMNS = ("axis", "direction", "position_mm", *_MOTIONS)
+_PER_KELVIN = tuple(f"{name}_per_K" for name in _MOTIONS)
 _UNITS = np.array([UM_PER_MM] * 3 + [URAD_PER_RAD] * 3)
 _SIDES = {"+": 1.0, "-": -1.0}
 
 Row = tuple[str, str, float, list[float]]
-"""Axis, direction, position in mm, six motions in µm and µrad."""
+"""Axis, direction, position in mm, six motions in µm and µrad, and their change per K
+where the tables are of a temperature model."""
 
 
 class GenericTables(CompensationFormat):
@@ -54,6 +56,10 @@ class GenericTables(CompensationFormat):
         "positioning in both directions"
     )
     not_carried = "what an axis does with another one, as sag"
+    temperature = (
+        "the change of each row per kelvin, in columns of its own: at a temperature T "
+        "a row is its value + (T - the stated temperature) times its change"
+    )
     sign = "the rows are the errors: actual less nominal; the correction is minus that"
     sign_is_verified = True
     note = (
@@ -71,7 +77,7 @@ class GenericTables(CompensationFormat):
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file for all axes."""
-        rows = [row for table in content.tables for row in _list_rows(table)]
+        rows = list(_list_all_rows(content))
         return {f"{content.stem}{self.suffix}": self.write_rows(content, rows)}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
@@ -79,7 +85,7 @@ class GenericTables(CompensationFormat):
         ((name, text),) = files.items()
         found: dict[tuple[str, float], list[list[float]]] = {}
         for axis, side, at_mm, motions in self.read_rows(name, text):
-            found.setdefault((axis, _SIDES[side]), []).append([at_mm, *motions])
+            found.setdefault((axis, _SIDES[side]), []).append([at_mm, *motions[:6]])
         tables = {key: np.array(rows) for key, rows in found.items()}
         for table in tables.values():
             table[:, 1:] /= _UNITS
@@ -104,7 +110,7 @@ class GenericCsv(GenericTables):
         text = io.StringIO()
         text.writelines(f"# {line}\n" for line in content.stamp)
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        writer.writerow(_list_columns(content))
         for axis, side, at_mm, motions in rows:
             numbers = [f"{value:z.4f}" for value in motions]
             writer.writerow([axis, side, f"{at_mm:.6f}", *numbers])
@@ -114,8 +120,7 @@ class GenericCsv(GenericTables):
         """Yield the rows below the names of the columns."""
         lines = [line for line in text.splitlines() if not line.startswith("#")]
         header, *rows = csv.reader(lines)
-        if tuple(header) != _COLUMNS:
-            raise BadInput(f"{name}: the columns are to be {', '.join(_COLUMNS)}")
+        _require_columns(name, header)
         for axis, side, at_mm, *motions in rows:
             yield axis, side, float(at_mm), [float(value) for value in motions]
 
@@ -132,7 +137,7 @@ class GenericJson(GenericTables):
             "schema": "compensation-tables/1",
             "stamp": list(content.stamp),
             "kinematic_chain": content.machine.chain,
-            "columns": list(_COLUMNS),
+            "columns": list(_list_columns(content)),
             "rows": [[axis, side, at, *motions] for axis, side, at, motions in rows],
         }
         return json.dumps(document, indent=1) + "\n"
@@ -140,10 +145,31 @@ class GenericJson(GenericTables):
     def read_rows(self, name: str, text: str) -> Iterator[Row]:
         """Yield the rows of the document."""
         document = json.loads(text)
-        if document.get("columns") != list(_COLUMNS):
-            raise BadInput(f"{name}: the columns are to be {', '.join(_COLUMNS)}")
+        _require_columns(name, document.get("columns") or [])
         for axis, side, at_mm, *motions in document["rows"]:
             yield axis, side, at_mm, motions
+
+
+def _list_columns(content: CompensationTables) -> tuple[str, ...]:
+    return _COLUMNS if content.temperature is None else (*_COLUMNS, *_PER_KELVIN)
+
+
+def _require_columns(name: str, columns: Sequence[str]) -> None:
+    if tuple(columns) not in (_COLUMNS, (*_COLUMNS, *_PER_KELVIN)):
+        raise BadInput(f"{name}: the columns are to be {', '.join(_COLUMNS)}")
+
+
+def _list_all_rows(content: CompensationTables) -> Iterator[Row]:
+    """Yield the rows of all axes, with their change per kelvin where that is known."""
+    if content.temperature is None:
+        yield from (row for table in content.tables for row in _list_rows(table))
+        return
+    pairs = zip(content.tables, content.temperature.per_kelvin, strict=True)
+    for table, change in pairs:
+        both = zip(_list_rows(table), _list_rows(change), strict=True)
+        for (*place, motions), (*_, slopes) in both:
+            axis, side, at_mm = place
+            yield axis, side, at_mm, [*motions, *slopes]
 
 
 def _list_rows(table: AxisTable) -> Iterator[Row]:

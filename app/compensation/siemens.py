@@ -33,6 +33,7 @@ from truepath.app.compensation.siemens_cross import (
     list_factors,
 )
 from truepath.app.compensation.siemens_reading import read_tables
+from truepath.app.compensation.siemens_temperature import write_temperature_file
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
@@ -208,6 +209,12 @@ class SiemensOrder(CompensationFormat):
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
     carries = f"positioning in both directions, {SiemensCec.carries}"
     not_carried = "what is beyond the tables of the control"
+    temperature = (
+        "growth of each axis as linear temperature compensation, STEM-temperature.ini: "
+        "MD32750, SD43910 and SD43920, with SD43910 by temperature for the PLC, which "
+        "has to write it. Straightness, squareness and angles change as well: write "
+        "the tables anew for other temperatures"
+    )
     sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
     sign_is_verified = False
 
@@ -224,12 +231,18 @@ class SiemensOrder(CompensationFormat):
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return `STEM-lec.ini` and `STEM-cec.ini`."""
+        """Return `STEM-lec.ini` and `STEM-cec.ini`.
+
+        Of a temperature model `STEM-temperature.ini` as well.
+        """
         lost = {one.axis for one in self._cross.choose(content) if one.direction}
         parts = {"lec": SiemensLec(self._name, lost), "cec": self._cross}
         files: dict[str, str] = {}
         for word, part in parts.items():
             files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
+        if content.temperature:
+            file = f"{content.stem}-temperature{self.suffix}"
+            files[file] = write_temperature_file(content, content.temperature)
         return files
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:

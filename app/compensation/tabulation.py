@@ -8,14 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.error_map import ErrorMap, tabulate_axis
+from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
 from truepath.app.compensation.format import (
     AxisTable,
     CompensationFormat,
     CompensationTables,
     Correction,
+    TemperatureTables,
 )
 from truepath.app.compensation.unmeasured import MeasuredRange, find_measured_ranges
+from truepath.app.results.temperature_model import TemperatureModel
+
+
+@dataclass(frozen=True, slots=True)
+class StatedTemperature:
+    """A temperature model, and the temperature that files are asked for."""
+
+    model: TemperatureModel
+    at_degc: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +35,7 @@ class Tabulation:
     stem : of the files' names; stamp : lines for their comments
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
     measured : range of each axis, and what its table has beyond
+    temperature : where the errors are of a temperature model
     """
 
     kind: CompensationFormat
@@ -32,16 +43,34 @@ class Tabulation:
     stamp: tuple[str, ...]
     spacing_mm: float
     measured: Mapping[str, MeasuredRange]
+    temperature: StatedTemperature | None = None
 
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
         """Return the content of the files."""
-        tables = tuple(
+        return CompensationTables(
+            self.stem,
+            errors.machine,
+            self._tabulate_axes(errors),
+            self.stamp,
+            self.temperature and self._tabulate_change(self.temperature),
+        )
+
+    def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:
+        return tuple(
             tabulate_axis(
                 errors, self.measured[axis.name], self.spacing_mm, self.kind.most_points
             )
             for axis in errors.axes
         )
-        return CompensationTables(self.stem, errors.machine, tables, self.stamp)
+
+    def _tabulate_change(self, stated: StatedTemperature) -> TemperatureTables:
+        change = map_errors(stated.model.coefficients)
+        return TemperatureTables(
+            stated.at_degc,
+            *stated.model.valid_degc,
+            self._tabulate_axes(change),
+            stated.model.grows,
+        )
 
     def write(self, errors: ErrorMap) -> dict[str, str]:
         """Return the files by name."""

@@ -1,0 +1,140 @@
+"""Results of one machine in common terms: what all of them state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.errors import BadInput
+from truepath.app.files.result_file import CalibrationResult, Table
+from truepath.app.files.verdict import State, Verdict
+from truepath.app.kinematics.effects.base import Effect
+from truepath.app.kinematics.model import MachineModel
+
+
+@dataclass(frozen=True)
+class CombinedResults:
+    """Parameters of each result, in the effects that all of them have.
+
+    result : the mean of what is no parameter; its parameters are those of the first
+    left_out : what some results state and others do not, and the state that allows
+    """
+
+    model: MachineModel
+    theta: Float64[np.ndarray, "n p"]
+    covariance: Float64[np.ndarray, "n p p"]
+    result: CalibrationResult
+    left_out: tuple[tuple[State, str], ...]
+
+
+def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
+    """Put results of one machine side by side. Raises BadInput where nothing is common.
+
+    An effect is common where it has the same parameters in all. Lost motion is the mean
+    of those results that state it, where all do.
+    """
+    first = results[0].model
+    common = [e for e in first.effects if all(_has(r.model, e) for r in results[1:])]
+    if not any(effect.iso_symbol for effect in common):
+        raise BadInput("the results state no error motion in common")
+    names = {e.name for e in common}
+    model = replace(first, effects=tuple(common), confounded=first.confounded & names)
+    parts = [_select(result, model) for result in results]
+    theta = np.stack([theta for theta, _ in parts])
+    covariance = np.stack([covariance for _, covariance in parts])
+    half, half_u = _average_half_differences(results)
+    joined = replace(
+        results[0],
+        model=model,
+        theta=theta[0],
+        covariance=covariance[0],
+        unobservable=tuple(dict.fromkeys(s for r in results for s in r.unobservable)),
+        provenance=_join_provenance(results),
+        measured=_join_ranges(results),
+        half_difference_um=half,
+        half_difference_u_um=half_u,
+        verdict=Verdict.merge(r.verdict for r in results),
+    )
+    left_out = _list_left_out(results, names)
+    return CombinedResults(model, theta, covariance, joined, left_out)
+
+
+def _has(model: MachineModel, effect: Effect) -> bool:
+    other = next((e for e in model.effects if e.name == effect.name), None)
+    if other is None or other.parameters != effect.parameters:
+        return False
+    return (effect.name in model.made_up_for) == (other.name in model.made_up_for)
+
+
+def _select(
+    result: CalibrationResult, model: MachineModel
+) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+    every = np.arange(result.model.size)
+    kept = np.concatenate([every[result.model.slices[e.name]] for e in model.effects])
+    return result.theta[kept], result.covariance[np.ix_(kept, kept)]
+
+
+def _average_half_differences(
+    results: Sequence[CalibrationResult],
+) -> tuple[dict[str, Table], dict[str, Float64[np.ndarray, " m"]]]:
+    """Return the mean of lost motion, and its uncertainty with what results scatter."""
+    mean: dict[str, Table] = {}
+    sigma: dict[str, Float64[np.ndarray, " m"]] = {}
+    for axis, (at_mm, _) in results[0].half_difference_um.items():
+        if not all(axis in r.half_difference_um for r in results):
+            continue
+        stated = [np.interp(at_mm, *r.half_difference_um[axis]) for r in results]
+        mean[axis] = at_mm, np.mean(stated, axis=0)
+        own = [
+            np.interp(
+                at_mm, r.half_difference_um[axis][0], r.half_difference_u_um[axis]
+            )
+            for r in results
+            if axis in r.half_difference_u_um
+        ]
+        if len(own) == len(results):
+            scatter = np.std(stated, axis=0, ddof=1)
+            sigma[axis] = np.hypot(np.sqrt(np.mean(np.square(own), axis=0)), scatter)
+            sigma[axis] /= np.sqrt(len(results))
+    return mean, sigma
+
+
+def _join_ranges(
+    results: Sequence[CalibrationResult],
+) -> dict[str, tuple[float, float]]:
+    """Return of each axis what every result has measured."""
+    return {
+        axis: (
+            max(r.measured[axis][0] for r in results),
+            min(r.measured[axis][1] for r in results),
+        )
+        for axis in results[0].measured
+        if all(axis in r.measured for r in results)
+    }
+
+
+def _join_provenance(results: Sequence[CalibrationResult]) -> dict[str, object]:
+    first = dict(results[0].provenance)
+    names = [str(r.provenance.get("run", "")) for r in results]
+    runs = [run for r in results for run in r.provenance.get("runs") or ()]
+    return {**first, "run": ", ".join(names), "runs": runs}
+
+
+def _list_left_out(
+    results: Sequence[CalibrationResult], names: set[str]
+) -> tuple[tuple[State, str], ...]:
+    """Say which effects, and whose lost motion, only some results state."""
+    every = {e.name: None for r in results for e in r.model.effects}
+    told: list[tuple[State, str]] = []
+    if missing := [name for name in every if name not in names]:
+        text = f"Left out, as not all results state it alike: {', '.join(missing)}."
+        told.append(("usable", text))
+    axes = {axis: None for r in results for axis in r.half_difference_um}
+    some = [a for a in axes if not all(a in r.half_difference_um for r in results)]
+    if some:
+        text = f"Left out, as not all results state lost motion of {', '.join(some)}."
+        told.append(("usable", text))
+    return tuple(told)

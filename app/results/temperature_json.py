@@ -1,0 +1,286 @@
+"""`temperature.json` (schema `temperature-model/1`): written, and read.
+
+It has the keys of a model file, which state the machine at the reference temperature,
+and beside them the change per kelvin in the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import Field
+
+from truepath.app.errors import BadInput
+from truepath.app.files.covariance_file import (
+    AS_WRITTEN,
+    ENCODING,
+    pack_symmetric,
+    unpack_symmetric,
+)
+from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
+from truepath.app.files.machine_file import machine_to_json
+from truepath.app.files.model_file import (
+    build_number_rows,
+    model_from_json,
+    model_to_json,
+)
+from truepath.app.files.result_file import (
+    LARGEST_BYTES,
+    MODEL_SCHEMA,
+    CalibrationResult,
+    read_result,
+    result_from_json,
+)
+from truepath.app.files.verdict import verdict_json
+from truepath.app.files.whole_files import read_whole
+from truepath.app.results.error_table_files import tables_json
+from truepath.app.results.error_tables import ErrorTable, build_error_tables
+from truepath.app.results.temperature_model import (
+    Dependence,
+    TemperatureModel,
+    TemperatureStudy,
+)
+
+SCHEMA = "temperature-model/1"
+NOT_TOLD = (
+    "Shifts and turns of the whole volume, the growth of a spindle and drift of the "
+    "zero of a straight axis among them: the tracker's place is free in every result.",
+    "How lost motion depends on temperature: it is the mean of the results.",
+    "Axes that warm differently from one another, and what lags behind the "
+    "temperature: one temperature stands for the machine.",
+    "An offset that the thermometers share in all results: ask for temperatures of the "
+    "same thermometers.",
+)
+
+
+class _Between(FileModel):
+    encoding: Literal["base64, zlib, little-endian float64, lower triangle by rows"]
+    data: Text
+
+
+class _Expansion(FileModel):
+    is_significant: bool
+
+
+Ends = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _TemperatureFile(FileModel):
+    reference_degc: float = Field(alias="reference_degC")
+    measured_degc: Ends = Field(alias="measured_degC")
+    valid_degc: Ends = Field(alias="valid_degC")
+    per_kelvin: Any
+    between: _Between
+    expansion: dict[str, _Expansion]
+
+
+def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
+    """Return the content of `temperature.json`."""
+    model = study.model
+    reference, machine = model.reference, model.machine
+    G = build_number_rows(reference.model)
+    tables = build_error_tables(reference, reference.measured)
+    return {
+        "schema": SCHEMA,
+        "machine": machine_to_json(machine),
+        "mode": reference.mode,
+        "verdict": verdict_json(reference.verdict),
+        "reference_degC": model.reference_degc,
+        "measured_degC": list(model.measured_degc),
+        "valid_degC": list(model.valid_degc),
+        "results": [
+            {
+                "name": one.name,
+                "temperature_degC": one.temperature_degc,
+                "temperature_uncertainty_K": one.sigma_k,
+                "time_h": None if one.time_s is None else one.time_s / 3600.0,
+            }
+            for one in study.results
+        ],
+        **_findings_json(study),
+        **tables_json(
+            tables, _list_halves(reference), "none", reference.measured, machine
+        ),
+        "coefficients": coefficients_json(model),
+        "observability": {"unobservable": list(reference.unobservable)},
+        "provenance": dict(reference.provenance),
+        "model": model_to_json(reference),
+        "per_kelvin": model_to_json(model.coefficients),
+        "between": {
+            "of": "covariance of the numbers and their change, plus its transpose",
+            "encoding": ENCODING,
+            "data": pack_symmetric(G @ model.between @ G.T),
+        },
+    }
+
+
+def _findings_json(study: TemperatureStudy) -> dict[str, Any]:
+    return {
+        "dependences": [dependence_json(one) for one in study.dependences],
+        "expansion": {
+            one.axis: {
+                "value_um_per_m_K": one.value_um_per_m_k,
+                "uncertainty_um_per_m_K": one.uncertainty_um_per_m_k,
+                "is_significant": one.is_significant,
+            }
+            for one in study.expansions
+        },
+        "volumetric_um_per_K": {
+            "value": study.volumetric_um_per_k,
+            "uncertainty": study.volumetric_u_um_per_k,
+        },
+        "text": describe_study(study),
+        "not_told": list(NOT_TOLD),
+    }
+
+
+def dependence_json(one: Dependence) -> dict[str, Any]:
+    """Return one error motion: whether it depends, and what scatters."""
+    scatter = one.scatter
+    freedom = scatter.freedom if np.isfinite(scatter.freedom) else None
+    return {
+        "symbol": one.symbol,
+        "is_significant": one.is_significant,
+        "chance": one.chance,
+        "largest": one.largest,
+        "chi2_per_freedom": {
+            "without_temperature": scatter.constant_ratio,
+            "with_temperature": scatter.ratio,
+        },
+        "widened_by": scatter.widening * scatter.coverage,
+        "effective_freedom": freedom,
+    }
+
+
+def coefficients_json(model: TemperatureModel) -> dict[str, Any]:
+    """Return the tables of the change per kelvin, units in their keys."""
+    tables = build_error_tables(model.coefficients, model.reference.measured)
+    return {
+        **{one.symbol: _columns_per_kelvin(one) for one in tables.tables},
+        **{
+            one.symbol: {
+                f"value_{one.unit}_per_K": one.value,
+                f"uncertainty_{one.unit}_per_K": one.uncertainty,
+            }
+            for one in (*tables.squareness, *tables.locations)
+        },
+    }
+
+
+def _columns_per_kelvin(table: ErrorTable) -> dict[str, list[float]]:
+    return {
+        f"position_{table.position_unit}": table.position_mm.tolist(),
+        f"value_{table.unit}_per_K": table.value.tolist(),
+        f"uncertainty_{table.unit}_per_K": table.uncertainty.tolist(),
+    }
+
+
+def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
+    zero = {a: np.zeros(len(at)) for a, (at, _) in result.half_difference_um.items()}
+    sigma = zero | result.half_difference_u_um
+    return [
+        ErrorTable(f"E{axis}{axis}", "um", at_mm, value_um, sigma[axis])
+        for axis, (at_mm, value_um) in result.half_difference_um.items()
+    ]
+
+
+def describe_study(study: TemperatureStudy) -> list[str]:
+    """Say what depends on temperature, and what may have made it besides."""
+    low, high = study.model.measured_degc
+    sure = [one for one in study.dependences if one.is_significant]
+    told: list[str] = []
+    if sure:
+        names = ", ".join(one.symbol for one in sure)
+        told.append(
+            f"From {low:.1f} to {high:.1f} °C these depend on temperature: {names}. "
+            f"The volumetric error changes by {study.volumetric_um_per_k:.2f} µm/K, "
+            "root mean square over the travel."
+        )
+    else:
+        told.append(
+            f"From {low:.1f} to {high:.1f} °C nothing is seen to depend on temperature."
+        )
+    told += [
+        f"{one.axis} grows by {one.value_um_per_m_k:.1f} ± "
+        f"{2.0 * one.uncertainty_um_per_m_k:.1f} µm/(m·K) (k = 2)."
+        for one in study.expansions
+        if one.is_significant
+    ]
+    loose = [d.symbol for d in study.dependences if d.scatter.ratio > 2.0]
+    if loose:
+        told.append(
+            "Results differ by more than temperature and their uncertainties explain, "
+            f"as set-ups do, in {', '.join(loose)}; the uncertainties are widened for "
+            "it."
+        )
+    return [*told, *study.cautions]
+
+
+def read_temperature_model(file: str | Path) -> TemperatureModel | None:
+    """Read a temperature model; None of a file that is another. Raises BundleError."""
+    content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
+    if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
+        return None
+    return temperature_model_from_json(content, file=str(file))
+
+
+def temperature_model_from_json(
+    content: Mapping[str, Any], *, file: str
+) -> TemperatureModel:
+    """Return the model that the content of a file states. Raises BundleError."""
+    stated = validate(_TemperatureFile, content, file)
+    as_model = {**content, "schema": MODEL_SCHEMA, "version": 1.0}
+    reference = result_from_json(as_model, file=file)
+    change = model_from_json(stated.per_kelvin, reference.machine, file=file)
+    return TemperatureModel(
+        reference,
+        change.theta,
+        change.covariance,
+        _read_between(stated.between, reference),
+        stated.reference_degc,
+        (stated.measured_degc[0], stated.measured_degc[1]),
+        (stated.valid_degc[0], stated.valid_degc[1]),
+        frozenset(a for a, one in stated.expansion.items() if one.is_significant),
+    )
+
+
+def _read_between(
+    stated: _Between, reference: CalibrationResult
+) -> Float64[np.ndarray, "p p"]:
+    G = build_number_rows(reference.model)
+    try:
+        between = unpack_symmetric(stated.data, len(G))
+    except ValueError as error:
+        raise refuse(str(error), AS_WRITTEN, "between", "data") from error
+    back = (G / np.sum(G**2, axis=0)).T
+    return back @ between @ back.T
+
+
+def read_result_at(
+    file: str | Path, temperature_degc: float | None
+) -> tuple[CalibrationResult, TemperatureModel | None]:
+    """Read a result, or a temperature model at a temperature.
+
+    Raises BadInput where a model is given without a temperature or a result with one,
+    or beyond the range of the model; BundleError with the place in the file.
+    """
+    model = read_temperature_model(file)
+    if model is None:
+        if temperature_degc is not None:
+            raise BadInput(
+                f"{file} holds for the temperature it was measured at; give a "
+                "temperature.json of `truepath temperature`, or leave the temperature "
+                "out"
+            )
+        return read_result(file), None
+    if temperature_degc is None:
+        low, high = model.valid_degc
+        raise BadInput(
+            f"{file} holds for {low:.1f} to {high:.1f} °C; state which by "
+            "--at-temperature"
+        )
+    return model.at(temperature_degc), model
