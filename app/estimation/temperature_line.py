@@ -170,10 +170,10 @@ def _find_ratio(
     freedom = len(value) - form.shape[1]
     if not value.size:
         return 0.0
-    total = 0.0
-    for column, own in zip(value.T, variance.T, strict=True):
-        weight = 1.0 / np.sqrt(own)
-        whitened, shape = column * weight, form * weight[:, None]
-        found = np.linalg.lstsq(shape, whitened, rcond=None)[0]
-        total += float(np.sum((whitened - shape @ found) ** 2))
-    return total / (freedom * value.shape[1])
+    weight = 1.0 / np.sqrt(variance.T)
+    whitened, shape = value.T * weight, form * weight[:, :, None]
+    right = np.einsum("mnf,mn->mf", shape, whitened)
+    normal = np.einsum("mnf,mng->mfg", shape, shape)
+    found = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    left = whitened - np.einsum("mnf,mf->mn", shape, found)
+    return float(np.sum(left**2)) / (freedom * value.shape[1])

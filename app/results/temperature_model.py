@@ -38,7 +38,7 @@ REFERENCE_DEGC = 20.0
 CHANCE = 0.05  # that any motion of a machine that does not depend is said to
 FEWEST = 3
 POSITIONING = ("EXX", "EYY", "EZZ")
-_DRAWS = 10_000
+_DRAWS = 4_000
 _DIFFERENT_K = 0.3  # temperatures that are less apart are one
 _MATTERS_UM_PER_M_K = 2.0  # of the longest travel: a sixth of what steel grows
 _ALIKE = 0.9  # correlation of time and temperature that cannot be told apart
@@ -354,7 +354,8 @@ def _find_volumetric(
     volumetric = build_volumetric_map(model)
     columns = volumetric.jacobian(volumetric.volume)
     columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]
-    gram = np.einsum("nip,niq->pq", columns, columns)
+    columns = columns.reshape(-1, model.size)
+    gram = columns.T @ columns
     value = float(np.sqrt(max(per_kelvin @ gram @ per_kelvin, 0.0)))
     return value, float(np.sqrt(np.sum(gram * covariance)))
 

@@ -1,0 +1,102 @@
+"""`temperature`: a machine calibrated at four temperatures, from bundles to files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.cli.command import run
+from truepath.app.compensation.remaining_error import remove_rigid_motion
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.result_file import read_result
+from truepath.app.planning.default_path import default_path
+from truepath.app.results.prediction import predict
+from truepath.app.results.temperature_json import read_result_at
+from truepath.simulators import synthetic
+from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.random_machine import random_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.synthetic import Setting
+from truepath.simulators.timeline import Program
+
+DEGC, THERMOMETER_K = (18.0, 25.0, 20.0, 22.0), (0.1, -0.05, -0.1, 0.08)
+GROWTH_PER_K = {"X": 11e-6, "Y": 8e-6, "Z": 14e-6}
+LEAN_PER_K = 4e-6  # of Y about Z
+UNSEEN_DEGC = 23.5
+
+
+def warm(truth, celsius):
+    """Return the machine at a temperature: axes grow, Y leans."""
+    joints = dict(truth.joints)
+    for column, axis in enumerate(truth.machine.linear_axes):
+        joint = joints[axis.name]
+        motions = list(joint.translation)
+        strain = GROWTH_PER_K[axis.name] * (celsius - 20.0)
+        motions[column] = motions[column].shift(
+            strain * (axis.low - axis.zero_mm), strain
+        )
+        if axis.name == "Y":
+            motions[0] = motions[0].shift(0.0, LEAN_PER_K * (celsius - 20.0))
+        joints[axis.name] = replace(joint, translation=tuple(motions))
+    return replace(truth, joints=joints)
+
+
+def analyse_at(content, path, truth, number, folder):
+    """Measure and analyse the machine at one of the temperatures; return the file."""
+    speed = path.feed_mm_min / 60.0
+    program = Program(path.position, speed, path.dwell_s, target=path.target)
+    setting = Setting(truth=warm(truth, DEGC[number]))
+    recording = synthetic.record(content, program, 60 + number, "otf", setting)
+    shown = recording.temperatures
+    celsius = shown.celsius + DEGC[number] + THERMOMETER_K[number] - 20.0
+    recording = replace(recording, temperatures=replace(shown, celsius=celsius))
+    bundle, out = folder / f"run{number}", folder / f"result{number}"
+    write_bundle_files(bundle, recording)
+    assert run(["analyse", str(bundle), "-o", str(out)]) == 0
+    return out / "result.json"
+
+
+def find_left_um(result, truth, points):
+    """Mean length of what a result leaves of the machine at the unseen temperature."""
+    error = 1e3 * warm(truth, UNSEEN_DEGC).deviation_mm(points)
+    off = error - predict(result, points).error_um
+    return float(np.linalg.norm(remove_rigid_motion(points, off), axis=1).mean())
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_growth_and_squareness_per_kelvin_are_told_and_serve_at_a_new_temperature(
+    tmp_path,
+):
+    content = {**load_machine("demo")}
+    content["tracker"] = {**content["tracker"], "rate_hz": 100}
+    path = default_path(machine_from_json(content, file=""), 9000.0, lines=20)
+    truth = random_machine(parse_machine(content), 5)
+    files = [analyse_at(content, path, truth, k, tmp_path) for k in range(len(DEGC))]
+    asked = ["--at", "0,20,50,60", "-o", str(tmp_path / "warm")]
+    assert run(["temperature", *map(str, files), *asked]) == 0
+    found = json.loads((tmp_path / "warm" / "temperature.json").read_text())
+    for axis, one in found["expansion"].items():
+        off = one["value_um_per_m_K"] - 1e6 * GROWTH_PER_K[axis]
+        assert abs(off) < 2.5 * one["uncertainty_um_per_m_K"], axis
+        assert one["is_significant"]
+    lean = found["coefficients"]["C0Y"]
+    off = abs(lean["value_urad_per_K"]) - 1e6 * LEAN_PER_K
+    assert abs(off) < 2.5 * lean["uncertainty_urad_per_K"]
+    named = {one["symbol"] for one in found["dependences"] if one["is_significant"]}
+    assert named == {"EXX", "EYY", "EZZ", "C0Y"}
+    low, high = np.array([(a.low, a.high) for a in truth.machine.linear_axes]).T
+    points = np.random.default_rng(1).uniform(low, high, (300, 3))
+    told, _ = read_result_at(tmp_path / "warm" / "temperature.json", UNSEEN_DEGC)
+    with_um = find_left_um(told, truth, points)
+    without_um = find_left_um(read_result(files[2]), truth, points)
+    print(f"left at {UNSEEN_DEGC} °C: {with_um:.2f} µm with, {without_um:.2f} without")
+    assert with_um < 0.25 * without_um
+    asked = ["--format", "siemens", "--at-temperature", str(UNSEEN_DEGC)]
+    model = str(tmp_path / "warm" / "temperature.json")
+    assert run(["export", model, *asked, "-o", str(tmp_path / "s.ini")]) == 0
+    assert (tmp_path / "s-temperature.ini").is_file()
