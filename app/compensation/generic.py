@@ -167,8 +167,7 @@ def _list_all_rows(content: CompensationTables) -> Iterator[Row]:
     pairs = zip(content.tables, content.temperature.per_kelvin, strict=True)
     for table, change in pairs:
         both = zip(_list_rows(table), _list_rows(change), strict=True)
-        for (*place, motions), (*_, slopes) in both:
-            axis, side, at_mm = place
+        for (axis, side, at_mm, motions), (*_, slopes) in both:
             yield axis, side, at_mm, [*motions, *slopes]
 
 
