@@ -32,10 +32,10 @@ from truepath.app.compensation.unmeasured import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.files.file_model import encode_json
+from truepath.app.files.temperature_file import read_result_at
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
 from truepath.app.files.whole_files import replace_file
-from truepath.app.results.temperature_json import read_result_at
 
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"

@@ -17,7 +17,7 @@ from truepath.app.compensation.format import (
     TemperatureTables,
 )
 from truepath.app.compensation.unmeasured import MeasuredRange, find_measured_ranges
-from truepath.app.results.temperature_model import TemperatureModel
+from truepath.app.files.temperature_file import TemperatureModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from truepath.app.files.file_model import encode_json
+from truepath.app.files.temperature_file import TemperatureModel
 from truepath.app.files.whole_files import write_files
 from truepath.app.kinematics.symbols import describe_symbol
 from truepath.app.reporting.templating import render_page
@@ -17,7 +18,7 @@ from truepath.app.results.temperature_json import (
     describe_study,
     temperature_json,
 )
-from truepath.app.results.temperature_model import TemperatureModel, TemperatureStudy
+from truepath.app.results.temperature_model import TemperatureStudy
 
 TEMPERATURE, REPORT = "temperature.json", "report.html"
 

@@ -1,51 +1,24 @@
-"""`temperature.json` (schema `temperature-model/1`): written, and read.
+"""Errors over temperature as `temperature.json`, and in words.
 
-It has the keys of a model file, which state the machine at the reference temperature,
-and beside them the change per kelvin in the same form.
+What of it makes the machine at a temperature is in `files.temperature_file`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
-from pydantic import Field
 
-from truepath.app.errors import BadInput
-from truepath.app.files.covariance_file import (
-    AS_WRITTEN,
-    ENCODING,
-    pack_symmetric,
-    unpack_symmetric,
-)
-from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
+from truepath.app.files.covariance_file import ENCODING, pack_symmetric
 from truepath.app.files.machine_file import machine_to_json
-from truepath.app.files.model_file import (
-    build_number_rows,
-    model_from_json,
-    model_to_json,
-)
-from truepath.app.files.result_file import (
-    LARGEST_BYTES,
-    MODEL_SCHEMA,
-    CalibrationResult,
-    read_result,
-    result_from_json,
-)
+from truepath.app.files.model_file import build_number_rows, model_to_json
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.temperature_file import SCHEMA, TemperatureModel
 from truepath.app.files.verdict import verdict_json
-from truepath.app.files.whole_files import read_whole
 from truepath.app.results.error_table_files import tables_json
 from truepath.app.results.error_tables import ErrorTable, build_error_tables
-from truepath.app.results.temperature_model import (
-    Dependence,
-    TemperatureModel,
-    TemperatureStudy,
-)
+from truepath.app.results.temperature_model import Dependence, TemperatureStudy
 
-SCHEMA = "temperature-model/1"
 NOT_TOLD = (
     "Shifts and turns of the whole volume, the growth of a spindle and drift of the "
     "zero of a straight axis among them: the tracker's place is free in every result.",
@@ -55,27 +28,6 @@ NOT_TOLD = (
     "An offset that the thermometers share in all results: ask for temperatures of the "
     "same thermometers.",
 )
-
-
-class _Between(FileModel):
-    encoding: Literal["base64, zlib, little-endian float64, lower triangle by rows"]
-    data: Text
-
-
-class _Expansion(FileModel):
-    is_significant: bool
-
-
-Ends = Annotated[list[float], Field(min_length=2, max_length=2)]
-
-
-class _TemperatureFile(FileModel):
-    reference_degc: float = Field(alias="reference_degC")
-    measured_degc: Ends = Field(alias="measured_degC")
-    valid_degc: Ends = Field(alias="valid_degC")
-    per_kelvin: Any
-    between: _Between
-    expansion: dict[str, _Expansion]
 
 
 def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
@@ -218,69 +170,3 @@ def describe_study(study: TemperatureStudy) -> list[str]:
             "it."
         )
     return [*told, *study.cautions]
-
-
-def read_temperature_model(file: str | Path) -> TemperatureModel | None:
-    """Read a temperature model; None of a file that is another. Raises BundleError."""
-    content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
-    if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
-        return None
-    return temperature_model_from_json(content, file=str(file))
-
-
-def temperature_model_from_json(
-    content: Mapping[str, Any], *, file: str
-) -> TemperatureModel:
-    """Return the model that the content of a file states. Raises BundleError."""
-    stated = validate(_TemperatureFile, content, file)
-    as_model = {**content, "schema": MODEL_SCHEMA, "version": 1.0}
-    reference = result_from_json(as_model, file=file)
-    change = model_from_json(stated.per_kelvin, reference.machine, file=file)
-    return TemperatureModel(
-        reference,
-        change.theta,
-        change.covariance,
-        _read_between(stated.between, reference),
-        stated.reference_degc,
-        (stated.measured_degc[0], stated.measured_degc[1]),
-        (stated.valid_degc[0], stated.valid_degc[1]),
-        frozenset(a for a, one in stated.expansion.items() if one.is_significant),
-    )
-
-
-def _read_between(
-    stated: _Between, reference: CalibrationResult
-) -> Float64[np.ndarray, "p p"]:
-    G = build_number_rows(reference.model)
-    try:
-        between = unpack_symmetric(stated.data, len(G))
-    except ValueError as error:
-        raise refuse(str(error), AS_WRITTEN, "between", "data") from error
-    back = (G / np.sum(G**2, axis=0)).T
-    return back @ between @ back.T
-
-
-def read_result_at(
-    file: str | Path, temperature_degc: float | None
-) -> tuple[CalibrationResult, TemperatureModel | None]:
-    """Read a result, or a temperature model at a temperature.
-
-    Raises BadInput where a model is given without a temperature or a result with one,
-    or beyond the range of the model; BundleError with the place in the file.
-    """
-    model = read_temperature_model(file)
-    if model is None:
-        if temperature_degc is not None:
-            raise BadInput(
-                f"{file} holds for the temperature it was measured at; give a "
-                "temperature.json of `truepath temperature`, or leave the temperature "
-                "out"
-            )
-        return read_result(file), None
-    if temperature_degc is None:
-        low, high = model.valid_degc
-        raise BadInput(
-            f"{file} holds for {low:.1f} to {high:.1f} °C; state which by "
-            "--at-temperature"
-        )
-    return model.at(temperature_degc), model

@@ -25,6 +25,7 @@ from truepath.app.estimation.temperature_line import (
 )
 from truepath.app.files.one_machine import have_same_targets, one_machine
 from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.temperature_file import TemperatureModel
 from truepath.app.files.units import UM_PER_MM, scale_of
 from truepath.app.files.verdict import STATED, Reason, State, Verdict
 from truepath.app.kinematics.machine import Machine
@@ -82,62 +83,6 @@ class Expansion:
     value_um_per_m_k: float
     uncertainty_um_per_m_k: float
     is_significant: bool
-
-
-@dataclass(frozen=True)
-class TemperatureModel:
-    """Errors at any temperature of a range.
-
-    reference : the result at `reference_degc`
-    per_kelvin, coefficient_covariance : change of its parameters
-    between : covariance of both, plus its transpose
-    measured_degc : lowest and highest temperature of the results
-    valid_degc : range that it may be asked for
-    grows : axes whose positioning depends on temperature for sure
-    """
-
-    reference: CalibrationResult
-    per_kelvin: Float64[np.ndarray, " p"]
-    coefficient_covariance: Float64[np.ndarray, "p p"]
-    between: Float64[np.ndarray, "p p"]
-    reference_degc: float
-    measured_degc: tuple[float, float]
-    valid_degc: tuple[float, float]
-    grows: frozenset[str]
-
-    @property
-    def machine(self) -> Machine:
-        """The machine."""
-        return self.reference.machine
-
-    def at(self, temperature_degc: float) -> CalibrationResult:
-        """Return the result at a temperature. Raises BadInput beyond the range."""
-        low, high = self.valid_degc
-        if not low - 1e-9 <= temperature_degc <= high + 1e-9:
-            raise BadInput(
-                f"{temperature_degc:g} °C is beyond the {low:.1f} to {high:.1f} °C "
-                "that the temperature model holds for; measure there, or state with "
-                "`temperature --range` how far its line is taken to go on"
-            )
-        off_k = temperature_degc - self.reference_degc
-        return replace(
-            self.reference,
-            theta=self.reference.theta + off_k * self.per_kelvin,
-            covariance=self.reference.covariance
-            + off_k * self.between
-            + off_k**2 * self.coefficient_covariance,
-        )
-
-    @property
-    def coefficients(self) -> CalibrationResult:
-        """The change per kelvin in the form of a result: its errors are per K."""
-        return replace(
-            self.reference,
-            theta=self.per_kelvin,
-            covariance=self.coefficient_covariance,
-            half_difference_um={},
-            half_difference_u_um={},
-        )
 
 
 @dataclass(frozen=True)

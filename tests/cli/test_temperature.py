@@ -12,9 +12,9 @@ from truepath.app.cli.command import run
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.result_file import read_result
+from truepath.app.files.temperature_file import read_result_at
 from truepath.app.planning.default_path import default_path
 from truepath.app.results.prediction import predict
-from truepath.app.results.temperature_json import read_result_at
 from truepath.simulators import synthetic
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.machine_file import parse_machine

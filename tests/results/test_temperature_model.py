@@ -10,11 +10,9 @@ import pytest
 
 from truepath.app.errors import BadInput
 from truepath.app.files.result_file import CalibrationResult
+from truepath.app.files.temperature_file import temperature_model_from_json
 from truepath.app.results.error_tables import choose_table_positions
-from truepath.app.results.temperature_json import (
-    temperature_json,
-    temperature_model_from_json,
-)
+from truepath.app.results.temperature_json import temperature_json
 from truepath.app.results.temperature_model import (
     CHANCE,
     ResultAtTemperature,
