@@ -185,7 +185,7 @@ def test_what_nobody_has_stated_is_shown_as_not_stated(issue, capsys):
     ("language", "texts"),
     [
         ("en", ["Calibration certificate", "Uncertainty budget", "Page 2 of "]),
-        ("de", ["Kalibrierschein", "Überprüfung", "für", "Größte", "Seite 2 von "]),
+        ("de", ["Kalibrierschein", "Verifizierung", "für", "Größte", "Seite 2 von "]),
     ],
 )
 def test_the_pdf_is_a_readable_document_of_a_few_pages(issue, language, texts):

@@ -174,6 +174,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     @app.post(f"{API}/jobs/{{job_id}}/compensations", status_code=201)
     async def compensate(job_id: str, request: Request) -> Any:
         order = await request.json()
+        service.requests.append(("POST", f"/jobs/{job_id}/compensations", order))
         if order["unmeasured"] == "refuse":
             said = "X not measured from 450 to 500 mm; measure there"
             return problem(422, "bad-input", "The input cannot be used", said, "")

@@ -427,11 +427,13 @@ FORMATS = [
         "name": "heidenhain",
         "control": "Heidenhain TNC",
         "carries": "positioning with backlash, straightness and squareness",
+        "choices": {"backlash_reading": ["negative-value", "difference"]},
     },
     {
         "name": "linuxcnc",
         "control": "LinuxCNC",
         "carries": "positioning of each axis, forward and reverse",
+        "choices": {},
     },
 ]
 

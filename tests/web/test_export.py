@@ -89,6 +89,22 @@ def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
     expect(card).to_have_count(0)
 
 
+def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
+    _, card = show(panel, service, language="de")
+    card.get_by_text("LinuxCNC").click()
+    expect(card.locator("[data-way]")).to_have_count(0)
+    card.get_by_text("Heidenhain TNC").click()
+    way = card.get_by_role("group", name="So liest die Steuerung BACKLASH")
+    usual = way.get_by_role("button", name="Wert bei negativer Fahrt")
+    expect(usual).to_have_attribute("aria-pressed", "true")
+    expect(card).to_contain_text("BACKLASH enthält den Wert")
+    way.get_by_role("button", name="Zuschlag bei negativer Fahrt").click()
+    expect(card).to_contain_text("BACKLASH enthält, was bei negativer Fahrt zur")
+    wanted = [body["choices"] for _, path, body in service.requests if "comp" in path]
+    word = "backlash_reading"
+    assert wanted == [{}, {word: "negative-value"}, {word: "difference"}]
+
+
 def test_formats_are_told_in_german(panel, service):
     _, card = show(panel, service, language="de")
     expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")

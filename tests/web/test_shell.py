@@ -43,7 +43,14 @@ OURS = [
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
 BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.")
 BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
-BUILT_KEYS += ("export.unmeasured_", "condition.", "session.", "budget.")
+BUILT_KEYS += (
+    "export.unmeasured_",
+    "export.choice.",
+    "export.word.",
+    "condition.",
+    "session.",
+    "budget.",
+)
 BUILT_KEYS += ("headline.within", "headline.outside", "headline.undecided")
 BUILT_KEYS += ("headline.now_", "headline.proof_", "residual.")
 BUILT_KEYS += ("problem.code.", "beam.", "sensor.", "strips.", "model.")
@@ -54,7 +61,7 @@ BUILT_KEYS += ("certificate.of_", "devices.")
 PROBLEM = re.compile(r"problem\.code\.[\w-]+")
 TOLD = re.compile(
     r"effect\.[\w-]+\.(cause|looks_like|remedy)"
-    r"|format\.[\w-]+\.(carries|not_carried|note)"
+    r"|format\.[\w-]+\.(control|carries|not_carried|note|note_[\w-]+)"
 )
 
 
@@ -140,8 +147,11 @@ def test_catalogues_have_the_same_keys_and_the_same_blanks():
 def test_effects_and_formats_have_words_in_the_languages_the_service_does_not_speak():
     names = {f"effect.{family.name}" for family in list_families()}
     words = {f"{n}.{w}" for n in names for w in ("cause", "looks_like", "remedy")}
-    formats = {f"format.{name}" for name in list_formats()}
-    words |= {f"{n}.{w}" for n in formats for w in ("carries", "not_carried", "note")}
+    told = ("control", "carries", "not_carried", "note")
+    for name, kind in list_formats().items():
+        words |= {f"format.{name}.{word}" for word in told}
+        less_usual = [word for known in kind.choices.values() for word in known[1:]]
+        words |= {f"format.{name}.note_{word}" for word in less_usual}
     for language in LANGUAGES:
         known = catalogue(language)
         assert names <= known.keys(), language

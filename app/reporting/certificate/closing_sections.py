@@ -72,8 +72,9 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
     key = f"format.{account['format']}"
     carries = language.shared.get(f"{key}.carries", account["carries"])
     not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
+    control = language.shared.get(f"{key}.control", account["control"])
     rows = [
-        ("compensation_control", account["control"]),
+        ("compensation_control", control),
         ("compensation_carries", carries),
         ("compensation_not_carried", not_carried),
         ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),

@@ -42,6 +42,9 @@ export function segments(label, options, chosen, choose, small = false) {
   return group;
 }
 
+/** What the service says of a compensation format, in the page's language where there are words for it. */
+export const wordFormat = (name, what, text) => known(`format.${name}.${what}`, text);
+
 /** A message with a shape, a word and a way out. */
 export function notice(tone, title, text, action) {
   const shape = tone === "fault" || tone === "held" ? "warning" : "info";

@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h } from "../dom.js";
 import { isMeasuring, reach, statesTables } from "../flow.js";
-import { card, head, linkButton, notice, segments } from "../parts.js";
+import { card, head, linkButton, notice, segments, wordFormat } from "../parts.js";
 import { currentLanguage, dateTime, languages, t } from "../texts.js";
 import { decisionOf, findProof } from "./proof.js";
 import { newMeasurement } from "./onward.js";
@@ -101,7 +101,7 @@ async function identityOf(job, kept, machine) {
 function form(order, files) {
   const choose = h("select", { id: "certificate-files", onchange: () => {
     order.files = choose.value;
-  } }, h("option", { value: "" }, t("certificate.no_files")), files.map((made) => h("option", { value: made.id }, made.control)));
+  } }, h("option", { value: "" }, t("certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
   const groups = Object.entries(GROUPS).map(([group, names]) => [h("h3", {}, t(`certificate.of_${group}`)),
     h("div", { class: "text-fields" }, names.map((name) => textField(order.identity, name)))]);
   return [h("section", { class: "card stack", "data-card": "identity" }, h("h2", {}, t("certificate.content")),

@@ -1,7 +1,7 @@
 /* The files that a controller corrects by: what they leave is seen before they are taken. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { card, linkButton, notice, pairs, segments } from "../parts.js";
+import { card, linkButton, notice, pairs, segments, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { known, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -13,8 +13,9 @@ import { quantity } from "../units.js";
 export function exportCard(job, { verdict }, onFiles) {
   if (verdict?.state === "not-usable" || verdict === "not-usable") return null;
   const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.choose") });
+  const ways = h("div");
   const said = h("div", { class: "stack", "aria-live": "polite" });
-  let order = { format: null, unmeasured: "hold" };
+  let order = { format: null, unmeasured: "hold", choices: {} };
 
   /** Have the files made and say what they leave; a later choice makes an earlier one void. */
   async function choose(change) {
@@ -28,20 +29,28 @@ export function exportCard(job, { verdict }, onFiles) {
 
   function take(made) {
     onFiles();
-    return account(made);
+    return account(made, order.choices);
+  }
+
+  /** Choose a format as its control usually has it, and show what else may be chosen of it. */
+  function chooseFormat(format) {
+    const usual = Object.entries(format.choices).map(([name, [first]]) => [name, first]);
+    ways.replaceChildren(...Object.entries(format.choices).map(([name, words]) => wayField(name, words,
+      (word) => choose({ choices: { ...order.choices, [name]: word } }))));
+    choose({ format: format.name, choices: Object.fromEntries(usual) });
   }
 
   const beyond = segments(t("export.unmeasured"),
     ["hold", "fade", "refuse"].map((choice) => [choice, t(`export.unmeasured_${choice}`)]), order.unmeasured,
     (unmeasured) => choose({ unmeasured }));
-  const element = card(t("export.choose"), choices,
+  const element = card(t("export.choose"), choices, ways,
     h("div", { class: "choice-beside" }, h("span", {}, t("export.unmeasured")), beyond), said);
   element.hidden = true;
   element.dataset.card = "export";
   element.dataset.needs = "metrologist";
   // Without the list there is no card: the result stands all the same.
   api.formats().then((formats) => {
-    choices.append(...formats.map((format) => choice(format, () => choose({ format: format.name }))));
+    choices.append(...formats.map((format) => choice(format, () => chooseFormat(format))));
     element.hidden = false;
   }, () => {});
   return element;
@@ -53,26 +62,37 @@ function choice({ name, control, carries }, chosen) {
     "data-format": name, onclick: () => {
       for (const other of button.parentElement.children) other.setAttribute("aria-checked", String(other === button));
       chosen();
-    } }, h("strong", {}, control), h("span", {}, worded(name, "carries", carries)));
+    } }, h("strong", {}, wordFormat(name, "control", control)), h("span", {}, wordFormat(name, "carries", carries)));
   return button;
 }
 
-const worded = (name, what, text) => known(`format.${name}.${what}`, text);
+/** How one thing of a format is written; the first word is usual. */
+function wayField(name, words, choose) {
+  const label = known(`export.choice.${name}`, name);
+  return h("div", { class: "choice-beside", "data-way": name }, h("span", {}, label),
+    segments(label, words.map((word) => [word, known(`export.word.${word}`, word)]), words[0], choose));
+}
+
+/** The maker's note in words of this page: some choices have one of their own. */
+function noteOf({ format, note }, choices) {
+  const own = Object.values(choices).map((word) => known(`format.${format}.note_${word}`, null)).find(Boolean);
+  return own ?? wordFormat(format, "note", note);
+}
 
 /** What the files leave, what they lack, what to do with them, and the way to take them. */
-function account(made) {
+function account(made, choices) {
   const { before, after, after_where_measured: inside } = made.volumetric_error_um;
   const rows = [
     [t("export.before"), quantity(before.mean, "gap")],
     [t("export.after"), left(after)],
     made.unmeasured.length && inside && [t("export.inside"), left(inside)],
-    [t("export.not_carried"), worded(made.format, "not_carried", made.not_carried)],
+    [t("export.not_carried"), wordFormat(made.format, "not_carried", made.not_carried)],
   ].filter(Boolean);
   return [
     pairs(rows),
     !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
     made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, text))),
-    h("p", { class: "quiet" }, worded(made.format, "note", made.note)),
+    h("p", { class: "quiet" }, noteOf(made, choices)),
     h("div", { class: "downloads", role: "group", "aria-label": t("export.title") },
       linkButton(made.links.archive, "download", t("export.take"), { download: "" })),
   ].filter(Boolean);

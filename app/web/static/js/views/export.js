@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h } from "../dom.js";
 import { isDiscovery, reach, statesTables } from "../flow.js";
-import { card, head, linkButton, notice } from "../parts.js";
+import { card, head, linkButton, notice, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -48,7 +48,7 @@ export function mount(root) {
 function keptFiles(found) {
   if (!found.length) return [];
   return [card(t("export.kept"), h("ul", { class: "kept-list" }, found.map((made) => h("li", {},
-    h("div", {}, h("strong", {}, made.control), h("p", { class: "quiet" }, left(made))),
+    h("div", {}, h("strong", {}, wordFormat(made.format, "control", made.control)), h("p", { class: "quiet" }, left(made))),
     linkButton(made.links.archive, "download", t("export.take"), { download: "" })))))];
 }
 

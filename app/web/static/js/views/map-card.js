@@ -1,7 +1,7 @@
 /* The volumetric error in the volume: arrows in space or in a plane, before and after compensation. */
 import * as api from "../api.js";
 import { h, mark, write } from "../dom.js";
-import { notice, segments } from "../parts.js";
+import { notice, segments, wordFormat } from "../parts.js";
 import { COVERAGE, roundReach } from "../plots/error-chart.js";
 import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
@@ -80,8 +80,8 @@ export function mapCard(job, result) {
     if (!states.querySelector(`[data-value="${CSS.escape(state)}"]`)) states.add(state, text);
   }
 
-  function addFiles({ id, control }) {
-    add(id, t("map.with_files", { control }));
+  function addFiles({ id, format, control }) {
+    add(id, t("map.with_files", { control: wordFormat(format, "control", control) }));
   }
 
   /** Offer what another calibration has measured, such as the one after the tables were loaded. */

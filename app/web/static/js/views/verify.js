@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h, mark } from "../dom.js";
 import { isConnected, isVerification, reach, resultId, statesTables } from "../flow.js";
-import { card, head, notice } from "../parts.js";
+import { card, head, notice, wordFormat } from "../parts.js";
 import { prefer, preference } from "../preferences.js";
 import { plain, t, typed } from "../texts.js";
 import { decimalsOf, shown, stored, unitOf } from "../units.js";
@@ -73,7 +73,7 @@ function form(job, changed) {
     changed();
   } }, h("option", { value: "" }, t("verify.as_found")));
   api.compensations(job.id).then((kept) => files.append(...kept.map((made) =>
-    h("option", { value: made.id }, t("verify.with_files", { control: made.control, name: made.id })))), () => {});
+    h("option", { value: made.id }, t("verify.with_files", { control: wordFormat(made.format, "control", made.control), name: made.id })))), () => {});
   return h("div", { class: "columns" },
     h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
       h("div", { class: "stack", role: "group", "aria-label": t("verify.what") }, KINDS.map((kind) => kindBox(kind, changed)))),
