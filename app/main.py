@@ -50,6 +50,7 @@ from truepath.app.jobs.deletion import Deleted, Deletion
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import ProcessExecutor
+from truepath.app.jobs.identities import take_over_identities
 from truepath.app.jobs.live_estimation import LiveEstimation
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.machine_setup import ConfiguredMachine, MachineSetup
@@ -192,6 +193,7 @@ def _make_context(
     )
     setup = MachineSetup(registry, store, cells, calibrations)
     setup.load(_load_machines(settings, stack))
+    take_over_identities(settings.data_dir, registry)
     machines = setup.machines
     stack.callback(machines.close)
     workers = choose_workers(settings)

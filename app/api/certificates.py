@@ -25,22 +25,14 @@ from truepath.app.api.results import send_page
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep
 from truepath.app.errors import NotFound
-from truepath.app.files.identity_file import IdentityStore
+from truepath.app.files.identity_file import Identity
 from truepath.app.jobs.executor import WorkerProcess
+from truepath.app.jobs.identities import describe_identity, find_machine, keep_identity
+from truepath.app.jobs.machine_registry import MachineRecord
 
 # What computes is imported where it does: the service itself carries no science.
 
 router = APIRouter(tags=["certificates"])
-
-_REGISTERED = {
-    "machine_maker": "maker",
-    "machine_model": "model",
-    "machine_serial": "serial_number",
-    "control": "control",
-    "customer": "customer",
-    "place": "place",
-}
-"""Fields of an identity, and where the registry of machines has them."""
 
 # One at a time: each is laid out in a process of its own.
 _TURN = Lock()
@@ -106,13 +98,10 @@ def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     from truepath.app.reporting.certificate import kept_certificates as kept
 
     folder = _find_folder(service, job_id)
-    machine = _read_machine(_find_result(service, job_id))
+    machine = _find_machine(service, _find_result(service, job_id))
     return CertificateList(
         items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
-        identity={
-            **_read_registered(service, job_id),
-            **_open_store(service).load(machine),
-        },
+        identity=dict(describe_identity(machine)),
     )
 
 
@@ -183,24 +172,16 @@ def _find_account(folder: Path, compensation_id: str | None) -> Path | None:
 
 def _keep_identity(
     service: Service, result: Path, body: CertificateRequest
-) -> dict[str, str]:
-    """Return what is stated now, was before, or stands in the registry of machines."""
-    stated = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
-    kept = _open_store(service).keep(_read_machine(result), stated)
-    return {**_read_registered(service, result.parent.name), **kept}
+) -> Identity:
+    """Return what is stated now, or stands in the registry of machines."""
+    given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
+    machine = _find_machine(service, result)
+    return keep_identity(machine, given, service.setup.registry)
 
 
-def _read_registered(service: Service, job_id: str) -> dict[str, str]:
-    """Return what the registry states of the machine of a job; often nothing."""
-    machine = service.store.get(job_id).machine
-    if machine is None:
-        return {}
-    try:
-        record = service.setup.registry.get(machine)
-    except NotFound:
-        return {}
-    texts = {field: getattr(record, name) for field, name in _REGISTERED.items()}
-    return {field: text for field, text in texts.items() if text}
+def _find_machine(service: Service, result: Path) -> MachineRecord | None:
+    job = service.store.get(result.parent.name)
+    return find_machine(job, _read_machine(result), service.setup.registry)
 
 
 def _read_machine(result: Path) -> str:
@@ -208,10 +189,6 @@ def _read_machine(result: Path) -> str:
 
     content = as_object(parse_json(result.read_bytes(), result.name))
     return str(as_object(content.get("machine")).get("name", ""))
-
-
-def _open_store(service: Service) -> IdentityStore:
-    return IdentityStore.of_folder(service.results.parent)
 
 
 def _describe(job_id: str, record: dict[str, Any]) -> CertificateOut:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from truepath.app.cli.terminal import ResultFile, collect_seldom, print_files, say
 from truepath.app.errors import BadInput, NotUsable
-
-if TYPE_CHECKING:
-    from truepath.app.reporting.certificate.issue import ResultSource
 
 _SUFFIXES = (".pdf", ".html")
 
@@ -51,10 +48,6 @@ def certificate(
         datetime | None,
         typer.Option(formats=["%Y-%m-%d"], help="Date of issue; today if left out."),
     ] = None,
-    data_dir: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Where identities are kept per machine."),
-    ] = None,
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -78,7 +71,7 @@ def certificate(
     if suffix == ".pdf":
         require_printer()
     found = read_result_source(result)
-    stated = _state_identity(found, identity, state or [], data_dir)
+    stated = _read_stated(identity, state or [])
     content = gather_certificate(
         found,
         issued=issued.date() if issued else datetime.now().astimezone().date(),
@@ -99,21 +92,11 @@ def certificate(
     print_files([output])
 
 
-def _state_identity(
-    found: ResultSource, file: Path | None, state: list[str], data_dir: Path | None
-) -> Mapping[str, str]:
-    """Return what is stated now and was before of the machine, and keep it."""
-    from truepath.app.files.identity_file import (
-        IdentityStore,
-        read_assignments,
-        read_identity,
-    )
-    from truepath.app.settings import load_settings
+def _read_stated(file: Path | None, state: list[str]) -> Mapping[str, str]:
+    """Return what the identity file states, and what the options do over it."""
+    from truepath.app.files.identity_file import read_assignments, read_identity
 
-    given = {**(read_identity(file) if file else {}), **read_assignments(state)}
-    folder = data_dir or load_settings().data_dir
-    store = IdentityStore.of_folder(folder)
-    return store.keep(found.result.machine.name, given)
+    return {**(read_identity(file) if file else {}), **read_assignments(state)}
 
 
 def _write(output: Path, html: str) -> None:

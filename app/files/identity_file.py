@@ -1,8 +1,8 @@
-"""What people state of a machine and its calibration, kept for each machine.
+"""What people state of a machine and its calibration.
 
 `identity.json` (schema `identity/1`) is one flat object of texts; every key may be
-missing. The file that keeps them (`identities/1`) has one such object by the name of
-each machine.
+missing. Earlier versions kept one such object by the name of each machine in
+`identities.json` (`identities/1`); the registry of machines takes it over.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 from truepath.app.errors import BadInput, BundleError
 from truepath.app.files.file_model import encode_json, parse_json, quote
@@ -77,46 +77,29 @@ def read_assignments(assignments: list[str]) -> Identity:
     return identity_from_json(content, file="--state")
 
 
-class IdentityStore:
-    """What was stated of each machine, kept in one file."""
+def read_kept_identities(file: Path) -> Mapping[str, Identity]:
+    """Return the identities by machine name that earlier versions kept in a file.
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    Nothing where there is no file. Raises BundleError on a damaged one.
+    """
+    if not file.exists():
+        return {}
+    name = str(file)
+    content = parse_json(read_whole(name, largest_bytes=_LARGEST_BYTES), name)
+    machines = content.get("machines") if isinstance(content, Mapping) else None
+    if not isinstance(machines, Mapping):
+        remedy = "restore it, or remove it and state the identities again"
+        raise BundleError("holds no machines", file=name, remedy=remedy)
+    return {str(k): identity_from_json(v, file=name) for k, v in machines.items()}
 
-    @classmethod
-    def of_folder(cls, data_folder: Path) -> Self:
-        """Return the store of a data folder."""
-        return cls(data_folder / "identities.json")
 
-    def load(self, machine: str) -> Identity:
-        """Return what is kept of a machine. Raises BundleError on a damaged file."""
-        return self._read_all().get(machine, {})
-
-    def keep(self, machine: str, stated: Identity) -> Identity:
-        """Keep what was stated beside what was before; return both together.
-
-        What holds for one measurement alone is returned and not kept.
-        """
-        every = self._read_all()
-        lasting = {k: v for k, v in stated.items() if k not in OF_ONE_MEASUREMENT}
-        before = every.get(machine, {})
-        if lasting.items() - before.items():
-            machines = {**every, machine: {**before, **lasting}}
-            content = {"schema": STORE_SCHEMA, "machines": machines}
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(self._file, encode_json(content, indent=1))
-        return {**before, **stated}
-
-    def _read_all(self) -> Mapping[str, Identity]:
-        if not self._file.exists():
-            return {}
-        name = str(self._file)
-        content = parse_json(read_whole(name, largest_bytes=_LARGEST_BYTES), name)
-        machines = content.get("machines") if isinstance(content, Mapping) else None
-        if not isinstance(machines, Mapping):
-            remedy = "restore it, or remove it and state the identities again"
-            raise BundleError("holds no machines", file=name, remedy=remedy)
-        return {str(k): identity_from_json(v, file=name) for k, v in machines.items()}
+def write_kept_identities(file: Path, machines: Mapping[str, Identity]) -> None:
+    """Write the identities that are left; without any the file goes."""
+    if not machines:
+        file.unlink(missing_ok=True)
+        return
+    content = {"schema": STORE_SCHEMA, "machines": machines}
+    replace_file(file, encode_json(content, indent=1))
 
 
 def _check(key: object, text: object, file: str) -> str:

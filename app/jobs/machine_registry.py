@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import Connection, insert, select, update
@@ -45,6 +45,7 @@ class MachineRecord:
     origin : `settings` or `catalogue`: where it is configured
     tolerance_um : what 95 % of the places in its travel may err by at most
     reference_job : whose result it is held against; None for the one before
+    stated : what certificates state besides, by the names of `identity_file.FIELDS`
     versions : the newest first
     """
 
@@ -60,6 +61,7 @@ class MachineRecord:
     tolerance_um: float | None
     reference_job: str | None
     created: str
+    stated: Mapping[str, str] = field(default_factory=dict[str, str])
     versions: tuple[MachineVersion, ...] = ()
 
 
@@ -80,6 +82,13 @@ class MachineRegistry:
         """Return a machine. Raises NotFound."""
         with self._database.read() as connection:
             return _read_record(connection, machine_id)
+
+    def find_by_name(self, name: str) -> MachineRecord | None:
+        """Return the machine whose machine file has this name; None without one."""
+        for record in self.list_all():
+            if record.versions and record.versions[0].machine_file.get("name") == name:
+                return record
+        return None
 
     def add(self, machine_id: str, origin: str, identity: Mapping[str, str]) -> None:
         """Add a machine. Raises MachineKnown."""

@@ -82,6 +82,7 @@ machines = sa.Table(
     sa.Column("tolerance_um", sa.Float, nullable=True),
     sa.Column("reference_job", sa.String(36), nullable=True),
     sa.Column("created", sa.String(32), nullable=False),
+    sa.Column("stated", sa.JSON, nullable=False, server_default="{}"),
 )
 
 machine_versions = sa.Table(

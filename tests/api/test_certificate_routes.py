@@ -76,6 +76,18 @@ def test_what_the_registry_states_of_the_machine_need_not_be_stated_again(
     }
 
 
+def test_what_is_stated_on_a_certificate_stands_in_the_registry(client, service, place):
+    stated = {"machine_serial": "4711", "operator": "A. Weiß", "warm_up": "2 h"}
+    client.post(place, json={"identity": stated})
+    record = service.setup.registry.get("default")
+    assert (record.serial_number, record.stated) == ("4711", {"operator": "A. Weiß"})
+    client.patch("/api/v1/machines/default", json={"serial_number": "4712"})
+    assert client.get(place).json()["identity"] == {
+        "machine_serial": "4712",
+        "operator": "A. Weiß",
+    }
+
+
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
     client, service, place, is_problem
 ):

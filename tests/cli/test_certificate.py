@@ -65,8 +65,7 @@ def issue(analysed, tmp_path):
     def certify(name, *more, result=None):
         file = tmp_path / name
         source = result or analysed / "result.json"
-        kept = ("--data-dir", str(tmp_path / "data"))
-        words = ["certificate", str(source), "-o", str(file), *ISSUED, *kept, *more]
+        words = ["certificate", str(source), "-o", str(file), *ISSUED, *more]
         return run(words), file
 
     return certify

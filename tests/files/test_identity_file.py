@@ -1,4 +1,4 @@
-"""Identities: read from files and words, kept for each machine."""
+"""Identities: read from files and words."""
 
 import json
 
@@ -6,27 +6,10 @@ import pytest
 
 from truepath.app.errors import BadInput, BundleError
 from truepath.app.files.identity_file import (
-    IdentityStore,
     read_assignments,
     read_identity,
+    read_kept_identities,
 )
-
-
-def test_what_was_stated_once_is_there_the_next_time(tmp_path):
-    IdentityStore.of_folder(tmp_path).keep("mill", {"operator": "A. Weiß"})
-    store = IdentityStore.of_folder(tmp_path)
-    assert store.keep("mill", {"place": "Hall 3"}) == {
-        "operator": "A. Weiß",
-        "place": "Hall 3",
-    }
-    assert store.load("mill")["operator"] == "A. Weiß"
-    assert store.load("lathe") == {}
-
-
-def test_what_holds_for_one_measurement_is_not_kept(tmp_path):
-    store = IdentityStore.of_folder(tmp_path)
-    assert store.keep("mill", {"measured_on": "2026-11-24"})
-    assert store.load("mill") == {}
 
 
 @pytest.mark.parametrize(
@@ -51,8 +34,8 @@ def test_a_word_that_states_nothing_is_refused():
         read_assignments(["operator"])
 
 
-def test_a_damaged_store_is_not_written_over(tmp_path):
+def test_a_damaged_file_of_earlier_versions_is_named(tmp_path):
     (tmp_path / "identities.json").write_text("{}")
     with pytest.raises(BundleError, match="holds no machines"):
-        IdentityStore.of_folder(tmp_path).keep("mill", {"operator": "A"})
-    assert (tmp_path / "identities.json").read_text() == "{}"
+        read_kept_identities(tmp_path / "identities.json")
+    assert read_kept_identities(tmp_path / "none.json") == {}

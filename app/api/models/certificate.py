@@ -19,7 +19,7 @@ Language = Literal["en", "de"]
 class IdentityIn(RequestBody):
     """What people state; all may be left out, and an empty text is as good as none.
 
-    It is kept by the name of the machine, but for the last two.
+    The registry of machines keeps it, but for the last two.
     """
 
     machine_maker: Line = ""
@@ -100,5 +100,5 @@ class CertificateList(BaseModel):
 
     items: list[CertificateOut]
     identity: dict[str, str] = Field(
-        description="What is kept of the machine, to be looked at before the next."
+        description="What the registry has of the machine, to look at before the next."
     )
