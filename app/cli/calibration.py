@@ -47,10 +47,12 @@ def calibrate(address: str) -> None:
 def measure_on_the_fly(client: Client) -> str:
     """Connect, plan and arm a measurement on the fly; return the job's identifier.
 
-    Arming is the last step: from here on the machine moves.
+    It is of the only or first machine that the service drives. Arming is the last
+    step: from here on the machine moves.
     """
     client.connect()
-    job_id = client.create_job(kind="measure-otf")["id"]
+    first = client.list_machines()[0]["id"]
+    job_id = client.create_job(kind="measure-otf", machine=first)["id"]
     try:
         ready = client.wait_for(
             job_id, "ready", timeout_s=READY_TIMEOUT_S, period_s=0.1

@@ -30,7 +30,11 @@ def serve(
         typer.Option(min=1, max=64, help="So many simulated machines; 1."),
     ] = None,
     measure: Annotated[
-        bool, typer.Option("--measure", help="Begin the main job at once (simulated).")
+        bool,
+        typer.Option(
+            "--measure",
+            help="Begin the main job at once (simulated), on the first machine.",
+        ),
     ] = False,
     hide: Annotated[
         list[str] | None,
@@ -74,8 +78,6 @@ def serve(
             "--measure begins with nobody logged in; leave it out, or listen on this "
             "computer only, without TLS"
         )
-    if measure and settings.simulated_machines + len(settings.machines) > 1:
-        raise BadInput("--measure begins on the only machine; leave it out for several")
     if hide and not settings.simulated:
         raise BadInput("--hide is for simulated devices; it needs --simulated")
     serve(settings, listening=calibrate if measure else None)

@@ -199,17 +199,19 @@ def job(state, **more):
 
 PATHS = {
     "/api/v1/machines/current:connect": (200, [{}]),
+    "/api/v1/machines": (200, [{"items": [{"id": "mill-1"}, {"id": "mill-2"}]}]),
     "/api/v1/jobs": (202, [job("queued")]),
     "/api/v1/jobs/7/arming": (200, [{"token": "once"}]),
     "/api/v1/jobs/7/arm": (202, [job("running")]),
 }
 
 
-def test_motion_starts_by_arming_the_version_that_was_ready():
+def test_the_first_machine_is_measured_by_arming_the_version_that_was_ready():
     states = [job("preparing"), job("ready", version=5)]
     with scripted({**PATHS, "/api/v1/jobs/7": (200, states)}) as (client, asked):
         assert measure_on_the_fly(client) == "7"
-    assert asked[1] == ("POST", "/api/v1/jobs", {"kind": "measure-otf"}, None)
+    order = {"kind": "measure-otf", "machine": "mill-1"}
+    assert asked[2] == ("POST", "/api/v1/jobs", order, None)
     assert asked[-1] == ("POST", "/api/v1/jobs/7/arm", {"token": "once"}, '"5"')
 
 
