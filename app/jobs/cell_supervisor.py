@@ -182,7 +182,7 @@ class CellSupervisor:
                 trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
                 self.stream.hear(cell.try_tracker(trial), rate_hz, aims=aims)
             except NotHomed:
-                log.info("the tracker is heard once the measurement has homed it")
+                log.debug("the tracker is heard once the measurement has homed it")
             except DeviceError as error:
                 self.stream.hear_failure(str(error))
             except MeasurementFailed as error:
