@@ -63,7 +63,7 @@ from truepath.app.results.place_conformity import PlaceConformity, decide_places
 
 K = 2.0
 # Chances below which deviations are not consistent, and a measurement is in doubt.
-_LIKELY, _DOUBTFUL = 0.05, 0.01
+_LIKELY, DOUBTFUL = 0.05, 0.01
 _FREE = 10.0  # stated uncertainties that a machine which has changed may be off
 _ROUNDING = 1e-12
 _FEWEST = 8.0  # degrees of freedom by which the noise of a Run is known at the least
@@ -126,7 +126,7 @@ class Consistency:
     @property
     def fits_together(self) -> bool:
         """Whether some machine, changed in any way, would explain the measurement."""
-        return self.repeated >= _DOUBTFUL
+        return self.repeated >= DOUBTFUL
 
 
 @dataclass(frozen=True, slots=True)

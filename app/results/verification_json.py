@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,6 +21,12 @@ from truepath.app.results.verification import K, PlaceVectors, Verification
 
 SCHEMA = "verification/1"
 _DIRECTIONS = "XYZ"
+ScaleCause = Literal["wrong-sign", "not-active", "active"]
+_SCALE_CAUSES: dict[ScaleCause, str] = {
+    "wrong-sign": "the controller adds the compensation with the wrong sign",
+    "not-active": "the compensation is not active",
+    "active": "a compensation is active; name it to hold what it leaves",
+}
 _NEARLY = 0.2  # of the map's scale, about 0 and 2
 _DECISIONS = {
     Conformity.WITHIN: "passes",
@@ -73,6 +79,24 @@ def verification_json(found: Verification) -> dict[str, Any]:
             "result": dict(found.result.provenance),
         },
     }
+
+
+def find_scale_cause(
+    value: float, uncertainty: float, *, is_compensated: bool
+) -> ScaleCause | None:
+    """Return why a machine errs by so many times what was found; None if as expected.
+
+    value, uncertainty : of the scale of the map, the standard one
+    is_compensated : the controller is said to correct by files of the result
+    """
+    clear = 3.0 * uncertainty + _NEARLY
+    if abs(value - 2.0) < clear:
+        return "wrong-sign"
+    if is_compensated and abs(value - 1.0) < clear:
+        return "not-active"
+    if not is_compensated and abs(value) < clear:
+        return "active"
+    return None
 
 
 def _agreement_json(found: Verification) -> dict[str, Any]:
@@ -150,21 +174,12 @@ def _state_scale(found: Verification) -> Iterator[str]:
     """Yield what the scale of the map says, where it is not what is expected."""
     if found.scale is None:
         return
-    scale, clear = found.scale.value, 3.0 * found.scale.uncertainty + _NEARLY
-    if abs(scale - 2.0) < clear:
+    value, uncertainty = found.scale.value, found.scale.uncertainty
+    cause = find_scale_cause(value, uncertainty, is_compensated=found.is_compensated)
+    if cause is not None:
         yield (
-            f"The machine errs by {scale:.2f} times what the result says of it as "
-            "found: the controller adds the compensation with the wrong sign."
-        )
-    elif found.is_compensated and abs(scale - 1.0) < clear:
-        yield (
-            f"The machine errs by {scale:.2f} times what the result says of it as "
-            "found: the compensation is not active."
-        )
-    elif not found.is_compensated and abs(scale) < clear:
-        yield (
-            f"The machine errs by {scale:.2f} times what the result says of it as "
-            "found: a compensation is active; name it to hold what it leaves."
+            f"The machine errs by {value:.2f} times what the result says of it as "
+            f"found: {_SCALE_CAUSES[cause]}."
         )
 
 

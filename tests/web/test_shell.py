@@ -56,6 +56,7 @@ BUILT_KEYS += ("headline.now_", "headline.proof_", "residual.")
 BUILT_KEYS += ("problem.code.", "beam.", "sensor.", "strips.", "model.")
 BUILT_KEYS += ("trend.answer.", "trend.outlook.", "trend.not_told.", "trend.sure.")
 BUILT_KEYS += ("onward.", "verify.", "identity.", "machine.of_", "machine.tolerance_")
+BUILT_KEYS += ("machine.axis_",)
 BUILT_KEYS += ("certificate.of_", "devices.")
 # Told by the service in English, and so translated into the other languages only.
 PROBLEM = re.compile(r"problem\.code\.[\w-]+")

@@ -12,6 +12,8 @@ from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
 from truepath.app.results.number_format import SIGN
+from truepath.app.results.verification import DOUBTFUL
+from truepath.app.results.verification_json import find_scale_cause
 
 Row = tuple[str, ...]
 _DECISIONS = ("within", "outside", "undecided")
@@ -54,9 +56,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
             "verification_mismatch", source, certificate, language
         ),
         "decision": _say_decision(source.content, language),
-        "statements": [
-            language.mark(str(text)) for text in source.content.get("statements", ())
-        ],
+        "statements": word_findings(source.content, language),
         "rows": list(_flatten(_pick(source.content), language))[:_MOST_ROWS],
     }
 
@@ -154,6 +154,58 @@ def _say_decision(content: Mapping[str, Any], language: Language) -> str:
     if isinstance(agrees, bool):
         return language.say("verification_agrees" if agrees else "verification_differs")
     return language.say("not_stated")
+
+
+def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
+    """Return the sentences of a verification in the language of the certificate.
+
+    Those of its file are English; of a file that states less they are quoted.
+    """
+    own = [str(text) for text in content.get("statements", ())]
+    if language.code == "en":
+        return own
+    try:
+        return list(_word_each(content, language)) or own
+    except KeyError:
+        return own
+
+
+def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
+    measured = as_object(as_object(content.get("conformity")).get("measured"))
+    if measured:
+        yield language.shared["verify.worst"].format(
+            count=len(content["places"]["row"]),
+            length=_um(measured["length_um"], language),
+            u=_um(measured["expanded_uncertainty_um"], language),
+            k=language.number(measured["coverage_factor"], 1),
+            tolerance=_um(measured["tolerance_um"], language),
+        )
+    if agreement := as_object(content.get("agreement")):
+        yield _say_agreement(agreement, language)
+    if scale := as_object(content.get("map_scale")):
+        value, uncertainty = scale["value"], scale["uncertainty"]
+        known = bool(content["compensated"])
+        cause = find_scale_cause(value, uncertainty, is_compensated=known)
+        if cause is not None:
+            times = language.number(value, 2)
+            yield language.say(f"verification_scale_{cause}", times=times)
+
+
+def _say_agreement(agreement: Mapping[str, Any], language: Language) -> str:
+    if agreement["consistent"]:
+        key = "consistent"
+    else:
+        another = agreement["chance_of_any_machine"] >= DOUBTFUL
+        key = "changed" if another else "no_machine"
+    return language.shared[f"verify.{key}"].format(
+        chance=language.number(100.0 * agreement["chance"], 1),
+        share=language.number(100.0 * agreement["share_within_expanded"], 0),
+        k=f"{_K:g}",
+    )
+
+
+def _um(value: float, language: Language) -> str:
+    return f"{language.number(value, 2)} µm"
 
 
 def _pick(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
+const DOUBTFUL = 0.01; // chance below which no machine explains a measurement, as in the service
 const LOOKS = 5; // newest verifications that are looked through
 const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees: "warning", undecided: "info" };
 
@@ -53,7 +54,7 @@ function reason({ conformity: { measured }, places }) {
 function agreement({ agreement: { consistent, chance, share_within_expanded: share, chance_of_any_machine: other } }) {
   const values = { chance: number(100 * chance, 1), share: number(100 * share), k: COVERAGE };
   if (consistent) return t("verify.consistent", values);
-  return t(other < 0.05 ? "verify.no_machine" : "verify.changed", values);
+  return t(other < DOUBTFUL ? "verify.no_machine" : "verify.changed", values);
 }
 
 const ROWS = ["measured", "predicted", "deviation"];
