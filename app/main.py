@@ -322,7 +322,7 @@ def _start_bench(
         thermometer_options=bench.thermometer_options,
     )
     machine = machine_from_json(bench.machine)
-    return ConfiguredMachine(machine_id, machine, config, simulated=True)
+    return ConfiguredMachine(machine_id, machine, config, control=bench)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ import numpy as np
 from truepath.simulators.board import BoardReader, new_board
 from truepath.simulators.compensation.correction import measure_deviation_mm
 from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.rules import Rules
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.faults import parse_fault
 from truepath.simulators.followed_positions import open_source
@@ -191,9 +192,13 @@ class Bench(DeviceProcesses):
         self._pose = place_anew(place, self._common["seed"] + 1000 * number)
 
     def load_compensation(
-        self, compensation: LoadedTables | Sequence[Path | str]
+        self,
+        compensation: LoadedTables | Sequence[Path | str],
+        rules: Mapping[str, Any] | None = None,
     ) -> None:
         """Give the controller other tables, while its axes stand; none without files.
+
+        rules : of files, as `truepath.simulators.compensation.rules.Rules` has them
 
         Raises SimulatorError if they move, or naming what is wrong with the tables.
         """
@@ -201,6 +206,8 @@ class Bench(DeviceProcesses):
             timeline = self._reader.timeline()
             if timeline is not None and timeline.end_s > self.now_s():
                 raise SimulatorError("the axes move; load tables while they stand")
+        if not isinstance(compensation, LoadedTables):
+            compensation = LoadedTables.from_paths(compensation, Rules(**(rules or {})))
         self._take_tables(compensation)
         for device in self._processes.values():
             device.tell(json.dumps({"compensation": self.compensation.as_json()}))

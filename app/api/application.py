@@ -38,6 +38,7 @@ from truepath.app.api import (
     results,
     runs,
     session,
+    simulated_tables,
     users,
 )
 from truepath.app.api.access_control import AccessControl
@@ -151,6 +152,7 @@ def _api() -> APIRouter:
         machine_history.comparison,
         machine_history.router,
         machines.router,
+        simulated_tables.router,
         drivers.router,
         machine.system,
         session.router,

@@ -57,6 +57,16 @@ class SetElsewhere(JobError):
     """The machine is configured in the settings, not over the interface."""
 
 
+class NotSimulated(JobError):
+    """Tables are loaded into simulated controls alone."""
+
+    def __init__(self, machine_id: str) -> None:
+        super().__init__(
+            f"machine {machine_id} has no simulated control; load the files at the "
+            "control itself"
+        )
+
+
 class DeviceSettings(JobError):
     """A driver cannot be made with its options: unknown driver, wrong option."""
 

@@ -32,6 +32,7 @@ from truepath.app.jobs.machine_registry import (
     MachineRegistry,
     hide_secrets,
 )
+from truepath.app.jobs.simulated_controls import SimulatedControl, SimulatedControls
 from truepath.app.jobs.store import Store
 from truepath.app.kinematics.machine import Machine
 from truepath.app.machine_settings import DeviceConfiguration
@@ -46,13 +47,14 @@ _OPTIONS = ("tracker_options", "motion_options", "thermometer_options")
 class ConfiguredMachine:
     """A machine of the settings, or a simulated one.
 
-    simulated : its ports are others each time and no part of the configuration
+    control : of a simulated machine: its ports are others each time and no part of
+        the configuration
     """
 
     id: str
     machine: Machine
     config: CellConfig
-    simulated: bool = False
+    control: SimulatedControl | None = None
 
 
 class MachineSetup:
@@ -69,14 +71,19 @@ class MachineSetup:
         self.calibrations = calibrations
         self._store, self._cell_setup = store, cell_setup
         self._configs: dict[str, CellConfig] = {}
+        self.simulated_controls = SimulatedControls()
 
     def load(self, configured: Iterable[ConfiguredMachine]) -> None:
         """Take the machines of the settings, then those of the catalogue.
 
         One of the catalogue that the settings now contradict is left out.
         """
-        for one in configured:
-            devices = {"simulated": True} if one.simulated else _describe(one.config)
+        known = list(configured)
+        self.simulated_controls = SimulatedControls(
+            {one.id: one.control for one in known if one.control is not None}
+        )
+        for one in known:
+            devices = {"simulated": True} if one.control else _describe(one.config)
             content = machine_to_json(one.machine)
             version = self.registry.note(one.id, SETTINGS, content, devices)
             self._put(one.id, one.machine, one.config, version)

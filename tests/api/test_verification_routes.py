@@ -115,14 +115,10 @@ def test_a_verification_links_to_its_answer_and_report(
 @pytest.mark.long
 @pytest.mark.timeout(400)
 def test_as_found_compensated_and_as_left_by_one_sequence_of_requests(tmp_path):
-    def settings(**more):
-        return load_settings(
-            data_dir=tmp_path / "data",
-            simulated=True,
-            simulated_speed=SPEED,
-            port=0,
-            **more,
-        )
+    settings = load_settings(
+        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
+    )
+    tables = "/api/v1/machines/default/simulated-tables"
 
     def drive(client, **order):
         made = client.post(JOBS, json=order)
@@ -131,33 +127,26 @@ def test_as_found_compensated_and_as_left_by_one_sequence_of_requests(tmp_path):
         return follow(client, made.json()["id"], "succeeded")
 
     def proof(client, **order):
-        job = drive(client, kind="verify", what=["random-points"], **order)
+        job = drive(
+            client, kind="verify", what=["random-points"], tolerance_um=6, **order
+        )
         return client.get(job["verification"]["verification"]).json()
 
     with (
-        open_service(settings()) as service,
+        open_service(settings) as service,
         TestClient(create_application(service), base_url="http://localhost") as client,
     ):
-        job = drive(client, kind="measure-otf")
-        made = client.post(
-            f"{JOBS}/{job['id']}/compensations", json={"format": "isg-csv"}
-        )
+        job = drive(client, kind="measure-otf")["id"]
+        made = client.post(f"{JOBS}/{job}/compensations", json={"format": "isg-csv"})
         assert made.status_code == 201, made.text
+        before = proof(client, result_id=job, seed=1)
+        named = {"job_id": job, "compensation_id": made.json()["id"]}
+        loaded = client.put(tables, json=named)
+        assert loaded.status_code == 200, loaded.text
+        assert client.get(tables).json() == loaded.json()
+        assert loaded.json()["files"] == made.json()["files"]
         kept = made.json()["id"]
-        before = proof(client, result_id=job["id"], seed=1, tolerance_um=6)
-        folder = service.results / job["id"] / "compensations" / kept
-        files = tuple(folder / name for name in made.json()["files"])
-    with (
-        open_service(settings(simulated_compensation=files)) as service,
-        TestClient(create_application(service), base_url="http://localhost") as client,
-    ):
-        after = proof(
-            client,
-            result_id=job["id"],
-            compensation_id=kept,
-            seed=2,
-            tolerance_um=6,
-        )
+        after = proof(client, result_id=job, compensation_id=kept, seed=2)
     assert before["conformity"]["measured"]["conformity"] == "outside"
     assert abs(before["map_scale"]["value"] - 1.0) < 0.05
     assert after["compensated"]

@@ -1,0 +1,33 @@
+"""Which compensation files a simulated control has."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from truepath.app.api.models.base import JOB_ID, Identifier, RequestBody
+
+
+class SimulatedTablesRequest(RequestBody):
+    """Files that were made of a result."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [{"job_id": JOB_ID, "compensation_id": "isg-csv-10-hold"}]
+        },
+    )
+
+    job_id: Identifier = Field(description="Job of the result.")
+    compensation_id: str = Field(
+        description="`id` of files in `GET /jobs/{job_id}/compensations`.",
+        max_length=100,
+    )
+
+
+class SimulatedTablesOut(BaseModel):
+    """What the control has from this service; nothing of it at first."""
+
+    machine: str = Field(examples=["default"])
+    job_id: str | None = Field(description="Job of the result; null without files.")
+    compensation_id: str | None
+    files: list[str] = Field(examples=[["compensation.csv"]])

@@ -1,0 +1,65 @@
+"""Compensation files in the control of a simulated machine; a real one is refused."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+
+from truepath.app.api.models.base import MachinePath
+from truepath.app.api.models.simulated_tables import (
+    SimulatedTablesOut,
+    SimulatedTablesRequest,
+)
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import ServiceDep
+from truepath.app.jobs.simulated_controls import LoadedFiles
+
+router = APIRouter(
+    prefix="/machines/{machine_id}/simulated-tables", tags=["compensation"]
+)
+
+
+@router.get("", responses=declare_problems(404, 409))
+def get_simulated_tables(
+    machine_id: MachinePath, service: ServiceDep
+) -> SimulatedTablesOut:
+    """Return the files that the simulated control has from this service."""
+    service.machines.get(machine_id)
+    return _describe(machine_id, service.setup.simulated_controls.read(machine_id))
+
+
+@router.put("", responses=declare_problems(404, 409, 422))
+def load_simulated_tables(
+    machine_id: MachinePath, request: SimulatedTablesRequest, service: ServiceDep
+) -> SimulatedTablesOut:
+    """Give a simulated control the files of a result in place of those it has.
+
+    Refused for a machine with real devices, and while a job holds the machine.
+    """
+    machine = service.machines.get(machine_id).machine
+    controls = service.setup.simulated_controls
+    controls.read(machine_id)  # a real one is refused, whatever else is wrong
+    service.setup.refuse_while_measuring(machine_id)
+    job_id = service.store.get(request.job_id).id
+    folder = service.results / job_id / "compensations"
+    loaded = controls.load(machine_id, machine, folder, job_id, request.compensation_id)
+    return _describe(machine_id, loaded)
+
+
+@router.delete("", status_code=204, responses=declare_problems(404, 409, 422))
+def clear_simulated_tables(machine_id: MachinePath, service: ServiceDep) -> Response:
+    """Take the tables of a simulated control away: it is as it was found again."""
+    service.machines.get(machine_id)
+    controls = service.setup.simulated_controls
+    controls.read(machine_id)
+    service.setup.refuse_while_measuring(machine_id)
+    controls.clear(machine_id)
+    return Response(status_code=204)
+
+
+def _describe(machine_id: str, loaded: LoadedFiles) -> SimulatedTablesOut:
+    return SimulatedTablesOut(
+        machine=machine_id,
+        job_id=loaded.job_id,
+        compensation_id=loaded.compensation_id,
+        files=list(loaded.files),
+    )
