@@ -182,6 +182,23 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         service.compensations.setdefault(job_id, []).append(made)
         return made
 
+    none = {"job_id": None, "compensation_id": None, "files": []}
+    tables = f"{API}/machines/{{machine_id}}/simulated-tables"
+
+    @app.get(tables)
+    def simulated_tables(machine_id: str) -> Any:
+        return {"machine": machine_id, **none, **service.loaded_tables}
+
+    @app.put(tables)
+    async def load_simulated_tables(machine_id: str, request: Request) -> Any:
+        service.loaded_tables = await request.json()
+        return {"machine": machine_id, **none, **service.loaded_tables}
+
+    @app.delete(tables, status_code=204)
+    def clear_simulated_tables(machine_id: str) -> None:
+        del machine_id
+        service.loaded_tables = {}
+
     @app.get(f"{API}/jobs/{{job_id}}/compensations")
     def compensations(job_id: str) -> Any:
         return {"items": service.compensations.get(job_id, [])}

@@ -76,6 +76,7 @@ class ScriptedService:
         self.histories: dict[str, dict[str, Any]] = {}
         self.standings: dict[str, dict[str, Any]] = {}
         self.compensations: dict[str, list[dict[str, Any]]] = {}
+        self.loaded_tables: dict[str, Any] = {}
         self.certificates: dict[str, list[dict[str, Any]]] = {}
         self.identity: dict[str, str] = {}
         self.estimates: dict[str, dict[str, Any]] = {}

@@ -17,7 +17,9 @@ pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
 def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
     service.connected = True
-    job = service.new_job("measure-otf", state="running", stage="measuring")
+    job = service.new_job(
+        "measure-otf", state="running", stage="measuring", machine="default"
+    )
     service.finish(job["id"])
     page = panel.open(f"#/export/{job['id']}", **more)
     return page, page.locator("[data-card=export]")
@@ -108,3 +110,26 @@ def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
 def test_formats_are_told_in_german(panel, service):
     _, card = show(panel, service, language="de")
     expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_simulated_control_is_given_the_files_and_verified_with_them(
+    panel, service, language
+):
+    page, card = show(panel, service, language=language)
+    card.get_by_text("LinuxCNC").click()
+    load = page.locator("[data-load='linuxcnc-10-hold']")
+    load.click()
+    unload = page.locator("[data-unload='linuxcnc-10-hold']")
+    expect(unload).to_be_visible()
+    expect(load).to_have_count(0)
+    assert service.loaded_tables == {
+        "job_id": "job-1",
+        "compensation_id": "linuxcnc-10-hold",
+    }
+    page.goto(page.url.replace("#/export/", "#/verify/"))
+    expect(page.locator("#verify-files")).to_have_value("linuxcnc-10-hold")
+    page.go_back()
+    unload.click()
+    expect(load).to_be_visible()
+    assert service.loaded_tables == {}

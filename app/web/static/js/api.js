@@ -164,6 +164,12 @@ export const formats = async () => items(await call("GET", "/compensation-format
 export const createCompensation = (id, order) =>
   call("POST", `/jobs/${id}/compensations`, { json: order, patience_ms: 60000 });
 
+/** The files that the control of a simulated machine has; give it others, or take them away. */
+export const simulatedTables = (machine) => call("GET", `/machines/${machine}/simulated-tables`);
+export const loadSimulatedTables = (machine, files) =>
+  call("PUT", `/machines/${machine}/simulated-tables`, { json: files, patience_ms: 60000 });
+export const clearSimulatedTables = (machine) => call("DELETE", `/machines/${machine}/simulated-tables`, { patience_ms: 60000 });
+
 /** Certificates of a result, and what is kept of who its machine is. */
 export const certificates = (id) => call("GET", `/jobs/${id}/certificates`);
 /** Issue one; it never changes. */

@@ -8,6 +8,7 @@ import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { exportCard } from "./export-card.js";
 import { newMeasurement, onward } from "./onward.js";
+import { simulatedLoader } from "./simulated-tables.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -24,32 +25,41 @@ export function mount(root) {
   let shown = null;
   root.append(head(t("export.title"), t("export.text")), body);
 
-  function show(job, verdict) {
+  function show(job, verdict, state) {
     const kept = h("div");
-    const list = () => api.compensations(job.id).then((found) => kept.replaceChildren(...keptFiles(found)), () => {});
-    const making = exportCard(job, { verdict }, list);
+    const loader = simulatedLoader(job, state, () => relist());
+    const list = async () => {
+      const [found, loaded] = await Promise.all([api.compensations(job.id), loader?.read()]);
+      kept.replaceChildren(...keptFiles(found, loader && ((made) => loader.button(made, loaded)), loader?.said));
+    };
+    const relist = () => list().catch(() => {});
+    const making = exportCard(job, { verdict }, relist);
     body.replaceChildren(making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
       h("div", { "data-only": "without-metrologist" }, notice(null, t("session.metrologist_only"))), kept);
-    list();
+    relist();
   }
 
   return {
-    update({ job, result, discovery }) {
+    update(state) {
+      const { job, result, discovery } = state;
       const found = job && (statesTables(job) ? result : isDiscovery(job) && discovery);
       if (!found || shown === found) return;
       shown = found;
-      show(job, found.verdict);
+      show(job, found.verdict, state);
     },
     close() {},
   };
 }
 
-/** Files that were made of this result, to be taken again. */
-function keptFiles(found) {
+/** Files that were made of this result, to be taken again.
+ *
+ * load(made): what loads them into a simulated control, if there is one; said: how that went
+ */
+function keptFiles(found, load, said) {
   if (!found.length) return [];
   return [card(t("export.kept"), h("ul", { class: "kept-list" }, found.map((made) => h("li", {},
     h("div", {}, h("strong", {}, wordFormat(made.format, "control", made.control)), h("p", { class: "quiet" }, left(made))),
-    linkButton(made.links.archive, "download", t("export.take"), { download: "" })))))];
+    load?.(made), linkButton(made.links.archive, "download", t("export.take"), { download: "" })))), said)];
 }
 
 const left = ({ volumetric_error_um: { after } }) => t("export.kept_leaves", {

@@ -46,34 +46,45 @@ export function mount(root, { store }) {
   let drawn = null;
   root.append(head(t("verify.title"), t("verify.text")), body);
 
-  function ask(job, jobs) {
+  function ask(job, state) {
     choices.compensation_id = "";
     const before = h("div", { class: "stack" });
-    body.replaceChildren(form(job, () => store.set({})), before);
-    findProof(job.id, jobs).then((proof) => {
+    body.replaceChildren(form(job, state, () => store.set({})), before);
+    findProof(job.id, state.jobs).then((proof) => {
       if (proof && drawn === job.id) before.replaceChildren(h("h2", {}, t("verify.before")), ...proofCards(proof));
     }, () => {});
   }
 
   return {
-    update({ job, jobs, verification }) {
+    update(state) {
+      const { job, verification } = state;
       const wanted = isVerification(job) ? verification : job?.id;
       if (!job || !wanted || wanted === drawn || !(isVerification(job) || statesTables(job))) return;
       drawn = wanted;
       if (isVerification(job)) body.replaceChildren(...proofCards({ job, verification }));
-      else ask(job, jobs);
+      else ask(job, state);
     },
     close() {},
   };
 }
 
-function form(job, changed) {
+/** Choose the files that a simulated control of this job's machine has. */
+async function chooseLoaded(job, { system }, files, changed) {
+  if (!system?.simulated || !job.machine) return;
+  const { job_id, compensation_id } = await api.simulatedTables(job.machine);
+  if (job_id !== job.id || files.value) return;
+  files.value = choices.compensation_id = compensation_id;
+  changed();
+}
+
+function form(job, state, changed) {
   const files = h("select", { id: "verify-files", onchange: () => {
     choices.compensation_id = files.value;
     changed();
   } }, h("option", { value: "" }, t("verify.as_found")));
   api.compensations(job.id).then((kept) => files.append(...kept.map((made) =>
-    h("option", { value: made.id }, t("verify.with_files", { control: wordFormat(made.format, "control", made.control), name: made.id })))), () => {});
+    h("option", { value: made.id }, t("verify.with_files", { control: wordFormat(made.format, "control", made.control), name: made.id })))))
+    .then(() => chooseLoaded(job, state, files, changed)).catch(() => {});
   return h("div", { class: "columns" },
     h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
       h("div", { class: "stack", role: "group", "aria-label": t("verify.what") }, KINDS.map((kind) => kindBox(kind, changed)))),
