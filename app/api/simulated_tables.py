@@ -10,21 +10,20 @@ from truepath.app.api.models.simulated_tables import (
     SimulatedTablesRequest,
 )
 from truepath.app.api.problems import declare_problems
-from truepath.app.api.service import ServiceDep
-from truepath.app.jobs.simulated_controls import LoadedFiles
+from truepath.app.api.service import Service, ServiceDep
 
 router = APIRouter(
     prefix="/machines/{machine_id}/simulated-tables", tags=["compensation"]
 )
 
 
-@router.get("", responses=declare_problems(404, 409))
+@router.get("", responses=declare_problems(404))
 def get_simulated_tables(
     machine_id: MachinePath, service: ServiceDep
 ) -> SimulatedTablesOut:
-    """Return the files that the simulated control has from this service."""
+    """Return the files that a simulated control has from this service."""
     service.machines.get(machine_id)
-    return _describe(machine_id, service.setup.simulated_controls.read(machine_id))
+    return _describe(machine_id, service)
 
 
 @router.put("", responses=declare_problems(404, 409, 422))
@@ -37,12 +36,12 @@ def load_simulated_tables(
     """
     machine = service.machines.get(machine_id).machine
     controls = service.setup.simulated_controls
-    controls.read(machine_id)  # a real one is refused, whatever else is wrong
+    controls.require(machine_id)  # a real one is refused, whatever else is wrong
     service.setup.refuse_while_measuring(machine_id)
     job_id = service.store.get(request.job_id).id
     folder = service.results / job_id / "compensations"
-    loaded = controls.load(machine_id, machine, folder, job_id, request.compensation_id)
-    return _describe(machine_id, loaded)
+    controls.load(machine_id, machine, folder, job_id, request.compensation_id)
+    return _describe(machine_id, service)
 
 
 @router.delete("", status_code=204, responses=declare_problems(404, 409, 422))
@@ -50,15 +49,18 @@ def clear_simulated_tables(machine_id: MachinePath, service: ServiceDep) -> Resp
     """Take the tables of a simulated control away: it is as it was found again."""
     service.machines.get(machine_id)
     controls = service.setup.simulated_controls
-    controls.read(machine_id)
+    controls.require(machine_id)
     service.setup.refuse_while_measuring(machine_id)
     controls.clear(machine_id)
     return Response(status_code=204)
 
 
-def _describe(machine_id: str, loaded: LoadedFiles) -> SimulatedTablesOut:
+def _describe(machine_id: str, service: Service) -> SimulatedTablesOut:
+    controls = service.setup.simulated_controls
+    loaded = controls.read(machine_id)
     return SimulatedTablesOut(
         machine=machine_id,
+        simulated=controls.is_simulated(machine_id),
         job_id=loaded.job_id,
         compensation_id=loaded.compensation_id,
         files=list(loaded.files),

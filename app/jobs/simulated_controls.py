@@ -52,10 +52,19 @@ class SimulatedControls:
         self._loaded: dict[str, LoadedFiles] = {}
 
     def read(self, machine_id: str) -> LoadedFiles:
-        """Return what was loaded. Raises NotSimulated."""
-        self._require(machine_id)
+        """Return what was loaded: nothing into a real control."""
         with self._lock:
             return self._loaded.get(machine_id, LoadedFiles())
+
+    def is_simulated(self, machine_id: str) -> bool:
+        """Tell whether the control of a machine is a simulated one."""
+        return machine_id in self._controls
+
+    def require(self, machine_id: str) -> SimulatedControl:
+        """Return the simulated control of a machine. Raises NotSimulated."""
+        if machine_id not in self._controls:
+            raise NotSimulated(machine_id)
+        return self._controls[machine_id]
 
     def load(
         self,
@@ -72,7 +81,7 @@ class SimulatedControls:
         Raises NotSimulated, NotFound, BadInput where they are of another machine or
         the control refuses them.
         """
-        control = self._require(machine_id)
+        control = self.require(machine_id)
         account = read_account(folder, compensation_id)
         if account["machine"] != machine.name:
             raise BadInput(
@@ -86,7 +95,7 @@ class SimulatedControls:
 
     def clear(self, machine_id: str) -> None:
         """Take the tables of a control away. Raises NotSimulated, BadInput."""
-        control = self._require(machine_id)
+        control = self.require(machine_id)
         self._give(control, machine_id, [], {}, LoadedFiles())
 
     def _give(
@@ -103,11 +112,6 @@ class SimulatedControls:
             except ValueError as error:
                 raise BadInput(f"the simulated control refuses: {error}") from error
             self._loaded[machine_id] = loaded
-
-    def _require(self, machine_id: str) -> SimulatedControl:
-        if machine_id not in self._controls:
-            raise NotSimulated(machine_id)
-        return self._controls[machine_id]
 
 
 def _choose_rules(account: Mapping[str, Any]) -> dict[str, str | float]:

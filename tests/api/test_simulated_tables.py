@@ -53,7 +53,8 @@ def test_files_of_a_result_are_given_to_the_control_and_taken_away(
     answer = client.put(TABLES, json=asked)
     assert answer.status_code == 200, answer.text
     files = [f"compensation-{axis}.tbl" for axis in "XYZ"]
-    assert answer.json() == {"machine": "default", **asked, "files": files}
+    told = {"machine": "default", "simulated": True, **asked, "files": files}
+    assert answer.json() == told
     assert control.given == files
     assert client.get(TABLES).json() == answer.json()
     assert client.delete(TABLES).status_code == 204
@@ -75,11 +76,8 @@ def test_the_control_is_set_as_the_files_were_made(client, control, job, make_fi
 
 def test_a_machine_with_real_devices_is_refused(client, job, make_files, is_problem):
     asked = {"job_id": job, "compensation_id": make_files(format="linuxcnc")}
-    for answer in (
-        client.put(TABLES, json=asked),
-        client.get(TABLES),
-        client.delete(TABLES),
-    ):
+    assert client.get(TABLES).json()["simulated"] is False
+    for answer in (client.put(TABLES, json=asked), client.delete(TABLES)):
         is_problem(answer, 409, "not-simulated")
 
 

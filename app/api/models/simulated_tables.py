@@ -28,6 +28,9 @@ class SimulatedTablesOut(BaseModel):
     """What the control has from this service; nothing of it at first."""
 
     machine: str = Field(examples=["default"])
+    simulated: bool = Field(
+        description="Whether the control is a simulated one: no other takes files."
+    )
     job_id: str | None = Field(description="Job of the result; null without files.")
     compensation_id: str | None
     files: list[str] = Field(examples=[["compensation.csv"]])
