@@ -240,7 +240,7 @@ def test_extra_lines_whose_service_was_killed_go_on_and_decide(tmp_path):
         first = context.done(kind="discover", run_id=run, model_id=model)
         extra = create(client, kind="measure-extra", discovery_id=first["id"])
         arm(client, extra)
-        wait_until_done(client, extra["id"], 3)
+        wait_until_done(client, extra["id"], 1)  # of few lines
         kill(service)
     with process(tmp_path, **settings) as (_, client):
         arm(client, acknowledge(client, extra["id"]))

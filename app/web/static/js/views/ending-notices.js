@@ -14,7 +14,7 @@ export const mayGoOn = (job) =>
 /** Notices of the end of a job, or of what holds it. */
 export function endingNotices(job) {
   const early = earlyEndNotice(job);
-  const shown = hasEnded(job) ? [...endOf(job, early), mayGoOn(job) && goesOn()]
+  const shown = hasEnded(job) ? [...endOf(job, early), mayGoOn(job) && goesOn(job)]
     : [job.state === "cancelling" && cancelling(job), job.error && errorNotice(job, "held"), repeated(job), early];
   return shown.filter(Boolean).map((said) => h("div", { class: "below" }, said));
 }
@@ -27,7 +27,8 @@ function endOf(job, early) {
 }
 
 /** What acknowledging leads to, before it is asked for. */
-const goesOn = () => notice("held", t("goon.title"), t("goon.text"), t("goon.closure"));
+const goesOn = (job) => notice("held", t("goon.title"), t("goon.text"),
+  t(job.station ? "goon.closure_station" : "goon.closure"));
 
 const cancelling = (job) => notice("held", t("cancel.under_way"),
   t(job.kind === "measure-standstill" ? "cancel.finishes_point" : "cancel.finishes_line"));
