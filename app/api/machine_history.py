@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.models.base import Identifier, MachineId, MachinePath
@@ -14,6 +15,7 @@ from truepath.app.api.models.machine_history import (
     MachineComparisonOut,
     StandingOut,
 )
+from truepath.app.api.models.machine_temperature import MachineTemperatureOut
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
 from truepath.app.errors import NotFound
@@ -22,6 +24,7 @@ from truepath.app.results.machine_documents import (
     comparison_json,
     history_json,
 )
+from truepath.app.results.machine_temperature_document import machine_temperature_json
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
@@ -34,6 +37,7 @@ Quantity = Annotated[
         "or a location.",
     ),
 ]
+SensorName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,64}$", examples=["X"])]
 Position = Annotated[
     float | SkipJsonSchema[None],
     Query(allow_inf_nan=False, description="Of the axis; one of its table entries."),
@@ -74,6 +78,35 @@ def get_machine_changes(
             raise NotFound(f"machine {machine_id} has no usable calibration")
         after = usable[-1]
     return ChangesOut(**changes_json(before, after))
+
+
+@router.get("/{machine_id}/temperature", responses=declare_problems(404, 422))
+def get_machine_temperature(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    sensor: Annotated[
+        list[SensorName],
+        Query(description="Thermometers whose mean counts; without them the scales'."),
+    ] = [],  # noqa: B006
+    reference_degC: Annotated[  # noqa: N803
+        float, Query(ge=-50.0, le=100.0, description="That tables are stated at.")
+    ] = 20.0,
+    job: Annotated[
+        list[Identifier],
+        Query(description="Only these calibrations; without them all usable ones."),
+    ] = [],  # noqa: B006
+) -> MachineTemperatureOut:
+    """Return how the errors of a machine depend on its temperature.
+
+    Refused (422) in words where its calibrations do not tell: fewer than three
+    temperatures, too close together, other targets.
+    """
+    service.setup.registry.get(machine_id)
+    chosen = [service.calibrations.find(machine_id, one) for one in job]
+    calibrations = chosen or service.calibrations.list_usable(machine_id)
+    return MachineTemperatureOut(
+        **machine_temperature_json(machine_id, calibrations, sensor, reference_degC)
+    )
 
 
 @router.get("/{machine_id}/standing", responses=declare_problems(404))

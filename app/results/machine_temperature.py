@@ -70,6 +70,7 @@ def _read_run(
 
 def read_results(
     files: Sequence[Path],
+    names: Sequence[str] = (),
     *,
     times_h: Sequence[float] | None = None,
     degc: Sequence[float] | None = None,
@@ -78,13 +79,14 @@ def read_results(
 ) -> list[ResultAtTemperature]:
     """Read results with the temperatures that they state.
 
+    names : of the results; their places where none are given
     times_h : when each was measured, hours from any begin; None where nobody knows
     degc : temperature of each, in place of what its file states
 
     Raises BundleError with the place in a file, BadInput where a temperature is
     missing, NotUsable where a result is not to be used.
     """
-    names = number_names([str(file) for file in files])
+    names = names or number_names([str(file) for file in files])
     found: list[ResultAtTemperature] = []
     for k, (file, name) in enumerate(zip(files, names, strict=True)):
         content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))

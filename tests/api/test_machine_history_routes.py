@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from shutil import copytree
+
+from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.transitions import State
+
 BASE = "/api/v1/machines"
 
 
@@ -53,3 +59,47 @@ def test_machines_are_compared_by_their_newest_calibration(client, calibrated):
     found = client.get("/api/v1/machines:compare").json()
     (one,) = found["machines"]
     assert (one["machine"], one["job_id"], one["value"]) == ("default", "job-2", 30.0)
+
+
+def state_temperature(service, job_id, celsius):
+    """Write into the result of a job what the scales' thermometers showed."""
+    file = service.results / job_id / "result.json"
+    content = json.loads(file.read_text())
+    shown = {"mean": celsius, "low": celsius, "high": celsius, "used": True}
+    axes = content["machine"]["axes"]
+    for run in content["runs"]:
+        run["environment"]["sensors"] = [{"name": name, **shown} for name in axes]
+    file.write_text(json.dumps(content))
+
+
+def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
+    client, calibrated, service, is_problem
+):
+    at = f"{BASE}/default/temperature"
+    for job_id, celsius in zip(calibrated, (18.0, 24.0), strict=True):
+        state_temperature(service, job_id, celsius)
+    refused = is_problem(client.get(at), 422, "bad-input")["detail"]
+    assert "needs three or more" in refused
+    third = Job(
+        JobKind.ANALYSE,
+        id="job-3",
+        state=State.SUCCEEDED,
+        desired_state="succeeded",
+        created="2026-01-03T08:00:00.000Z",
+        verdict="usable",
+        machine="default",
+    )
+    service.store.add_recovered(third, None)
+    copytree(service.results / "job-1", service.results / "job-3")
+    file = service.results / "job-3" / "result.json"
+    file.write_text(file.read_text().replace(f"{1:064d}", f"{3:064d}"))
+    state_temperature(service, "job-3", 21.0)
+    answer = client.get(at)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert [c["temperature_degC"] for c in told["calibrations"]] == [18.0, 24.0, 21.0]
+    assert not any(one["is_significant"] for one in told["dependences"])
+    assert told["coefficients"].keys() >= {"EXX", "C0Y"}
+    assert told["text"][0].endswith("nothing is seen to depend on temperature.")
+    missing = client.get(at, params={"sensor": "bed"})
+    assert "no temperature of bed" in is_problem(missing, 422, "bad-input")["detail"]
