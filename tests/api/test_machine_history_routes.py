@@ -103,3 +103,23 @@ def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
     assert told["text"][0].endswith("nothing is seen to depend on temperature.")
     missing = client.get(at, params={"sensor": "bed"})
     assert "no temperature of bed" in is_problem(missing, 422, "bad-input")["detail"]
+
+
+def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service):
+    """EXX of the second calibration has a bump of 60 µm in the middle of the travel."""
+    file = service.results / calibrated[1] / "result.json"
+    content = json.loads(file.read_text())
+    (exx,) = (e for e in content["model"]["effects"] if e.get("symbol") == "EXX")
+    middle = len(exx["values_um"]) // 2
+    for knot in range(middle - 3, middle + 4):
+        exx["values_um"][knot] += 60.0
+    file.write_text(json.dumps(content))
+    told = []
+    service.event_bus.subscribe(told.append)
+    service.calibrations.judge("default")
+    standing = client.get(f"{BASE}/default/standing").json()
+    assert (standing["is_alarm"], standing["has_changed"]) == (True, True)
+    assert (standing["reference_job"], standing["tolerance"]) == (calibrated[0], None)
+    assert "EXX" in standing["change_text"]
+    (event,) = [one for one in told if one.type == "machine"]
+    assert (event.body["is_alarm"], event.body["calibration"]) == (True, calibrated[1])

@@ -1,0 +1,112 @@
+"""A machine that changes between two calibrations raises an alarm.
+
+It is added while the service runs; its simulated truth is changed between both.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+sys.path.append(str(Path(__file__).parents[1] / "jobs"))
+from service_process import ROWS, arm, create, follow, process, wait_for
+
+from truepath.client import Client
+from truepath.simulators.rig import running_rig
+from truepath.simulators.scenario import load_machine
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.ui,
+    pytest.mark.timeout(400),
+    pytest.mark.xdist_group("browser"),
+]
+
+SPEED = 8.0
+BUMP = "0 0 0\n250 250.06 250.06\n500 500 500\n"  # 60 µm too far in the middle of X
+
+
+@pytest.fixture
+def rig():
+    options = {"tracker": "tcp", "seed": 3, "speed": SPEED}
+    with running_rig(options) as started:
+        yield started
+
+
+@pytest.fixture
+def client(rig, tmp_path):
+    """A client of a service without a machine in its settings; one is added."""
+    with process(tmp_path, TRUEPATH_SIMULATED="0") as (_, asking):
+        with Client(str(asking.base_url)) as service:
+            service.add_machine("mill", machine_file=load_machine("demo"))
+            chosen = {
+                "tracker_options": rig.tracker_options,
+                "motion_options": rig.motion_options,
+            }
+            service.set_machine_devices("mill", **chosen)
+            (one,) = service.list_machines()
+            assert (one["id"], one["version"]) == ("mill", 2)
+        yield asking
+
+
+def calibrate(client):
+    answer = client.post("/api/v1/machines/mill:connect")
+    assert answer.status_code == 200, answer.text
+    job = create(client, path=ROWS)
+    arm(client, job)
+    ended = follow(client, job["id"], "succeeded")
+    assert ended["machine"] == "mill"
+    return ended["id"]
+
+
+@pytest.fixture
+def alarms(client):
+    """The alarms that events tell, from now on until the first."""
+    told = []
+
+    def listen():
+        with Client(str(client.base_url)) as service:
+            for event in service.events():
+                if event.type == "machine" and event.data["is_alarm"]:
+                    told.append(event.data)
+                    return
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    return told
+
+
+def read_standing(client):
+    return client.get("/api/v1/machines/mill/standing").json()
+
+
+def test_a_machine_that_has_changed_raises_an_alarm_on_every_way(
+    client, rig, browser, alarms, tmp_path
+):
+    first = calibrate(client)
+    wait_for(lambda: read_standing(client)["calibration"] == first, "the first")
+    before = read_standing(client)
+    assert (before["is_alarm"], before["has_changed"]) == (False, None)
+    table = tmp_path / "bump-X.tbl"
+    table.write_text(BUMP)
+    rig.load_compensation([table])
+    second = calibrate(client)
+    wait_for(lambda: read_standing(client)["calibration"] == second, "the second")
+    standing = read_standing(client)
+    assert standing["is_alarm"], standing
+    assert (standing["has_changed"], standing["reference_job"]) == (True, first)
+    assert "EXX" in standing["change_text"]
+    wait_for(lambda: alarms, "the event")
+    assert [one["calibration"] for one in alarms] == [second]
+    conditions = client.get("/api/v1/machines/mill/conditions").json()["items"]
+    (unchanged,) = [one for one in conditions if one["type"] == "unchanged"]
+    assert unchanged["level"] == "false"
+    page = browser.new_context(locale="en").new_page()
+    page.goto(f"{client.base_url}#/machine")
+    card = page.locator("[data-machine=mill]")
+    expect(card.locator("[data-standing=alarm]")).to_contain_text("changed")
+    page.context.close()
