@@ -16,6 +16,7 @@ from truepath.app.measurement.messages import StreamTimeouts
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.stream_damage import StreamDamage
 from truepath.app.measurement.timing import RunningClock
+from truepath.app.measurement.tracker_trial import drop_earlier_samples
 from truepath.drivers.interfaces.errors import DeviceError, DeviceTimeout
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.drivers.interfaces.tracker import ByteLink, Tracker
@@ -74,8 +75,7 @@ class StreamReader:
 
     def start(self, rate_hz: float) -> None:
         """Start the stream. Raises as `Tracker.start`."""
-        while len(self._tracker.read(0.0)):
-            pass  # left over from an earlier stream
+        drop_earlier_samples(self._tracker)
         self._take_link_bytes()
         self._damage = StreamDamage(rate_hz, self._timeouts.damaged_share)
         self._tracker.start(rate_hz)

@@ -24,6 +24,7 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
         point = tracker.measure(trial.duration_s)
         distance_mm = float(np.linalg.norm(point.position_mm))
         return TrackerTried(point.count, point.count, 0, distance_mm)
+    drop_earlier_samples(tracker)
     lost_before = tracker.health.lost_samples
     blocks: list[TrackerSamples] = []
     tracker.start(trial.rate_hz)
@@ -45,6 +46,12 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
     return TrackerTried(
         sum(map(len, blocks)), len(found_mm), lost, mean_mm, _find_rate_hz(blocks)
     )
+
+
+def drop_earlier_samples(tracker: Tracker) -> None:
+    """Read what an earlier stream has left: it tells nothing of now."""
+    while len(tracker.read(0.0)):
+        pass
 
 
 def _find_rate_hz(blocks: Sequence[TrackerSamples]) -> float | None:

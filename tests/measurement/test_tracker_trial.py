@@ -14,10 +14,12 @@ from truepath.drivers.interfaces.tracker import PolledTracker, Tracker
 class Streaming(Tracker):
     """Sends blocks of ten samples, the first after some silence.
 
-    rate_hz : that it keeps to; lost : samples between two blocks; status : of all
+    rate_hz : that it keeps to; lost : samples between two blocks; status : of all;
+    left : blocks of an earlier stream that nobody has read
     """
 
-    def __init__(self, rate_hz=500.0, lost=0, status=0, silences=3):
+    def __init__(self, rate_hz=500.0, lost=0, status=0, silences=3, left=0):
+        self.left, self.streams = left, False
         self.rate_hz, self.lost, self.status = rate_hz, lost, status
         self.silences, self.next, self.heard = silences, 0, []
         self.lost_samples = 0
@@ -33,24 +35,35 @@ class Streaming(Tracker):
 
     def start(self, rate_hz):
         self.heard.append(f"start {rate_hz:g}")
+        self.streams = True
 
     def stop(self):
         self.heard.append("stop")
+        self.streams = False
 
     @property
     def health(self):
         return LinkHealth(lost_samples=self.lost_samples)
 
     def read(self, timeout_s):
+        if self.left:
+            self.left -= 1
+            return self.block(-1000.0)
+        if not self.streams:
+            return TrackerSamples.empty()
         if self.silences:
             self.silences -= 1
             return TrackerSamples.empty()
+        return self.block()
+
+    def block(self, later_s=0.0):
         sequence = np.arange(self.next, self.next + 10)
         self.next += 10 + self.lost
         self.lost_samples += self.lost
         place_mm = np.tile([0.0, 0.0, 2000.0], (10, 1))
         status = np.full(10, self.status, np.int64)
-        return TrackerSamples(sequence, sequence / self.rate_hz, place_mm, status)
+        time_s = later_s + sequence / self.rate_hz
+        return TrackerSamples(sequence, time_s, place_mm, status)
 
 
 class Polled(PolledTracker):
@@ -79,6 +92,11 @@ def test_the_rate_is_that_of_the_device_whatever_is_lost(rate_hz, lost):
     assert bool(tried.lost_samples) == bool(lost)
     assert tried.distance_mm == pytest.approx(2000.0)
     assert tracker.heard == ["start 500", "stop"]
+
+
+def test_what_an_earlier_stream_has_left_is_not_heard():
+    tried = try_tracker(Streaming(left=3), TRIAL)
+    assert tried.rate_hz == pytest.approx(500.0)
 
 
 def test_samples_that_are_not_valid_are_counted_and_not_used():
