@@ -141,7 +141,7 @@ def download_plan_nc_program(
     return _send_program(_read_set_up(job, service, "has no rows"), dialect)
 
 
-@router.post(":validate", responses=declare_problems(409, 422))
+@router.post(":validate", responses=declare_problems(404, 409, 422))
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     machine = service.machines.choose(check.machine).machine

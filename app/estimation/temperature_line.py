@@ -129,7 +129,7 @@ def _solve(
             weight = ScaledCholesky.of(own + np.outer(b, b) * sigma_k[k] ** 2).invert()
             powers = np.array([1.0, offset_k[k]])
             normal += np.kron(np.outer(powers, powers), weight)
-            right += np.kron(powers, weight @ theta[k])
+            right += np.outer(powers, weight @ theta[k]).ravel()
         factor = ScaledCholesky.of(normal)
         solved, inverse = factor.solve(right), factor.invert()
         b = solved[count:]
@@ -174,6 +174,6 @@ def _find_ratio(
     whitened, shape = value.T * weight, form * weight[:, :, None]
     right = np.einsum("mnf,mn->mf", shape, whitened)
     normal = np.einsum("mnf,mng->mfg", shape, shape)
-    found = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    found: Float64[np.ndarray, "m f"] = np.linalg.solve(normal, right[:, :, None])[..., 0]
     left = whitened - np.einsum("mnf,mf->mn", shape, found)
     return float(np.sum(left**2)) / (freedom * value.shape[1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 
 import pytest
 import schemathesis
@@ -29,12 +30,24 @@ CHECKS = [
     response_schema_conformance,
 ]
 DOCUMENT = json.loads(describe_interface())
+EXAMPLES = json.loads(
+    resources.files("truepath.app.api").joinpath("examples.json").read_text()
+)
 OPERATIONS = sorted(
     (path, method)
     for path, methods in DOCUMENT["paths"].items()
     for method in methods
     if not path.endswith("/events")  # endless
 )
+
+
+@pytest.fixture
+def planner(planner):
+    """Its plans have the whole document, as those of a real planner."""
+    document = EXAMPLES["get_plan"]["document"]
+    return lambda *order, on_progress: (
+        planner(*order, on_progress=on_progress) | {"document": document}
+    )
 
 
 def check_answers(service, path, method, most):
