@@ -15,6 +15,7 @@ Tables are those of the stated temperature, where tanβ is therefore 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -60,11 +61,12 @@ def _write_axis(table: AxisTable, temperature: TemperatureTables) -> Iterator[st
     number = LINEAR.index(name) + 1
     slope = find_slope_per_k(table)
     off_mm = table.position_mm - table.position_mm[table.reference]
-    left = table.mean_mm[:, table.own] - slope * off_mm
+    left_mm = table.mean_mm[:, table.own] - slope * off_mm
+    rms_um = 1e3 * math.sqrt(float(left_mm @ left_mm) / len(left_mm))
     yield f"; {name}: tanbeta(T) = {slope:.4e} (T - {temperature.at_degc:g} degC)"
     yield (
         f"; {1e6 * slope:.2f} um/m per K; a straight line leaves "
-        f"{1e3 * float(np.sqrt(np.mean(left**2))):.3f} um per K, root mean square"
+        f"{rms_um:.3f} um per K, root mean square"
     )
     yield f"$MA_TEMP_COMP_TYPE[AX{number}]=2"
     reference_mm = table.position_mm[table.reference]

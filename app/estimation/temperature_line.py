@@ -172,8 +172,8 @@ def _find_ratio(
         return 0.0
     weight = 1.0 / np.sqrt(variance.T)
     whitened, shape = value.T * weight, form * weight[:, :, None]
-    right = np.einsum("mnf,mn->mf", shape, whitened)
-    normal = np.einsum("mnf,mng->mfg", shape, shape)
-    found: Float64[np.ndarray, "m f"] = np.linalg.solve(normal, right[:, :, None])[..., 0]
+    right: Float64[np.ndarray, "m f"] = np.einsum("mnf,mn->mf", shape, whitened)
+    normal: Float64[np.ndarray, "m f f"] = np.einsum("mnf,mng->mfg", shape, shape)
+    found = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
     left = whitened - np.einsum("mnf,mf->mn", shape, found)
     return float(np.sum(left**2)) / (freedom * value.shape[1])
