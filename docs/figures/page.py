@@ -61,7 +61,6 @@ def main() -> None:
 def _calibrate(page: Page) -> None:
     """Connect, plan, start the motion, wait for the result."""
     page.locator(NEXT, has_text="Connect devices").click()
-    page.locator(NEXT, has_text="Plan the run").click()
     page.locator(NEXT, has_text="Prepare the run").click()
     page.locator(".path-view[data-drawn]").wait_for()
     start = page.locator(NEXT, has_text="Hold to start motion")

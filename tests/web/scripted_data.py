@@ -32,6 +32,7 @@ MOTION = {
     "model": "Simulated CNC",
     "serial_number": "C-0001",
     "firmware": "1.0",
+    "has_watchdog": True,
 }
 
 

@@ -33,6 +33,9 @@ addEventListener("hashchange", (event) => {
 def test_the_task_runs_from_connect_to_result(panel, service):
     page = panel.open()
     follow(page, "Connect devices")
+    page.wait_for_url("**/#/plan")
+    expect(page.locator("#answered")).to_contain_text("Simulated tracker T-0001")
+    page.locator(".step", has_text="Connect").click()
     expect(page.locator("[data-connected]")).to_have_count(2)
     expect(page.locator(".pairs").first).to_contain_text("500 Hz")
     follow(page, "Plan the run")

@@ -7,6 +7,7 @@ import json
 import re
 
 import pytest
+import scripted_data
 from playwright.sync_api import Page, expect
 from scripted_data import MACHINE, machine_entry, machine_history, verification
 
@@ -50,18 +51,21 @@ def measured(service) -> str:
 
 def measure(taps: Taps, service) -> str:
     taps.press("Connect devices")
-    taps.press("Plan the run")
     taps.press("Prepare the run")
     expect(taps.page.locator("#reason")).to_contain_text("preparing the path")
     (job,) = service.jobs
-    service.change(job, state="ready")
-    taps.hold_until("Hold to start motion", f"**/#/run/{job}")
-    service.finish(job)
+    drive(taps, service, job)
     taps.page.wait_for_url(f"**/#/result/{job}")
     return job
 
 
-def test_four_taps_lead_to_error_tables_and_nine_at_most_to_a_certificate(
+def drive(taps: Taps, service, job: str) -> None:
+    service.change(job, state="ready")
+    taps.hold_until("Hold to start motion", f"**/#/run/{job}")
+    service.finish(job)
+
+
+def test_four_taps_at_most_lead_to_error_tables_and_nine_to_a_certificate(
     panel, service
 ):
     taps = Taps(panel.open(size=PHONE, touch=True))
@@ -79,6 +83,37 @@ def test_four_taps_lead_to_error_tables_and_nine_at_most_to_a_certificate(
     assert [path for method, path, _ in service.requests if "certif" in path] == [
         f"/jobs/{job}/certificates"
     ]
+
+
+def test_nine_taps_at_most_lead_to_a_certificate_with_a_verification(panel, service):
+    taps = Taps(panel.open(size=PHONE, touch=True))
+    job = measure(taps, service)
+    taps.press("Correct the machine")
+    taps.press("Verify the machine")
+    taps.press("Prepare the points")
+    taps.page.wait_for_url("**/#/check/*")
+    proof = taps.page.url.rsplit("/", 1)[1]
+    service.verifications[proof] = verification(job)
+    drive(taps, service, proof)
+    taps.page.wait_for_url(f"**/#/verify/{proof}")
+    taps.press("To the certificate")
+    taps.press("Issue the certificate")
+    expect(taps.page.locator("iframe.preview")).to_be_visible()
+    assert taps.count <= CERTIFICATE_AT_MOST
+    assert service.requests[-1][2]["verification_job"] == proof
+    assert [kind for _, kind, _ in service.requests if kind.endswith("/arm")] == [
+        f"/jobs/{each}/arm" for each in (job, proof)
+    ]
+
+
+def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
+    panel, service, monkeypatch
+):
+    monkeypatch.setitem(scripted_data.MOTION, "has_watchdog", False)
+    page = panel.open("#/connect")
+    page.locator(NEXT, has_text="Connect devices").click()
+    expect(page.locator(NEXT)).to_have_text("Plan the run")
+    expect(page.locator("main")).to_contain_text("No watchdog: the machine moves on")
 
 
 @pytest.mark.parametrize(
@@ -255,7 +290,6 @@ def test_of_several_machines_the_chosen_one_is_connected_and_measured(panel, ser
     page.locator(NEXT, has_text="To the devices").click()
     page.locator(NEXT, has_text="Connect devices").click()
     expect(page.locator("#machine-name")).to_have_text("Five")
-    page.locator(NEXT, has_text="Plan the run").click()
     page.locator(NEXT, has_text="Prepare the run").click()
     page.wait_for_url("**/#/check/*")
     assert ("POST", "/machines/mill-4:connect", None) in service.requests

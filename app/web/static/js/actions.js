@@ -1,6 +1,6 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification } from "./flow.js";
+import { addressOf, answersWell, hasEnded, isActive, isDiscovery, isExtra, isMeasuring, isTrend, isVerification, place } from "./flow.js";
 import { withModel } from "./model-choice.js";
 import { prefer, preference } from "./preferences.js";
 import { wordProblem } from "./problems.js";
@@ -194,9 +194,12 @@ export function createActions(store, go) {
 
   return {
     loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse,
+    /** Open the ports; on to the plan, unless what has answered has to be looked at first. */
     connect: () => during("connect", async () => {
       await api.connect();
       await loadSystem();
+      const { machine, job } = store.get();
+      if (answersWell(machine) && !isActive(job) && place(location.hash).step === "connect") go("#/plan");
     }),
     prepare: begin,
     verify, issue, choose,

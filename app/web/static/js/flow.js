@@ -32,6 +32,9 @@ export const isMoving = (job) =>
 export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);
 export const isConnected = (machine) => Boolean(machine?.connected);
 
+/** Whether tracker and control answer, and nothing about them has to be read before a plan is made. */
+export const answersWell = (machine) => isConnected(machine) && Boolean(machine.tracker && machine.motion?.has_watchdog);
+
 /** Whether a job has ended with error tables. */
 export const statesTables = (job) => job?.state === "succeeded" && !isDiscovery(job) && !isTrend(job)
   && !isReanalysis(job) && !isVerification(job);

@@ -102,7 +102,7 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("plan.text")), modelNotice(store.get().machine), temperatures.element, curve.element,
+    head(t("plan.title"), t("plan.text")), answered(store.get().machine), modelNotice(store.get().machine), temperatures.element, curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
@@ -125,6 +125,14 @@ export function mount(root, { store, actions }) {
       curve.close();
     },
   };
+}
+
+/** Which devices have answered: the page may have gone on by itself. */
+function answered(machine) {
+  const named = (device) => [device.maker, device.model, device.serial_number].filter(Boolean).join(" ");
+  const { tracker, motion } = machine ?? {};
+  return tracker && motion ? h("p", { class: "quiet", id: "answered" },
+    t("plan.answered", { machine: machine.name, tracker: named(tracker), control: named(motion) })) : "";
 }
 
 function kinds(changed) {
