@@ -47,8 +47,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "verdict": verdict_json(found.result.verdict),
         "statements": list(state_findings(found)),
         "agreement": _agreement_json(found),
-        "map_scale": found.scale
-        and {"value": found.scale.value, "uncertainty": found.scale.uncertainty},
+        "map_scale": _scale_json(found),
         "conformity": {
             name: _conformity_json(one, found) for name, one in found.conformity.items()
         },
@@ -112,6 +111,14 @@ def _agreement_json(found: Verification) -> dict[str, Any]:
     }
 
 
+def _scale_json(found: Verification) -> dict[str, Any] | None:
+    if found.scale is None:
+        return None
+    value, uncertainty = found.scale.value, found.scale.uncertainty
+    cause = find_scale_cause(value, uncertainty, is_compensated=found.is_compensated)
+    return {"value": value, "uncertainty": uncertainty, "cause": cause}
+
+
 def _run_json(found: Verification) -> dict[str, Any]:
     return {
         "name": found.run.name,
@@ -172,14 +179,11 @@ def _state_agreement(found: Verification) -> str:
 
 def _state_scale(found: Verification) -> Iterator[str]:
     """Yield what the scale of the map says, where it is not what is expected."""
-    if found.scale is None:
-        return
-    value, uncertainty = found.scale.value, found.scale.uncertainty
-    cause = find_scale_cause(value, uncertainty, is_compensated=found.is_compensated)
-    if cause is not None:
+    scale = _scale_json(found)
+    if scale is not None and scale["cause"] is not None:
         yield (
-            f"The machine errs by {value:.2f} times what the result says of it as "
-            f"found: {_SCALE_CAUSES[cause]}."
+            f"The machine errs by {scale['value']:.2f} times what the result says of "
+            f"it as found: {_SCALE_CAUSES[scale['cause']]}."
         )
 
 

@@ -155,11 +155,13 @@ def test_a_compensation_of_the_wrong_sign_is_named(calibrated, remeasured):
     assert found.scale.value == pytest.approx(2.0, abs=0.03)
     assert not found.consistency.is_consistent
     assert any("wrong sign" in sentence for sentence in state_findings(found))
+    assert verification_json(found)["map_scale"]["cause"] == "wrong-sign"
 
 
 def test_a_compensation_that_is_not_active_is_named(calibrated, remeasured):
     found = verify(calibrated, remeasured(101)[0], correction=leave(-1.0, calibrated))
     assert any("is not active" in sentence for sentence in state_findings(found))
+    assert verification_json(found)["map_scale"]["cause"] == "not-active"
 
 
 def test_a_result_is_not_verified_by_its_own_measurement(calibrated, record):
@@ -171,6 +173,7 @@ def test_the_file_says_what_was_found(calibrated, remeasured):
     found = verify(calibrated, remeasured(101)[0], tolerance_um=TOLERANCE_UM)
     content = json.loads(json.dumps(verification_json(found), allow_nan=False))
     assert content["schema"] == "verification/1"
+    assert content["map_scale"]["cause"] is None
     assert content["conformity"]["deviation"]["conformity"] == "within"
     places = content["places"]
     assert len(places["measured_um"]) == len(places["row"]) == len(found.places)

@@ -511,7 +511,7 @@ def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
 
 
 def verification(result_id: str, conformity: str | None = "within") -> dict[str, Any]:
-    """A result held against points that it was not made from."""
+    """A result held against points that it was not made from, the last on a line."""
     sizes = {"mean": 1.0, "p95": 1.6, "largest": 2.1}
 
     def spread(mean: float) -> dict[str, float]:
@@ -540,7 +540,15 @@ def verification(result_id: str, conformity: str | None = "within") -> dict[str,
             "predicted": spread(1.0),
             "deviation": spread(0.4),
         },
-        "places": {"row": list(range(30))},
+        "compensated": True,
+        "map_scale": {"value": 0.01, "uncertainty": 0.02, "cause": None},
+        "places": {
+            "row": list(range(30)),
+            "position": [[16.0 * i, 13.0 * i, -10.0 * i] for i in range(30)],
+            "standstill": [i < 29 for i in range(30)],
+            "measured_um": [[1.5, -2.0, 0.0]] * 30,
+            "measured_uncertainty_um": [[0.2, 0.2, 0.2]] * 30,
+        },
     }
 
 

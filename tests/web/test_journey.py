@@ -154,6 +154,30 @@ def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
     assert issued["verification_job"] == proof
 
 
+CAUSES = {
+    ("de", "wrong-sign"): "mit dem falschen Vorzeichen ein",
+    ("de", "not-active"): "Die Kompensation ist nicht aktiv",
+    ("en", "wrong-sign"): "with the wrong sign",
+    ("en", "active"): "a compensation is active",
+}
+
+
+@pytest.mark.parametrize(("language", "cause"), CAUSES)
+def test_a_compensation_that_is_not_what_it_is_taken_for_is_said_in_both_languages(
+    panel, service, language, cause
+):
+    result = measured(service)
+    proof = service.new_job("verify")["id"]
+    content = verification(result)
+    content["map_scale"] = {"value": 1.98, "uncertainty": 0.02, "cause": cause}
+    service.verifications[proof] = content
+    service.finish(proof)
+    page = panel.open(f"#/verify/{proof}", language=language)
+    said = page.locator(".proof .scale-cause")
+    expect(said).to_contain_text(CAUSES[language, cause])
+    expect(said).to_contain_text("1,98" if language == "de" else "1.98")
+
+
 def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
     panel, service
 ):

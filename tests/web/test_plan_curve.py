@@ -54,6 +54,7 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
 
 def test_the_handle_is_dragged_and_the_plan_is_made_for_where_it_is(panel, service):
     page, card = show(panel, service)
+    card.locator(".plan-curve").evaluate("e => e.scrollIntoView({block: 'center'})")
     grip = card.locator(".handle circle").last.bounding_box()
     box = card.locator(".plan-curve").bounding_box()
     page.mouse.move(grip["x"] + 5, grip["y"] + 5)

@@ -6,7 +6,7 @@ import re
 
 import pytest
 from playwright.sync_api import Page, expect
-from scripted_data import volumetric_error
+from scripted_data import verification, volumetric_error
 from scripted_service import ScriptedService
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
@@ -44,14 +44,9 @@ def test_a_verification_of_this_result_stands_last_in_the_first_line(panel, serv
     for proves, mean in (("job-9", 7.0), ("job-3", 0.9)):
         proof = service.new_job("verify", verification={"report_html": ""})
         service.finish(proof["id"])
-        service.verifications[proof["id"]] = {
-            "compensated": True,
-            "asked": {"result_id": proves},
-            "volumetric_error_um": {
-                "measured": {"mean": mean, "mean_uncertainty": 0.1}
-            },
-            "conformity": {"measured": {"conformity": "within", "tolerance_um": 5.0}},
-        }
+        content = verification(proves)
+        content["volumetric_error_um"]["measured"]["mean"] = mean
+        service.verifications[proof["id"]] = content
     page = show(panel, service)  # the third job
     values = page.locator(".headline-value")
     expect(values).to_have_count(3)
@@ -127,6 +122,49 @@ def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
     expect(arrows).not_to_have_count(0)
     assert service.looks[-1] == ("volumetric-map", "linuxcnc-10-hold")
     expect(card.locator(".scale-marks")).to_have_text(marks.replace("\n", ""))
+
+
+def verified(panel, service, *, compensated: bool, **more) -> Page:
+    """Show a result, the second job, that the first one has verified."""
+    proof = service.new_job("verify", verification={"report_html": ""})
+    content = verification("job-2") | {"compensated": compensated}
+    service.verifications[proof["id"]] = content
+    service.finish(proof["id"])
+    return show(panel, service, **more)
+
+
+def test_arrows_as_left_stand_where_the_verification_stood_still(panel, service):
+    page = verified(panel, service, compensated=True)
+    card = page.locator("[data-card=map]")
+    card.get_by_role("button", name="As left").click()
+    expect(card.locator(".slice circle")).to_have_count(29)
+    expect(card.locator(".slice .arrow")).to_have_count(29)
+    expect(card).to_contain_text("all 29 places of the volume at once")
+    expect(card.get_by_label("Plane at")).to_be_hidden()
+    expect(card.locator(".is-slice")).to_have_attribute(
+        "aria-label", re.compile("mean 2.50 µm, largest 2.50 µm")
+    )
+    card.get_by_text("The same in numbers").click()
+    expect(card.locator("tbody tr")).to_have_count(29)
+    expect(card.locator("tbody td").nth(3)).to_have_text("1.50 ± 0.40")
+    card.get_by_role("button", name="As measured").click()
+    expect(card.locator(".slice circle")).to_have_count(25)
+    expect(card.get_by_label("Plane at")).to_be_visible()
+
+
+def test_arrows_of_a_verification_without_compensation_are_not_as_left(panel, service):
+    page = verified(panel, service, compensated=False, language="de", space=True)
+    card = page.locator("[data-card=map]")
+    again = card.get_by_role("button", name="Wie erneut gemessen")
+    expect(again).to_be_visible(timeout=SLOW_MS)
+    expect(card.get_by_role("button", name="Wie hinterlassen")).to_have_count(0)
+    picture = page.locator(".map-picture.is-volume")
+    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
+    again.click()
+    expect(card).to_contain_text("an 29 Stellen im Stillstand")
+    page.wait_for_function(
+        "() => document.querySelector('.is-volume').data[2].x.length === 29"
+    )
 
 
 def test_the_map_is_a_table_as_well(panel, service):

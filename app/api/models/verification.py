@@ -32,6 +32,11 @@ class ScaleOut(BaseModel):
 
     value: float = Field(description="1 as found, 0 compensated, 2 with a wrong sign.")
     uncertainty: float
+    cause: Literal["wrong-sign", "not-active", "active"] | None = Field(
+        None,
+        description="Why it is not what is expected, of the control's compensation; "
+        "null where it is. Verifications of earlier versions do not have it.",
+    )
 
 
 class ConformityOut(BaseModel):

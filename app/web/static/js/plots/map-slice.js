@@ -11,7 +11,7 @@ export const PLANES = { XY: [0, 1, 2], XZ: [0, 2, 1], YZ: [1, 2, 0] };
 
 /** Draw a slice in `element`; answers {update, close}.
  *
- * update({map, scale, factor, plane, level}): level counts the planes of the grid
+ * update({map, scale, factor, plane, level}): level counts the planes of the grid; scattered places are all seen
  */
 export function drawSlice(element, first) {
   let shownSlice = first;
@@ -31,7 +31,7 @@ function draw(element, { map, scale, factor, plane, level }) {
   if (!width || !height) return;
   const [a, b, across] = PLANES[plane];
   const frame = fit(map.travel[a], map.travel[b], width, height);
-  const points = map.points.filter(({ index }) => index[across] === level);
+  const points = map.isScattered ? map.points : map.points.filter(({ index }) => index[across] === level);
   element.replaceChildren(s("svg", { class: "slice", width, height, viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" },
     hatch(), outside(map, a, b, frame), border(frame),
     points.map((point) => mark(point, a, b, frame, scale, factor, map.hasDirection)), ticks(map, a, b, frame)));

@@ -37,7 +37,8 @@ function widened(travel) {
 }
 
 /** Points of every other plane, ends included, where there are too many. */
-function thinned({ points, count }) {
+function thinned({ points, count, isScattered }) {
+  if (isScattered) return points;
   const step = Math.max(1, Math.ceil((count - 1) / (MOST - 1)));
   return points.filter(({ index }) => index.every((i) => i % step === 0));
 }

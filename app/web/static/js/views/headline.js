@@ -5,19 +5,18 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { dateTime, plain, t, typed } from "../texts.js";
 import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
-import { findProof, isProof } from "./proof.js";
 
 const SHAPES = { within: "check", outside: "warning", undecided: "info" };
 const WAIT_MS = 300;
 
-/** The line; null where the result states no volumetric error. `jobs`: among which its verifications are. */
-export function headline(job, result, jobs) {
+/** The line; null where the result states no volumetric error. `proof`: promise of its newest verification, or null. */
+export function headline(job, result, proof) {
   const { before, after_expected: after } = result.volumetric_error ?? {};
   if (!before || !after) return null;
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
-      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(job, jobs)),
+      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) })),
     toleranceField((tolerance_um) => ask(tolerance_um)), decided);
   let asked = null;
@@ -49,11 +48,11 @@ export function headline(job, result, jobs) {
 }
 
 /** A place for what the newest measurement that proves this result has found; null where there can be none. */
-function verified({ id }, jobs) {
-  if (!jobs.some(isProof)) return null;
+function verified(proof) {
+  if (!proof) return null;
   const place = h("span", { class: "headline-proof" });
   // Without it the line stands all the same.
-  findProof(id, jobs).then((proof) => (proof ? place.append(...describeProof(proof.verification, proof.job)) : place.remove()));
+  proof.then((newest) => (newest ? place.append(...describeProof(newest.verification, newest.job)) : place.remove()));
   return place;
 }
 

@@ -2,7 +2,7 @@
 import * as api from "../api.js";
 import { h, mark, write } from "../dom.js";
 import { notice, segments, wordFormat } from "../parts.js";
-import { COVERAGE, roundReach } from "../plots/error-chart.js";
+import { roundReach } from "../plots/error-chart.js";
 import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
 import { drawVolume } from "../plots/map-volume.js";
@@ -10,42 +10,24 @@ import { hasWebGL, VIEWS } from "../plots/scene.js";
 import { prefer, preference } from "../preferences.js";
 import { dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { LINEAR, readMap, readPlaces } from "./map-reading.js";
 import { mapTable } from "./map-table.js";
 
-const LINEAR = ["X", "Y", "Z"];
-const VOLUME = "volume";
+const [VOLUME, PLACES] = ["volume", "places"];
 const [FACTOR_STEPS, DECADE] = [60, 15]; // of the slider
 const LONGEST = 0.12; // of the travel's diagonal, the largest arrow at first
 
-/** A map of the service for drawing; `result` says which range was measured.
+/** The card, with what kept files leave and what a verification has measured.
  *
- * points: [{index, at_mm, error_um, expanded_um, length_um, isMeasured}, …]
+ * proof: promise of the newest verification of the result, or null
+ * `addOther(job, result)` offers another calibration, `close` ends it
  */
-export function readMap(found, result) {
-  const columns = LINEAR.map((name) => found.axes.indexOf(name));
-  const pick = (row) => columns.map((c) => row[c]);
-  const places = found.position.map(pick);
-  const levels = columns.map((_, i) => [...new Set(places.map((at) => at[i]))].sort((a, b) => a - b));
-  return {
-    state: found.state, count: found.points, levels, hasDirection: found.error_um.some((error) => error.some(Boolean)),
-    travel: levels.map((own) => [own[0], own.at(-1)]),
-    measured: LINEAR.map((name) => rangeOf(result.measured_range?.[name])),
-    points: places.map((at_mm, i) => ({
-      at_mm, index: at_mm.map((v, k) => levels[k].indexOf(v)),
-      error_um: found.error_um[i], expanded_um: found.uncertainty_um[i].map((u) => COVERAGE * u),
-      length_um: found.length_um[i], isMeasured: found.is_measured[i],
-    })),
-  };
-}
-
-const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
-
-/** The card, with what kept files leave; `addOther(job, result)` offers another calibration, `close` ends it. */
-export function mapCard(job, result) {
+export function mapCard(job, result, proof) {
   const space = hasWebGL();
   const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, first: null, scale: null };
   const maps = new Map();
   const others = new Map();
+  let places = null;
   const parts = build(space);
   let volume = null;
   let slice = null;
@@ -74,7 +56,7 @@ export function mapCard(job, result) {
   });
   show(shown.state);
   // Without the list there are two states: they stand all the same.
-  api.compensations(job.id).then((kept) => kept.forEach(addFiles), () => {});
+  api.compensations(job.id).then((kept) => kept.forEach(addFiles), () => {}).then(() => proof).then(addPlaces);
 
   function add(state, text) {
     if (!states.querySelector(`[data-value="${CSS.escape(state)}"]`)) states.add(state, text);
@@ -84,6 +66,13 @@ export function mapCard(job, result) {
     add(id, t("map.with_files", { control: wordFormat(format, "control", control) }));
   }
 
+  /** Offer what a verification has measured at standstill; on lines one direction is open. */
+  function addPlaces(verified) {
+    if (!verified?.verification.places.standstill.some(Boolean)) return;
+    places = verified.verification;
+    add(PLACES, t(places.compensated ? "map.left" : "map.again"));
+  }
+
   /** Offer what another calibration has measured, such as the one after the tables were loaded. */
   function addOther(other, found) {
     others.set(other.id, found);
@@ -91,6 +80,7 @@ export function mapCard(job, result) {
   }
 
   async function load(state) {
+    if (state === PLACES) return readPlaces(places, maps.get("before") ?? await load("before"));
     const other = others.get(state);
     return other ? readMap(await api.volumetricMap(state, "before"), other) : readMap(await api.volumetricMap(job.id, state), result);
   }
@@ -186,7 +176,7 @@ export function mapCard(job, result) {
   function describe(isVolume) {
     const { map, scale, factor } = shown;
     parts.cameras.hidden = !isVolume;
-    parts.levelField.hidden = isVolume;
+    parts.levelField.hidden = isVolume || map.isScattered;
     parts.key.replaceChildren(scaleKey(scale));
     parts.factor.value = stepOf(factor);
     const times = t("map.times", { factor: number(factor) });
@@ -259,6 +249,7 @@ const factorAt = (step) => roundReach(10 ** (2 + step / DECADE));
 const stepOf = (factor) => Math.max(0, Math.min(FACTOR_STEPS, Math.round(DECADE * (Math.log10(factor) - 2))));
 
 function noteOf(map, isVolume) {
+  if (map.isScattered) return t(isVolume ? "map.note_places" : "map.note_places_plane", { count: number(map.points.length) });
   const parts = [map.hasDirection ? t(isVolume ? "map.note_volume" : "map.note_plane") : t("map.note_left")];
   if (map.points.some((p) => !p.isMeasured)) parts.push(t("map.note_open"));
   else if (!isVolume && map.measured.some(Boolean)) parts.push(t("map.note_hatched"));

@@ -15,9 +15,9 @@ export function mapTable(map) {
   return details;
 }
 
-function table({ points, levels, hasDirection }) {
+function table({ points, levels, hasDirection, isScattered }) {
   const kept = levels.map((own) => new Set([0, Math.floor((own.length - 1) / 2), own.length - 1]));
-  const rows = points.filter(({ index }) => index.every((i, k) => kept[k].has(i)));
+  const rows = isScattered ? points : points.filter(({ index }) => index.every((i, k) => kept[k].has(i)));
   const title = (text) => h("th", { class: "right", scope: "col" }, text);
   const micro = unitOf("gap");
   return h("table", {},
@@ -29,5 +29,5 @@ function table({ points, levels, hasDirection }) {
       hasDirection && error_um.map((v, i) => h("td", { class: "right" }, `${figure(v, "gap")} ± ${figure(expanded_um[i], "gap")}`)),
       h("td", { class: "right" }, figure(length_um, "gap")),
       h("td", {}, t(isMeasured ? "map.measured" : "map.unmeasured"))))),
-    h("caption", {}, t("map.table_note", { k: COVERAGE })));
+    h("caption", {}, t(isScattered ? "map.table_places" : "map.table_note", { k: COVERAGE })));
 }

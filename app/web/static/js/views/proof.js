@@ -39,7 +39,7 @@ function verdict(job, verification) {
   const decision = decisionOf(verification);
   return h("section", { class: "card proof", "data-decision": decision, role: "status" },
     icon(SHAPES[decision]),
-    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification)), h("p", {}, agreement(verification)),
+    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification)), h("p", {}, agreement(verification)), scaleCause(verification),
       h("p", { class: "quiet" }, t("verify.when", { when: dateTime(job.ended ?? job.created) }))),
     linkButton(api.links.verificationReport(job.id), "report", t("result.report"), { target: "_blank", rel: "noopener" }));
 }
@@ -55,6 +55,11 @@ function agreement({ agreement: { consistent, chance, share_within_expanded: sha
   const values = { chance: number(100 * chance, 1), share: number(100 * share), k: COVERAGE };
   if (consistent) return t("verify.consistent", values);
   return t(other < DOUBTFUL ? "verify.no_machine" : "verify.changed", values);
+}
+
+/** Where the control's compensation is not what it is taken for; null where it is. */
+function scaleCause({ map_scale: scale }) {
+  return scale?.cause ? h("p", { class: "scale-cause" }, h("strong", {}, t(`verify.scale_${scale.cause}`, { value: number(scale.value, 2) }))) : null;
 }
 
 const ROWS = ["measured", "predicted", "deviation"];

@@ -16,6 +16,7 @@ import { compareCard } from "./compare-card.js";
 import { headline } from "./headline.js";
 import { newMeasurement, onward } from "./onward.js";
 import { mapCard } from "./map-card.js";
+import { findProof, isProof } from "./proof.js";
 import { overTimeCard } from "./trend-form.js";
 import { trialsCard } from "./trials-card.js";
 import { usableMark, verdictBand } from "./verdict-band.js";
@@ -48,9 +49,10 @@ export function mount(root, { actions, go }) {
     const top = h("div", { class: "result-top" });
     root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), top,
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
-    map = mapCard(job, result);
+    const proof = jobs.some(isProof) ? findProof(job.id, jobs) : null;
+    map = mapCard(job, result, proof);
     const stream = runs.find((run) => run.id === job.run_id) ?? job.health;
-    top.append(h("div", { class: "stack" }, headline(job, result, jobs), summary(stream, result)), map.element);
+    top.append(h("div", { class: "stack" }, headline(job, result, proof), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
     body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
