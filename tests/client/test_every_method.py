@@ -49,6 +49,7 @@ CALLS = {
     "set_machine_devices": ("mill", {"tracker_driver": "streaming"}),
     "get_machine_history": ("mill", {"quantity": "EXX", "position": 300.0}),
     "get_machine_changes": ("mill", "7"),
+    "get_machine_temperature": ("mill", {"sensor": ["X", "Y"]}),
     "get_machine_standing": ("mill",),
     "compare_machines": {"machine": ["mill", "lathe"]},
     "get_verification": ("7",),

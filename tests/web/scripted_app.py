@@ -311,6 +311,25 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         service.looks.append(("volumetric-map", compensation or state))
         return volumetric_map(state, compensation)
 
+    @app.post(f"{API}/jobs/{{job_id}}/comparisons", status_code=201)
+    def compare(
+        job_id: str, reference: UploadFile, reference_um: float, reference_urad: float
+    ) -> Any:
+        sent = (reference.filename, reference_um, reference_urad)
+        service.requests.append(("POST", f"/jobs/{job_id}/comparisons", sent))
+        if not reference.file.read().startswith(b"error,"):
+            said = f"{reference.filename}, row 1: the column error is missing"
+            return problem(422, "bad-bundle", "The file cannot be read", said, "Add it")
+        return service.comparison
+
+    @app.get(f"{API}/machines/{{machine_id}}/temperature")
+    def temperature(machine_id: str) -> Any:
+        service.looks.append(("temperature", machine_id))
+        if not service.temperature:
+            said = "2 of 3 temperatures"
+            return problem(422, "bad-input", "The input cannot be used", said, "")
+        return service.temperature
+
     @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
     def archive(job_id: str, name: str) -> Response:
         headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}

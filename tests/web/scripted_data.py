@@ -552,6 +552,53 @@ def verification(result_id: str, conformity: str | None = "within") -> dict[str,
     }
 
 
+def comparison() -> dict[str, Any]:
+    """A result held against a direct measurement: of two errors one differs."""
+    compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
+    square = {"difference_urad": -4.5, "en": -1.8}
+    return {
+        "errors": {"EXX": compared},
+        "numbers": {"C0Y": square},
+        "volumetric": {
+            "result_mean_um": 5.2,
+            "reference_mean_um": 5.9,
+            "difference_mean_um": 1.1,
+        },
+        "not_compared": {"EYX": "the result does not hold it"},
+        "links": {"report_html": "/api/v1/jobs/job-1/comparisons/a1/report.html"},
+    }
+
+
+def temperature_dependence() -> dict[str, Any]:
+    """How a machine depends on temperature: X grows, its tilt is not seen to."""
+    return {
+        "verdict": "usable",
+        "reference_degC": 20.0,
+        "measured_degC": [18.1, 24.9],
+        "calibrations": [{}] * 4,
+        "dependences": [
+            {"symbol": "C0Y", "is_significant": False, "chance": 0.6},
+            {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
+        ],
+        "expansion": {
+            "X": {
+                "value_um_per_m_K": 11.4,
+                "uncertainty_um_per_m_K": 0.3,
+                "is_significant": True,
+            }
+        },
+        "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
+        "coefficients": {
+            "EXX": {
+                "position_mm": [0.0, 500.0],
+                "value_um_per_K": [0.0, 5.7],
+                "uncertainty_um_per_K": [0.0, 0.2],
+            },
+            "C0Y": {"value_urad_per_K": 0.4, "uncertainty_urad_per_K": 0.5},
+        },
+    }
+
+
 def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
     """A certificate as it was issued."""
     name = f"TP-20260314-{job_id.upper()}-{number}"

@@ -75,6 +75,8 @@ class ScriptedService:
         self.machines: list[dict[str, Any]] = [machine_entry()]
         self.histories: dict[str, dict[str, Any]] = {}
         self.standings: dict[str, dict[str, Any]] = {}
+        self.comparison: dict[str, Any] = {}
+        self.temperature: dict[str, Any] = {}
         self.compensations: dict[str, list[dict[str, Any]]] = {}
         self.loaded_tables: dict[str, Any] = {}
         self.certificates: dict[str, list[dict[str, Any]]] = {}

@@ -70,6 +70,11 @@ def get_machine_changes(machine_id: str, query: dict[str, Any]) -> Request[Json]
     return get(f"/machines/{machine_id}/changes", read_json, **query)
 
 
+def get_machine_temperature(machine_id: str, query: dict[str, Any]) -> Request[Json]:
+    """Ask how the errors of a machine depend on its temperature."""
+    return get(f"/machines/{machine_id}/temperature", read_json, **query)
+
+
 def get_machine_standing(machine_id: str) -> Request[Json]:
     """Ask how a machine stands by its newest usable calibration."""
     return get(f"/machines/{machine_id}/standing", read_json)

@@ -203,6 +203,12 @@ class Client:
         query = {"since": since, "until": until}
         return self._run(ask(machine_requests.get_machine_changes(machine_id, query)))
 
+    def get_machine_temperature(self, machine_id: str, **query: Any) -> Json:
+        """Return how its errors depend on temperature; `sensor`, `job`, …"""
+        return self._run(
+            ask(machine_requests.get_machine_temperature(machine_id, query))
+        )
+
     def get_machine_standing(self, machine_id: str) -> Json:
         """Return whether a machine is within its tolerance and as it was."""
         return self._run(ask(machine_requests.get_machine_standing(machine_id)))

@@ -108,6 +108,8 @@ export const setDevices = (id, devices) => call("PUT", `/machines/${id}/devices`
 export const tryDevices = (id) => call("POST", `/machines/${id}/devices:try`, { patience_ms: 60000 });
 /** The volumetric error over all calibrations of a machine. */
 export const machineHistory = (id) => call("GET", `/machines/${id}/history`);
+/** How the errors of a machine depend on its temperature. */
+export const machineTemperature = (id) => call("GET", `/machines/${id}/temperature`, { patience_ms: 120000 });
 export const machineStanding = (id) => call("GET", `/machines/${id}/standing`);
 
 /** What has to be so before the machine moves. */
@@ -158,6 +160,14 @@ export const volumetricMap = (id, state) =>
     ["before", "after"].includes(state) ? { state } : { state: "after", compensation: state })}`, { patience_ms: 60000 });
 export const verification = (id) => call("GET", `/jobs/${id}/verification`);
 export const compensations = async (id) => items(await call("GET", `/jobs/${id}/compensations`));
+
+/** Hold a result against a direct measurement; the uncertainties are standard ones of the reference (k = 1). */
+export function compareWithReference(id, file, { reference_um, reference_urad }) {
+  const form = new FormData();
+  form.append("reference", file, file.name);
+  const query = new URLSearchParams({ reference_um, reference_urad });
+  return call("POST", `/jobs/${id}/comparisons?${query}`, { form, patience_ms: 120000 });
+}
 
 export const formats = async () => items(await call("GET", "/compensation-formats"));
 /** Have compensation files made; answers what they leave. */

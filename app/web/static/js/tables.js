@@ -42,6 +42,9 @@ function read(symbol, entry, way, unseen, range) {
   };
 }
 
+/** What any symbol of a result stands for, in words. */
+export const nameOfAny = (symbol) => (symbol[1] === "0" || symbol[0] !== "E" ? squarenessName(symbol) : nameOf(symbol));
+
 /** What an error motion is, in words. */
 export function nameOf(symbol) {
   const [, motion, axis] = symbol;

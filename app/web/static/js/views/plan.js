@@ -16,7 +16,7 @@ const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5,
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
 const choices = {
   kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
-  by: "time", minutes: null, reach_um: null, on_notice: "note",
+  by: "time", minutes: null, reach_um: null, on_notice: "note", control_compensation: "any",
 };
 
 const isAdaptive = () => choices.kind === "measure-adaptive";
@@ -59,8 +59,9 @@ function refusal(machine, busy, planned) {
  * Files and interface carry standard uncertainties, the page shows k = 2.
  */
 function orders(machine) {
-  const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes, on_notice } = choices;
+  const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes, on_notice, control_compensation: wish } = choices;
   const job = { kind, perpendicular_only,
+    ...(wish === "any" ? {} : { control_compensation: wish }),
     ...(on_notice === "note" || !mayEndEarly() || (isAdaptive() && on_notice !== "pause") ? {} : { on_notice }),
     ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
   const limited = streams() && most !== null;
@@ -107,7 +108,7 @@ export function mount(root, { store, actions }) {
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
-        target.element, policy)),
+        target.element, compensationWish(changed), policy)),
   );
   return {
     update(state) {
@@ -193,6 +194,14 @@ function targetField(changed) {
       return direction < 0 ? finer(target) : coarser(target);
     },
   });
+}
+
+/** What the control's own error compensation has to be while it is measured; arming is refused while it is not. */
+function compensationWish(changed) {
+  const options = ["any", "off", "on"].map((one) => [one, t(`plan.compensation_${one}`)]);
+  return h("div", { class: "field", id: "control-compensation" }, h("p", { class: "label" }, t("plan.compensation")),
+    segments(t("plan.compensation"), options, choices.control_compensation, keep("control_compensation", changed), true),
+    h("p", { class: "quiet" }, t("plan.compensation_help")));
 }
 
 /** What is done where something changes while it is measured. */

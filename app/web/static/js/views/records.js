@@ -10,6 +10,7 @@ import { decimalsOf, figure, quantity } from "../units.js";
 import { describe as describeChange } from "./compare-card.js";
 import { dropZone } from "./drop.js";
 import { modelNotice } from "./model-card.js";
+import { temperatureDependenceCard } from "./temperature-card.js";
 import { overTimeCard } from "./trend-form.js";
 import { verdictMark } from "./verdict-band.js";
 
@@ -28,7 +29,7 @@ export function mount(root, { store, actions, go }) {
   const filter = filterFields(() => list(store.get()));
   let errors = new Map();
   root.append(head(t("records.title"), t("records.text")), modelNotice(store.get().machine),
-    h("div", { class: "stack records" }, card(t("records.jobs"), filter.element, jobs, compared), card(t("records.runs"), runs), over,
+    h("div", { class: "stack records" }, card(t("records.jobs"), filter.element, jobs, compared), card(t("records.runs"), runs), over, temperatureDependenceCard(store),
       card(t("connect.recorded"), dropZone(store, actions))));
   actions.loadRecords().catch(actions.refuse);
   findErrors(store.get().machines).then((found) => {

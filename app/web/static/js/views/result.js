@@ -8,6 +8,7 @@ import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { gradeCard } from "./grade-card.js";
+import { referenceCard } from "./reference-card.js";
 import { residualCard } from "./residual-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
@@ -55,14 +56,15 @@ export function mount(root, { actions, go }) {
     top.append(h("div", { class: "stack" }, headline(job, result, proof), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
-    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), referenceCard(job), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
   return {
     update({ job, result, runs, jobs }) {
-      if (!result || result === drawn) return;
-      drawn = result;
+      // Asked for twice it comes twice: what is being filled in stays.
+      if (!result || job.id === drawn) return;
+      drawn = job.id;
       draw(job, result, runs, jobs);
     },
     close,

@@ -8,6 +8,7 @@ import { drawOverTime } from "../plots/time-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
 import { number, t } from "../texts.js";
 import { quantity, shown, unitOf } from "../units.js";
+import { temperatureDependenceCard } from "./temperature-card.js";
 import { trendForm } from "./trend-form.js";
 import { verdictBand } from "./verdict-band.js";
 
@@ -30,7 +31,7 @@ export function mount(root, { store, actions }) {
   form = null;
   if (!place(location.hash).id) {
     form = trendForm(store);
-    body.append(form.element);
+    body.append(form.element, temperatureDependenceCard(store));
     actions.loadRecords().catch(actions.refuse);
     return { update: form.update, close() {} };
   }

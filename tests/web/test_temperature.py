@@ -1,0 +1,47 @@
+"""How a machine depends on its temperature, on the page."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import expect
+from scripted_data import temperature_dependence
+from test_journey import measured
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+SAID = {
+    "en": ("Work it out", "depend on temperature: EXX", "not seen", "11.4 ± 0.6"),
+    "de": ("Berechnen", "Temperatur ab: EXX", "nicht zu sehen", "11,4 ± 0,6"),
+}
+
+
+@pytest.mark.parametrize(("language", "view"), [("en", "records"), ("de", "trend")])
+def test_what_depends_on_temperature_is_said_with_its_uncertainty(
+    panel, service, language, view
+):
+    measured(service)
+    service.temperature = temperature_dependence()
+    ask, answer, unseen, growth = SAID[language]
+    page = panel.open(f"#/{view}", language=language)
+    card = page.locator("[data-card=dependence]")
+    assert service.looks == []
+    card.get_by_role("button", name=ask).click()
+    expect(card).to_contain_text(answer)
+    expect(card.locator("[data-axis=X]")).to_contain_text(f"{growth} µm/(m·K)")
+    first, last = (card.locator("[data-symbol]").nth(i) for i in range(2))
+    expect(first).to_contain_text("EXX")
+    expect(last).to_contain_text(unseen)
+    expect(card.locator(".notice")).to_have_count(0)
+    service.temperature["verdict"] = "doubtful"
+    card.get_by_role("button", name=ask).click()
+    expect(card.locator(".notice.is-held")).to_be_visible()
+    assert service.looks == [("temperature", "default")] * 2
+
+
+def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
+    witness.expect("422")
+    page = panel.open("#/records")
+    card = page.locator("[data-card=dependence]")
+    card.get_by_role("button", name="Work it out").click()
+    expect(card.locator(".notice")).to_contain_text("The calibrations do not tell")
+    expect(card.locator(".notice")).to_contain_text("2 of 3 temperatures")
