@@ -530,7 +530,7 @@ def test_what_will_move_is_shown_before_the_hold(panel, service):
     service.change(job, state="ready")
     page = panel.open(f"#/check/{job}", language="de")
     moves = page.locator(".card", has_text="Was sich bewegen wird")
-    expect(moves).to_contain_text("12,5 mm bis 487,5 mm")
+    expect(moves).to_contain_text("12,5 bis 487,5 mm")
     expect(moves).to_contain_text("6.000 mm/min")
     expect(moves).to_contain_text("2:05 min")
 
@@ -544,7 +544,7 @@ def test_who_has_no_control_takes_it_before_the_hold(panel, service, witness):
     moves = page.locator(".card", has_text="What will move")
     expect(moves).to_contain_text("berta")
     moves.get_by_role("button", name="Take control").click()
-    expect(moves).to_contain_text("12.5 mm to 487.5 mm")
+    expect(moves).to_contain_text("12.5 to 487.5 mm")
 
 
 DOOR = {

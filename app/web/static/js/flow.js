@@ -30,6 +30,10 @@ export const isComputing = (job) => COMPUTING.has(job.stage);
 export const isMoving = (job) =>
   isActive(job) && isMeasuring(job) && !BEFORE_MOTION.has(job.state) && !isComputing(job);
 export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);
+/** What people call the machine of this panel: by its record, else by its file. */
+export const machineName = ({ machines, machine_id, machine }) =>
+  machines.find(({ id }) => id === machine_id)?.name || machine?.name || "";
+
 export const isConnected = (machine) => Boolean(machine?.connected);
 
 /** Whether tracker and control answer, and nothing about them has to be read before a plan is made. */

@@ -4,6 +4,7 @@ import { colour } from "./colours.js";
 
 const SCRIPT = "/assets/plotly.min.js";
 const ZOOM = 1.3;
+const SLENDER = 2.05; // diagonals of usual size from which a long box is shown smaller
 const CAMERAS = {
   iso: { eye: { x: 1.35, y: -1.55, z: 0.95 }, up: { x: 0, y: 0, z: 1 } },
   top: { eye: { x: 0, y: 0, z: 2.2 }, up: { x: 0, y: 1, z: 0 } },
@@ -81,7 +82,8 @@ export function layout(travel, frame) {
 function proportions(travel, frame) {
   const size = travel.map(([low, high]) => high - low || 1);
   const narrow = Math.min(1, frame.clientWidth / frame.clientHeight / 1.25);
-  const scale = (ZOOM * narrow) / Math.cbrt(size[0] * size[1] * size[2]);
+  const usual = Math.cbrt(size[0] * size[1] * size[2]);
+  const scale = (ZOOM * narrow) / Math.max(usual, Math.hypot(...size) / SLENDER);
   return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
 }
 

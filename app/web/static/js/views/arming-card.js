@@ -1,11 +1,11 @@
 /* What will move once the job is armed, as the service will command it. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { waitsForArming } from "../flow.js";
+import { machineName, waitsForArming } from "../flow.js";
 import { card, notice, pairs } from "../parts.js";
 import { wordProblem } from "../problems.js";
 import { duration, number, t } from "../texts.js";
-import { quantity } from "../units.js";
+import { figure, quantity, unitOf } from "../units.js";
 
 /** A card that asks the service for each version of the job that waits; keeps `arming` of the store. */
 export function armingCard(store, actions) {
@@ -18,7 +18,7 @@ export function armingCard(store, actions) {
     let shown;
     try {
       found = await api.prepareArming(job);
-      shown = pairs(rowsOf(found));
+      shown = pairs(rowsOf(found, nameOf(found)));
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
       shown = refusal(error, job);
@@ -28,6 +28,9 @@ export function armingCard(store, actions) {
     store.set({ arming: found });
     content.replaceChildren(...[shown].flat());
   }
+
+  const nameOf = ({ machine: machine_id, machine_name: name }) =>
+    machineName({ ...store.get(), machine_id, machine: { name } });
 
   /** Who has the job under control is named; the others may take it over. */
   function refusal(error, job) {
@@ -56,7 +59,7 @@ export function armingCard(store, actions) {
   };
 }
 
-function rowsOf({ machine_name: machine, targets = [], envelope = [], max_feed_mm_min: feed, duration_s, rows, grows }) {
+function rowsOf({ targets = [], envelope = [], max_feed_mm_min: feed, duration_s, rows, grows }, machine) {
   return [
     [t("check.machine"), machine],
     ...targets.map((target) => [t("arming.target"), describeTarget(target)]),
@@ -69,9 +72,9 @@ function rowsOf({ machine_name: machine, targets = [], envelope = [], max_feed_m
 }
 
 const rangeOf = (low, high, kind) =>
-  t("arming.from_to", { low: quantity(low, kind, 1), high: quantity(high, kind, 1) });
+  t("arming.from_to", { low: figure(low, kind, 1), high: quantity(high, kind, 1) });
 
 function describeTarget({ name, on, offset_mm: offset }) {
-  const place = `X Y Z ${offset.map((v) => quantity(v, "length", 1)).join(" / ")}`;
+  const place = `X Y Z ${offset.map((v) => figure(v, "length", 1)).join(" / ")} ${unitOf("length")}`;
   return `${name ? `${name}, ` : ""}${t(on === "tool" ? "arming.on_tool" : "arming.on_workpiece")}: ${place}`;
 }

@@ -1,10 +1,10 @@
 /* Step 3: what will move, and the hold that starts it. */
 import { h } from "../dom.js";
-import { addressOf, hasEnded, isExtra, rowsNow, stepOf, waitsForArming } from "../flow.js";
+import { addressOf, hasEnded, isExtra, machineName, rowsNow, stepOf, waitsForArming } from "../flow.js";
 import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
-import { quantity } from "../units.js";
+import { figure, quantity } from "../units.js";
 import { adviceCard } from "./advice-card.js";
 import { armingCard } from "./arming-card.js";
 import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
@@ -63,7 +63,8 @@ export function mount(root, { store, actions }) {
   );
   let described = "";
   return {
-    update({ job, plan: whole, machine, conditions: held }) {
+    update(state) {
+      const { job, plan: whole, machine, conditions: held } = state;
       conditions.update(held);
       safety.update(job);
       arming.update(job);
@@ -71,10 +72,11 @@ export function mount(root, { store, actions }) {
       path.update(plan, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
       program.update(job, plan);
-      const key = [job?.id, job?.version, Boolean(plan), Boolean(machine)].join();
+      const name = machineName(state);
+      const key = [job?.id, job?.version, Boolean(plan), Boolean(machine), name].join();
       if (key === described || !job) return;
       described = key;
-      facts.replaceChildren(pairs(describe(job, plan, machine)));
+      facts.replaceChildren(pairs(describe(job, plan, name)));
       reach.replaceChildren(...(plan ? rows(plan, machine) : [h("p", { class: "empty" }, t("path.waiting"))]));
       advice.replaceChildren(...[adviceCard(plan)].filter(Boolean));
       failure.replaceChildren(...[errorNotice(job), ...stationNotices(job)].filter(Boolean));
@@ -89,7 +91,7 @@ export function mount(root, { store, actions }) {
 }
 
 function describe(job, plan, machine) {
-  const facts = [[t("check.machine"), machine?.name ?? "–"], [t("check.kind"), kindOf(job.kind)]];
+  const facts = [[t("check.machine"), machine || "–"], [t("check.kind"), kindOf(job.kind)]];
   if (!plan) return facts;
   const standing = !plan.feed_mm_min?.length;
   const length = lengthOf(plan);
@@ -136,7 +138,7 @@ function rows({ axes, position }, machine) {
     return h("div", { class: "reach-row" }, h("b", {}, name),
       h("div", { class: "reach-track" }, h("i", { style })),
       h("span", { class: "reach-note" }, t("check.within", {
-        low: quantity(low, kind, 1), high: quantity(high, kind, 1),
-        from: quantity(from, kind, 1), to: quantity(to, kind, 1) })));
+        low: figure(low, kind, 1), high: quantity(high, kind, 1),
+        from: figure(from, kind, 1), to: quantity(to, kind, 1) })));
   });
 }

@@ -2,9 +2,10 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { card } from "../parts.js";
-import { known, number, t } from "../texts.js";
+import { clock, known, number, t } from "../texts.js";
 
 const ASK_MS = 1000;
+const SHORT_S = 60; // a change in less than this says nothing
 const SHAPES = { true: "check", false: "warning", unknown: "info" };
 const TEMPERATURES = "temperature-steady";
 
@@ -88,7 +89,7 @@ const byUrgency = (a, b) => ORDER.indexOf(stateOf(a)) - ORDER.indexOf(stateOf(b)
 function row(condition) {
   const { type, level, since, temperatures } = condition;
   const state = stateOf(condition);
-  const at = new Date(since).toLocaleTimeString(document.documentElement.lang);
+  const at = clock(new Date(since));
   const words = explain(condition);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
@@ -109,6 +110,9 @@ function explain(condition) {
 }
 
 function temperature({ channel, value_degC: value, change_degC: change, over_s: over }) {
-  return t("condition.temperature", { of: channel.replace(/_degC$/, ""), value: number(value, 1),
+  const name = channel.replace(/_degC$/, "");
+  const of = known(`sensor.${name}`, name);
+  if (over < SHORT_S) return `${of} ${number(value, 1)} °C`;
+  return t("condition.temperature", { of, value: number(value, 1),
     change: number(change, 1), minutes: number(over / 60, 0) });
 }

@@ -1,6 +1,6 @@
 /* The step Connect: tracker and machine control answer, and are the ones expected. */
 import { h, icon, mark, s } from "../dom.js";
-import { addressOf, isActive, isConnected } from "../flow.js";
+import { addressOf, isActive, isConnected, machineName } from "../flow.js";
 import { card, head, pairs } from "../parts.js";
 import { number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
@@ -29,7 +29,7 @@ export function lead({ machine, busy, job }, { actions, go }) {
 export function mount(root, { store, actions }) {
   const tracker = device("tracker", t("connect.tracker"));
   const control = device("controller", t("connect.control"));
-  const thermometers = device("tracker", t("connect.thermometers"));
+  const thermometers = device("thermometer", t("connect.thermometers"));
   const machineCard = h("section", { class: "card" });
   const devices = deviceCard({ actions });
   const held = h("div");
@@ -39,8 +39,8 @@ export function mount(root, { store, actions }) {
     h("div", { class: "columns" },
       h("div", { class: "stack" }, tracker.element, control.element,
         thermometers.element,
-        card(t("connect.recorded"), dropZone(store, actions))),
-      h("div", { class: "stack" }, machineCard, held, devices.element)),
+        card(t("connect.recorded"), dropZone(store, actions)), devices.element),
+      h("div", { class: "stack" }, machineCard, held)),
   );
   let described = null;
   return {
@@ -58,7 +58,7 @@ export function mount(root, { store, actions }) {
       thermometers.element.hidden = !machine?.thermometers;
       if (machine === described) return;
       described = machine;
-      machineCard.replaceChildren(...describe(machine));
+      machineCard.replaceChildren(...describe(machine, machineName(state)));
     },
     close() {
       conditions?.close();
@@ -100,20 +100,20 @@ function watchdogFact({ has_watchdog: has }) {
 
 const fact = (name, value) => h("div", {}, h("dt", {}, name), h("dd", {}, value || "–"));
 
-function describe(machine) {
+function describe(machine, name) {
   const title = h("h2", {}, t("connect.machine"));
   if (!machine?.axes) return [title, h("p", { class: "empty" }, t("connect.no_machine"))];
-  return [title, volume(machine), pairs(facts(machine))];
+  return [title, volume(machine), pairs(facts(machine, name))];
 }
 
-function facts(machine) {
+function facts(machine, name) {
   const travel = Object.entries(machine.axes).map(([name, axis]) => [
     t("connect.travel", { axis: name }),
     axis.type === "rotary"
       ? `${number(axis.min_deg)} … ${number(axis.max_deg)} °`
       : `${figure(axis.min_mm, "travel")} … ${quantity(axis.max_mm, "travel")}`,
   ]);
-  const rows = [[t("connect.name"), machine.name], [t("connect.chain"), machine.kinematic_chain], ...travel];
+  const rows = [[t("connect.name"), name], [t("connect.chain"), machine.kinematic_chain], ...travel];
   if (machine.tool_offset_mm) {
     const offset = machine.tool_offset_mm.map((v) => figure(v, "travel", 1)).join("   ");
     rows.push([t("connect.offset"), `${offset} ${unitOf("travel")}`]);

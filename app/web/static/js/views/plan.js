@@ -92,6 +92,7 @@ export function mount(root, { store, actions }) {
     changed();
   });
   const temperatures = temperatureCard(store);
+  temperatures.element.classList.add("below");
   const curve = curveCard({
     request: (most) => ({ ...planOrder(store.get().machine), minutes: most }),
     foresee: actions.foresee,

@@ -39,7 +39,7 @@ export function progressCard(stages) {
     meter.classList.toggle("is-held", ["pausing", "paused", "aborting"].includes(job.state));
     mark(meter, "aria-valuenow", share === null ? null : Math.floor(100 * share));
     left.hidden = !isActive(job) || !Number.isFinite(now.eta_s);
-    write(remaining, duration(now.eta_s));
+    write(remaining, `${duration(now.eta_s)} min`);
     write(count, now.unit && now.total && isActive(job)
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");

@@ -1,6 +1,7 @@
 /* The step Result: error tables with their uncertainty, squareness, and what can be taken away. */
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
+import { machineName } from "../flow.js";
 import { card, earlyEndNotice, head, kindOf, linkButton, segments, tableFrame, tile } from "../parts.js";
 import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
@@ -42,13 +43,13 @@ export function mount(root, { actions, go }) {
     charts = [];
   }
 
-  function draw(job, result, runs, jobs) {
+  function draw({ job, result, runs, jobs, machines }) {
     close();
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
     const band = verdictBand(result.verdict);
     const top = h("div", { class: "result-top" });
-    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), top,
+    root.replaceChildren(heading(job, result, !band, machines), ...(band ? [band] : []), top,
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     const proof = jobs.some(isProof) ? findProof(job.id, jobs) : null;
     map = mapCard(job, result, proof);
@@ -61,19 +62,20 @@ export function mount(root, { actions, go }) {
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
   return {
-    update({ job, result, runs, jobs }) {
+    update(state) {
+      const { job, result } = state;
       // Asked for twice it comes twice: what is being filled in stays.
       if (!result || job.id === drawn) return;
       drawn = job.id;
-      draw(job, result, runs, jobs);
+      draw(state);
     },
     close,
   };
 }
 
 /** Title and downloads; a result with nothing to say of itself has a mark. */
-function heading(job, result, isUsable) {
-  const machine = result.machine?.name ?? "";
+function heading(job, result, isUsable, machines) {
+  const machine = machineName({ machines, machine_id: job.machine, machine: result.machine });
   const said = t("result.text", { machine, kind: kindOf(job.kind), when: dateTime(job.ended ?? job.created) });
   const row = head(t("result.title"), said);
   if (isUsable && result.verdict) row.querySelector("p").append(usableMark());
