@@ -5,7 +5,7 @@ calibration on the page as an operator would; what takes long is waited for by t
 client. A second service, whose machine has a fault that the model lacks, is for the
 step Discover. All panels follow the same job: English, German, and a German phone.
 
-python docs/take_pictures.py [--whole FOLDER]
+python docs/take_pictures.py [--only calibration | --only discovery] [--whole FOLDER]
 """
 
 from __future__ import annotations
@@ -107,16 +107,20 @@ def main() -> None:
     """Take all pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--whole", type=Path, help="folder for pictures of whole pages")
-    whole = parser.parse_args().whole
+    parser.add_argument("--only", choices=["calibration", "discovery"])
+    arguments = parser.parse_args()
+    whole, only = arguments.whole, arguments.only
     for folder in (FIGURES / "page", whole):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=_find_chromium())
-        with _open_desk(browser, whole) as desk:
-            _calibrate(desk)
-        with _open_desk(browser, whole, "--hide", FAULT) as desk:
-            _discover(desk)
+        if only != "discovery":
+            with _open_desk(browser, whole) as desk:
+                _calibrate(desk)
+        if only != "calibration":
+            with _open_desk(browser, whole, "--hide", FAULT) as desk:
+                _discover(desk)
         browser.close()
     _check_sizes()
 
@@ -205,6 +209,7 @@ def _verify(desk: Desk, job: str) -> None:
     """Drive points that the result was not made from, with the files in the control."""
     for panel in reversed(desk.panels[:2]):
         panel.open(f"#/verify/{job}", "#verify-tolerance")
+        panel.page.locator("[data-kind=diagonals]").click()  # they take minutes
         panel.page.locator("#verify-tolerance").fill(TOLERANCE_UM)
         panel.page.wait_for_function("document.querySelector('#verify-files').value")
         panel.take("verify")
@@ -245,6 +250,7 @@ def _take_readme(panel: Panel) -> None:
     """Take the README's picture: more of the result than a step's shows."""
     page = panel.page
     page.set_viewport_size({"width": TALL[0], "height": TALL[1]})
+    page.reload()
     page.locator(".chart canvas").first.wait_for()
     page.locator(DRAWN).first.wait_for()
     _save(page.screenshot(animations="disabled"), FIGURES / "page.png")

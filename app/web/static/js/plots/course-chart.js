@@ -50,7 +50,8 @@ function options(element, drawn) {
         values: (_, marks) => marks.map(duration) },
       { ...common, size: 48, space: 22, grid: { stroke: colour("line"), width: 1 },
         splits: (_chart, _axis, low, high) => roundMarks(low, high),
-        values: (_, marks) => marks.map((m) => number(m, decimalsOf(m))) },
+        // Where room is short a mark comes as null: a line without a number.
+        values: (_, marks) => marks.map((m) => (m === null ? "" : number(m, decimalsOf(m)))) },
     ],
     series: [{}, { stroke: colour("accent"), width: 2.25, pxAlign: 0,
       points: { show: true, size: 6, fill: colour("accent") } }],

@@ -5,6 +5,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
 import { drawPlanSpace } from "../plots/plan-space.js";
 import { hasWebGL } from "../plots/scene.js";
+import { sayUnobservable } from "../statements.js";
 import { nameOf } from "../tables.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -165,7 +166,7 @@ function more(plan, unobservable) {
   const advice = stations ? adviceCard({ place: { tracker, stations, at_stations } }) : null;
   const blind = unobservable.length
     ? h("details", { class: "curve-blind" }, h("summary", {}, t("curve.blind", { count: number(unobservable.length) })),
-      h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, text)))) : null;
+      h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, sayUnobservable(text))))) : null;
   return h("div", { class: "stack" }, advice, blind);
 }
 

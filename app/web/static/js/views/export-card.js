@@ -3,6 +3,7 @@ import * as api from "../api.js";
 import { h } from "../dom.js";
 import { card, linkButton, notice, pairs, segments, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { sayUnmeasured } from "../statements.js";
 import { known, t } from "../texts.js";
 import { quantity } from "../units.js";
 
@@ -29,7 +30,7 @@ export function exportCard(job, { verdict }, onFiles) {
 
   function take(made) {
     onFiles();
-    return account(made, order.choices);
+    return account(made, order);
   }
 
   /** Choose a format as its control usually has it, and show what else may be chosen of it. */
@@ -80,7 +81,7 @@ function noteOf({ format, note }, choices) {
 }
 
 /** What the files leave, what they lack, what to do with them, and the way to take them. */
-function account(made, choices) {
+function account(made, { choices, unmeasured }) {
   const { before, after, after_where_measured: inside } = made.volumetric_error_um;
   const rows = [
     [t("export.before"), quantity(before.mean, "gap")],
@@ -91,7 +92,7 @@ function account(made, choices) {
   return [
     pairs(rows),
     !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
-    made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, text))),
+    made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, sayUnmeasured(text, unmeasured)))),
     h("p", { class: "quiet" }, noteOf(made, choices)),
     h("div", { class: "downloads", role: "group", "aria-label": t("export.title") },
       linkButton(made.links.archive, "download", t("export.take"), { download: "" })),

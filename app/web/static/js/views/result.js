@@ -5,6 +5,7 @@ import { machineName } from "../flow.js";
 import { card, earlyEndNotice, head, kindOf, linkButton, segments, tableFrame, tile } from "../parts.js";
 import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
+import { sayUnobservable } from "../statements.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
@@ -123,7 +124,7 @@ function summary(stream, result) {
 function unseen(result) {
   const texts = result.observability?.unobservable ?? [];
   if (!texts.length) return null;
-  return card(t("result.unobservable"), h("ul", { class: "lines" }, texts.map((text) => h("li", {}, text))),
+  return card(t("result.unobservable"), h("ul", { class: "lines" }, texts.map((text) => h("li", {}, sayUnobservable(text)))),
     h("p", { class: "quiet" }, t("result.unobservable_note")));
 }
 
@@ -184,7 +185,7 @@ function chartCard(table) {
     "aria-label": t("result.enlarge", { symbol: table.symbol }), onclick: () => showTable(table) }, icon("expand"));
   if (!table.known) {
     const missing = h("div", { class: "chart-missing" }, h("p", {}, t("result.unknown")),
-      h("p", { class: "chart-why" }, table.why));
+      h("p", { class: "chart-why" }, sayUnobservable(table.why)));
     return [h("article", { class: "chart is-missing", "data-symbol": table.symbol },
       h("header", {}, title), missing), null];
   }

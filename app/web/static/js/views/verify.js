@@ -83,7 +83,7 @@ function form(job, state, changed) {
     changed();
   } }, h("option", { value: "" }, t("verify.as_found")));
   api.compensations(job.id).then((kept) => files.append(...kept.map((made) =>
-    h("option", { value: made.id }, t("verify.with_files", { control: wordFormat(made.format, "control", made.control), name: made.id })))))
+    h("option", { value: made.id }, nameFiles(made, kept)))))
     .then(() => chooseLoaded(job, state, files, changed)).catch(() => {});
   return h("div", { class: "columns" },
     h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
@@ -93,6 +93,13 @@ function form(job, state, changed) {
         h("div", { class: "field" }, h("label", { for: "verify-files" }, t("verify.state")), files,
           h("p", { class: "field-note" }, t("verify.state_note")))),
       notice(null, t("verify.moves"), t("verify.moves_text"))));
+}
+
+/** Files by their control; by their name as well where it has others too. */
+function nameFiles(made, kept) {
+  const control = wordFormat(made.format, "control", made.control);
+  const others = kept.filter(({ id, format }) => format === made.format && id !== made.id);
+  return others.length ? t("verify.with_files", { control, name: made.id }) : t("verify.with_the_files", { control });
 }
 
 function kindBox(kind, changed) {
