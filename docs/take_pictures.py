@@ -146,7 +146,7 @@ def _prepare(desk: Desk) -> None:
     desk.take("machine", "#/machine", "[data-card=who]")
     desk.first.locator(NEXT).click()
     desk.first.locator(NEXT, has_text="Connect").click()
-    desk.first.locator(NEXT, has_text="Plan").wait_for()
+    desk.first.wait_for_url("**/#/plan")
     for panel in desk.panels[1:]:
         panel.page.reload()
     desk.take("connect", "#/connect", ".conditions li")

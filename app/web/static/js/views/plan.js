@@ -1,6 +1,6 @@
 /* Step 2: how to measure, and how well. */
 import { h, mark } from "../dom.js";
-import { addressOf, isActive, isConnected } from "../flow.js";
+import { addressOf, isActive, isConnected, machineName } from "../flow.js";
 import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
@@ -104,7 +104,7 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("plan.text")), answered(store.get().machine), modelNotice(store.get().machine), temperatures.element, curve.element,
+    head(t("plan.title"), t("plan.text")), answered(store.get()), modelNotice(store.get().machine), temperatures.element, curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
@@ -130,11 +130,11 @@ export function mount(root, { store, actions }) {
 }
 
 /** Which devices have answered: the page may have gone on by itself. */
-function answered(machine) {
+function answered(state) {
   const named = (device) => [device.maker, device.model, device.serial_number].filter(Boolean).join(" ");
-  const { tracker, motion } = machine ?? {};
+  const { tracker, motion } = state.machine ?? {};
   return tracker && motion ? h("p", { class: "quiet", id: "answered" },
-    t("plan.answered", { machine: machine.name, tracker: named(tracker), control: named(motion) })) : "";
+    t("plan.answered", { machine: machineName(state), tracker: named(tracker), control: named(motion) })) : "";
 }
 
 function kinds(changed) {
