@@ -240,9 +240,10 @@ def _discover(desk: Desk) -> None:
     order = client.create_job(kind="measure-otf")
     client.arm(client.wait_for(order["id"], "ready", timeout_s=JOB_S))
     measured = client.wait_for(order["id"], timeout_s=JOB_S)
-    desk.take("doubt", f"#/result/{order['id']}", ".chart canvas", DRAWN)
     found = client.create_job(kind="discover", run_id=measured["run_id"])
     client.wait_for(found["id"], timeout_s=JOB_S)
+    for panel in desk.panels:
+        panel.page.reload()
     desk.take("discover", f"#/discover/{found['id']}", ".gap")
 
 

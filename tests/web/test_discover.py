@@ -96,7 +96,7 @@ def test_where_it_disagrees_is_drawn_as_strips_with_their_numbers(panel, service
     page = panel.open(f"#/discover/{discovered(service)}", language="de")
     strips = page.locator(".heat-strip")
     expect(strips.locator("b")).to_contain_text(
-        ["Geraden", "Bewegte Achse", "Zeit", "Temperatur von X"]
+        ["Geraden", "Bewegte Achse", "Zeit", "Temperatur X"]
     )
     lines = strips.first.locator(".strip-row").first.locator("i")
     expect(lines).to_have_count(22)
@@ -147,7 +147,7 @@ def test_versions_of_the_model_stand_with_what_they_added(panel, service):
 
 def test_where_it_disagrees_is_drawn_for_what_explains_most(panel, service):
     page = panel.open(f"#/discover/{discovered(service)}", language="de")
-    names = ["Gerade", "Richtung von Y", "Bereich von X und Y", "Temperatur von X"]
+    names = ["Gerade", "Richtung von Y", "Bereich von X und Y", "Temperatur X"]
     names += ["Bewegte Achse", "Zeit"]
     expect(page.locator(".shares dt")).to_have_text(names)
     expect(page.locator(".shares dd").nth(1)).to_have_text("36 %, nachher 1 %")

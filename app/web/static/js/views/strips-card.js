@@ -1,7 +1,7 @@
 /* Where simulation and measurement disagree: strips of cells, darker where it is more. */
 import { h } from "../dom.js";
 import { card, tableFrame } from "../parts.js";
-import { duration, number, t } from "../texts.js";
+import { duration, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
 const MOST_CELLS = 60;
@@ -24,14 +24,22 @@ export function stripsCard(lines) {
 
 function stripsOf(lines) {
   const sensors = [...new Set(lines.flatMap(({ temperature_degC: known }) => Object.keys(known ?? {})))];
+  const begins = beginsOf(lines);
   const strips = [
     { name: t("strips.lines"), cells: chunks(lines) },
     { name: t("strips.axes"), cells: byAxis(lines), isNamed: true },
-    { name: t("strips.time"), cells: bins(lines, ({ time_s }) => time_s, duration) },
-    ...sensors.map((sensor) => ({ name: t("where.temperature", { of: sensor }),
+    { name: t("strips.time"), cells: bins(lines, ({ run, time_s }) => time_s - begins.get(run), duration) },
+    ...sensors.map((sensor) => ({ name: t("where.temperature", { of: known(`sensor.${sensor}`, sensor) }),
       cells: bins(lines, ({ temperature_degC: known }) => known?.[sensor], (celsius) => `${number(celsius, 1)} °C`) })),
   ];
   return strips.filter(({ cells }) => cells.length > 1);
+}
+
+/** When the first line of each Run was driven: trackers count from when they were switched on. */
+function beginsOf(lines) {
+  const begins = new Map();
+  for (const { run, time_s } of lines) begins.set(run, Math.min(time_s, begins.get(run) ?? Infinity));
+  return begins;
 }
 
 /** Cells of as many neighbouring lines each as fit; the row of the path names a line. */

@@ -31,5 +31,5 @@ function wordOf(name) {
   const [group, of = ""] = name.split(" of ");
   const [one, other] = of.split(" and ");
   const key = `where.${group.split(" ")[0]}`;
-  return known(key, "") ? t(key, { of, one, other }) : name;
+  return known(key, "") ? t(key, { of: known(`sensor.${of}`, of), one, other }) : name;
 }
