@@ -104,7 +104,7 @@ def lines_off(lines: int = 22) -> list[dict[str, Any]]:
             "segment": row,
             "axis": "XYZ"[row % 3],
             "direction": "+-"[row % 2],
-            "time_s": 5.6 * row,
+            "time_s": 3600.0 + 5.6 * row,
             "feed_mm_min": 6000.0,
             "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
             "after_um": 1.2,

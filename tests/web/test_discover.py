@@ -98,6 +98,7 @@ def test_where_it_disagrees_is_drawn_as_strips_with_their_numbers(panel, service
     expect(strips.locator("b")).to_contain_text(
         ["Geraden", "Bewegte Achse", "Zeit", "Temperatur X"]
     )
+    expect(strips.nth(2).locator(".strip-ends")).to_contain_text("0:00")
     lines = strips.first.locator(".strip-row").first.locator("i")
     expect(lines).to_have_count(22)
     heat = [
