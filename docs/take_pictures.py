@@ -39,7 +39,8 @@ COLOURS = 128
 LARGEST_BYTES, LARGEST_SUM_BYTES = 400_000, 3_000_000
 PATIENCE_MS = 120_000
 JOB_S = 600.0
-TOLERANCE_UM = "15"
+TOLERANCE_UM = "5"
+TITLES = {"en": "Calibration certificate", "de": "Kalibrierschein"}
 NEXT = "#next button:not(:disabled)"
 # Below the bar, which stays where it is.
 SCROLL = "e => scrollTo(0, e ? e.getBoundingClientRect().top + scrollY - 104 : 0)"
@@ -229,7 +230,7 @@ def _certify(desk: Desk, job: str) -> None:
         panel.page.locator("#state-operator").fill("A. Weiß")
         panel.page.locator(NEXT).click()
         frame = panel.page.frame_locator("iframe.preview")
-        frame.locator("h1").wait_for()
+        frame.locator("h1", has_text=TITLES[panel.name]).wait_for()
         panel.take("certificate")
 
 
