@@ -210,6 +210,7 @@ def _make_context(
         workers=workers,
         machines=machines,
         calibrations=calibrations,
+        registry=registry,
         live=LiveEstimation,
     )
     return context, setup

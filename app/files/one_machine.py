@@ -43,6 +43,16 @@ def have_same_targets(one: Machine, other: Machine) -> bool:
     )
 
 
+def list_differences(before: Machine, now: Machine) -> list[str]:
+    """Return each field of the machine file that has changed, in words."""
+    was, found = (dict(_flatten(machine_to_json(one))) for one in (before, now))
+    return [
+        f"{field} is {_show(found.get(field))} and was {_show(was.get(field))}"
+        for field in {**was, **found}
+        if was.get(field) != found.get(field)
+    ]
+
+
 def _require_same(first: Machine, other: Machine, first_run: str, run: str) -> None:
     expected, found = (dict(_flatten(_state_identity(m))) for m in (first, other))
     for field in {**expected, **found}:

@@ -13,6 +13,7 @@ from truepath.app.jobs.executor import ProcessExecutor, Task
 from truepath.app.jobs.live_estimation import LiveEstimation, Show
 from truepath.app.jobs.live_process import LiveEstimateOrder
 from truepath.app.jobs.machine_cells import MachineCell, Machines
+from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.plan_orders import plan_measurement
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import (
@@ -43,6 +44,7 @@ class JobContext:
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
     calibrations : of all machines; None where nobody asks how they stand
+    registry : the configurations that machines had; None where none are kept
     confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
@@ -57,6 +59,7 @@ class JobContext:
     driven: MachineCell | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     calibrations: Calibrations | None = None
+    registry: MachineRegistry | None = None
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded

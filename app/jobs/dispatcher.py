@@ -36,6 +36,7 @@ from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
 from truepath.app.jobs.resumption import (
     list_part_ids,
+    require_machine_file,
     require_resumable,
     require_targets_apart,
 )
@@ -254,7 +255,7 @@ class Dispatcher:
         """Prepare a measurement that was cut short to go on.
 
         It then waits to be armed, by whoever has acknowledged it; nothing moves.
-        Raises IllegalTransition, NotResumable, CellBusy, NotFound.
+        Raises IllegalTransition, NotResumable (MachineFileChanged), CellBusy, NotFound.
         """
         job = self._context.store.get(job_id)
         if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
@@ -262,10 +263,13 @@ class Dispatcher:
         plan = self._context.store.read_plan(job_id)
         require_resumable(job, plan)
         driven = self._context.machines.choose(job.machine)  # it may have gone
+        require_machine_file(job, driven, self._context.registry)
         require_targets_apart(plan, driven.machine)
         if self._closing:
             raise CellDown("the service is ending")
-        job = self._context.store.change(job_id, leave_end, version=job.version)
+        job = self._context.store.change(
+            job_id, lambda ended: leave_end(ended, driven.version), version=job.version
+        )
         self._begin(job)
         active = self._active.get(job_id)
         if active is not None and by is not None:

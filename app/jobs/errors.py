@@ -91,6 +91,10 @@ class NotResumable(JobError):
     """A measurement that ended before its time and cannot go on; the text says why."""
 
 
+class MachineFileChanged(NotResumable):
+    """A measurement cannot go on: its machine is described otherwise by now."""
+
+
 class NotInControl(JobError):
     """Somebody else has the job under control; `controller` is who."""
 

@@ -83,6 +83,14 @@ class MachineRegistry:
         with self._database.read() as connection:
             return _read_record(connection, machine_id)
 
+    def find_version(self, machine_id: str, number: int) -> MachineVersion | None:
+        """Return one configuration of a machine; None where it is not known."""
+        try:
+            versions = self.get(machine_id).versions
+        except NotFound:
+            return None
+        return next((one for one in versions if one.number == number), None)
+
     def find_by_name(self, name: str) -> MachineRecord | None:
         """Return the machine whose machine file has this name; None without one."""
         for record in self.list_all():

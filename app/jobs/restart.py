@@ -11,8 +11,11 @@ from truepath.app.jobs.transitions import State, Verb, apply_verb
 MAX_ATTEMPTS = 2
 
 
-def leave_end(job: Job) -> Job:
-    """Return a measurement that was cut short, in preparation again."""
+def leave_end(job: Job, machine_version: int) -> Job:
+    """Return a measurement that was cut short, in preparation again.
+
+    machine_version : of the configuration that it goes on with
+    """
     return replace(
         job,
         state=apply_verb(Verb.ACKNOWLEDGE, job.state),
@@ -20,6 +23,7 @@ def leave_end(job: Job) -> Job:
         stage=Stage.WAITING,
         failure=None,
         ended=None,
+        machine_version=machine_version if job.machine else job.machine_version,
     )
 
 

@@ -17,12 +17,16 @@ import numpy as np
 import structlog
 
 from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.one_machine import list_differences
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.errors import MachineFault, NotResumable
+from truepath.app.jobs.errors import MachineFault, MachineFileChanged, NotResumable
 from truepath.app.jobs.job import Job, JobKind, Json, Stage, make_id
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.machine_cells import MachineCell
+from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.transitions import LEFT_BY_ACKNOWLEDGE, State
 from truepath.app.kinematics.machine import Machine
 from truepath.app.measurement.messages import MeasurementOrder
@@ -69,6 +73,28 @@ def require_resumable(job: Job, plan: Json | None) -> None:
         return
     if reason := _find_reason(job, plan or {}):
         raise NotResumable(f"job {job.id} ({job.kind}) cannot go on: {reason}")
+
+
+def require_machine_file(
+    job: Job, driven: MachineCell, registry: MachineRegistry | None
+) -> None:
+    """Raise MachineFileChanged where its machine was measured as another file has it.
+
+    What has no known version is compared by the worker that reads its Runs.
+    """
+    if registry is None or job.machine is None or job.machine_version is None:
+        return
+    before = registry.find_version(job.machine, job.machine_version)
+    if before is None:
+        return
+    measured = machine_from_json(before.machine_file)
+    if changed := list_differences(measured, driven.machine):
+        raise MachineFileChanged(
+            f"job {job.id} cannot go on: machine {driven.id} is described otherwise "
+            f"in version {driven.version} than in version {before.number}, by which "
+            f"it was measured: {'; '.join(changed)}; put the machine file of version "
+            f"{before.number} back and acknowledge again, or begin a new job"
+        )
 
 
 def require_targets_apart(plan: Json | None, machine: Machine) -> None:
@@ -274,6 +300,8 @@ class ResumedSteps:
             rate_hz=machine.tracker.rate_hz,
             live=True,
             job_id=self.job.id,
+            machine_id=self.job.machine or "",
+            machine_version=self.job.machine_version or 0,
         )
         self.active.enter(State.RUNNING, Stage.MEASURING)
         try:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import structlog
 
-from truepath.app.errors import AlignmentError, TruepathError
+from truepath.app.errors import AlignmentError, BundleError, TruepathError
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import State
 from truepath.app.files.whole_files import sync_to_disk, write_files
@@ -238,16 +238,21 @@ def find_committed_rows(
 ) -> list[dict[str, Any] | None]:
     """Return how far each Run has got, as `Committed`; None where it tells nothing.
 
-    machine : as it is now. Raises BundleError where a Run is of another.
+    machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
     # Imported where it computes: the service itself carries no science.
     from truepath.app.alignment.closure import find_committed
-    from truepath.app.files.one_machine import one_machine
+    from truepath.app.files.one_machine import list_differences
 
     found: list[dict[str, Any] | None] = []
     for file in files:
         run = open_recorded(Path(file))
-        one_machine([run.machine, machine], [run.name, "the machine file now"])
+        if changed := list_differences(run.machine, machine):
+            raise BundleError(
+                f"is of another machine file than there is now: {'; '.join(changed)}",
+                file=run.name,
+                remedy="put back the machine file that it was measured with",
+            )
         try:
             at = find_committed(run)
         except AlignmentError as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,10 @@ from truepath.app.results.model_history import RESULT, find_model_file
 from truepath.drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
+_TRY_AGAIN = (
+    "Clear the cause, then acknowledge the job again; nothing has moved, and what was "
+    "recorded is kept."
+)
 
 log = structlog.get_logger(__name__)
 
@@ -64,6 +68,8 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
                 _put_back(active)
                 return
             state, failure = classify_error(cause)
+        if failure is not None and _can_be_tried_again(job, active, state):
+            state, failure = State.FAULTED, replace(failure, action=_TRY_AGAIN)
         _store_end(active, state, failure)
 
 
@@ -88,6 +94,13 @@ def classify_error(error: Exception) -> tuple[State, Failure | None]:
     if not isinstance(error, TruepathError | DeviceError):
         log.error("job failed unexpectedly", exc_info=error)
     return State.FAILED, Failure(family, text)
+
+
+def _can_be_tried_again(job: Job, active: ActiveJob, state: State) -> bool:
+    """Whether a measurement failed before what is left of it could be armed."""
+    goes_on = job.kind.measures and job.started is not None
+    unarmed = active.state in (State.PREPARING, State.READY)
+    return state is State.FAILED and goes_on and unarmed
 
 
 def _choose_machine(job: Job, context: JobContext) -> JobContext:

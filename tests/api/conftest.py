@@ -156,6 +156,7 @@ def service(
         estimates.append(ScriptedLive(order, show))
         return estimates[-1]
 
+    registry = MachineRegistry(database)
     context = JobContext(
         store=Store(database, event_bus.publish),
         runs=RunCatalogue(database, tmp_path / "runs", run_reader),
@@ -168,12 +169,12 @@ def service(
         discoverer=explorer,
         follower=follower,
         verifier=verifier,
+        registry=registry,
     )
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
-    registry = MachineRegistry(database)
     calibrations = Calibrations(
         registry, context.store, context.runs, results, event_bus.publish
     )

@@ -9,10 +9,12 @@ class Resumer:
     """Says how far each Run has got."""
 
     def __init__(self):
-        self.calls, self.next_row = [], 4
+        self.calls, self.next_row, self.error = [], 4, None
 
     def __call__(self, files, machine, *, on_progress):
         self.calls.append(files)
+        if self.error is not None:
+            raise self.error
         if self.next_row is None:
             return [None for _ in files]
         reached = {"next_row": self.next_row, "row": [2, 3], "place_mm": PLACES}

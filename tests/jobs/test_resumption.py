@@ -10,11 +10,17 @@ from arming import arm_at_once
 from resumption_doubles import PLACES, Closer, Resumer
 
 from truepath.app.errors import IllegalTransition
-from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.machine_file import machine_from_json, machine_to_json
 from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import CellBusy, NotResumable
+from truepath.app.jobs.errors import (
+    CellBusy,
+    MachineFileChanged,
+    NotResumable,
+    TaskFailed,
+)
 from truepath.app.jobs.job import Job, JobKind, Stage
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.resumption import (
     choose_first_row,
@@ -44,10 +50,28 @@ def closer():
 
 
 @pytest.fixture
-def going_on(context, event_bus, resumer, closer):
+def registry(catalogue):
+    return MachineRegistry(catalogue)
+
+
+@pytest.fixture
+def describe(context, registry):
+    """Gives the machine another file, as a new version."""
+
+    def describe(machine):
+        content = machine_to_json(machine)
+        version = registry.note("default", "catalogue", content, {})
+        one = context.machines.get("default")
+        context.machines.put(replace(one, machine=machine, version=version))
+
+    return describe
+
+
+@pytest.fixture
+def going_on(context, event_bus, resumer, closer, registry):
     """A dispatcher that can go on with what was cut short."""
     context.require_cell().start()
-    full = replace(context, resumer=resumer, closer=closer)
+    full = replace(context, resumer=resumer, closer=closer, registry=registry)
     dispatcher = Dispatcher(full, event_bus)
     yield dispatcher
     dispatcher.close()
@@ -173,6 +197,38 @@ def test_few_rows_that_are_left_are_driven_with_some_before_them(
     going_on.acknowledge(job.id)
     until(job, "ready")
     assert context.store.read_plan(job.id)["resumption"]["first_row"] == 5
+
+
+def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
+    going_on, faulted, until, make_cell, context, describe, machine
+):
+    describe(machine)
+    job, cell = faulted(), make_cell.cell
+    (target,) = machine.targets
+    describe(replace(machine, targets=(replace(target, offset_mm=(1.0, 2.0, -9.0)),)))
+    with pytest.raises(MachineFileChanged, match=r"offset_mm is \[1.0, 2.0, -9.0\]"):
+        going_on.acknowledge(job.id)
+    assert context.store.get(job.id) == job
+    describe(machine)
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    assert cell.order.machine_version == 3
+    cell.end()
+    assert until(job, "succeeded").machine_version == 3
+
+
+def test_what_fails_before_it_is_armed_leaves_a_measurement_that_can_go_on(
+    going_on, faulted, until, resumer
+):
+    job = faulted()
+    resumer.error = TaskFailed("BundleError", "is of another machine file")
+    going_on.acknowledge(job.id)
+    failure = until(job, "faulted").failure
+    assert (failure.family, failure.detail) == ("BundleError", str(resumer.error))
+    assert "acknowledge" in failure.action
+    resumer.error = None
+    going_on.acknowledge(job.id)
+    until(job, "ready")
 
 
 def test_it_does_not_go_on_while_another_job_holds_the_machine(
