@@ -115,7 +115,7 @@ def test_a_result_is_held_against_an_earlier_calibration(panel, service):
     address = f"**/jobs/{earlier}/result"
     page.route(address, lambda route: route.fulfill(json=before))
     card = page.locator("[data-card=compare]")
-    card.get_by_label("Calibration").select_option(index=1)
+    card.get_by_label("Calibration", exact=True).select_option(index=1)
     expect(card).to_contain_text("1 of 20 errors have changed by more")
     first = card.locator("tbody tr").first
     expect(first).to_contain_text("EYX")
@@ -127,8 +127,8 @@ def test_a_result_is_held_against_an_earlier_calibration(panel, service):
     page.locator("[data-card=map]").get_by_role("button", name="Calibration of").click()
     expect(page.locator("[data-card=map] .slice .arrow").first).to_be_visible()
     before["machine"] = {**before["machine"], "tool_offset_mm": [0.0, 0.0, -90.0]}
-    card.get_by_label("Calibration").select_option(index=0)
-    card.get_by_label("Calibration").select_option(index=1)
+    card.get_by_label("Calibration", exact=True).select_option(index=0)
+    card.get_by_label("Calibration", exact=True).select_option(index=1)
     expect(card.locator(".notice")).to_contain_text("different tool offsets")
 
 
