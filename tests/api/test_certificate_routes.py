@@ -115,6 +115,15 @@ def test_what_cannot_be_issued_is_refused(
     is_problem(client.post(place, json=asked), status, code)
 
 
+def test_the_result_itself_does_not_state_the_machine_as_left(
+    client, place, is_problem
+):
+    answer = client.post(place, json={"as_left_job": place.split("/")[-2]})
+    problem = is_problem(answer, 422, "bundle")
+    assert "measure again with the compensation active" in json.dumps(problem)
+    assert client.get(place).json()["items"] == []
+
+
 def test_a_job_without_a_result_has_no_certificate(
     client, service, finished, is_problem
 ):

@@ -4,6 +4,7 @@ import io
 import json
 import re
 from dataclasses import dataclass, field
+from datetime import date
 from html.parser import HTMLParser
 from itertools import zip_longest
 
@@ -11,7 +12,12 @@ import pypdf
 import pytest
 
 from truepath.app.cli.command import run
+from truepath.app.errors import BundleError
 from truepath.app.reporting.certificate import pdf
+from truepath.app.reporting.certificate.issue import (
+    gather_certificate,
+    read_result_source,
+)
 
 ISSUED = ("--issued", "2026-11-24")
 
@@ -87,6 +93,18 @@ def judged(result, tmp_path):
         return file
 
     return judge
+
+
+def measure_again(result, tmp_path, **source):
+    """Return the file of a result as of another measurement with that source."""
+    again = json.loads(json.dumps(result))
+    again["provenance"]["input_sha256"] = "a" * 64
+    for one in again["runs"]:
+        one["input_sha256"] = "b" * 64
+        one["source"].update(source)
+    file = tmp_path / "left.json"
+    file.write_text(json.dumps(again))
+    return file
 
 
 def half_a_digit(text):
@@ -248,7 +266,7 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
     check |= {"conformity": {"measured": measured}, "statements": ["It fails."]}
     verification = tmp_path / "v.json"
     verification.write_text(json.dumps(check))
-    left = ("--as-left", str(analysed / "result.json"))
+    left = ("--as-left", str(measure_again(result, tmp_path)))
     beside = ("--compensation", str(account), "--verification", str(verification))
     _, file = issue("c.html", *beside, *left)
     page = read_page(file)
@@ -266,7 +284,37 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
         [after["mean"], 2.0 * after["mean_uncertainty"]], abs=half_a_digit(shown)
     )
     assert [row[0] for row in page.tables["brief"][0][1:]][-1] == "As left, measured"
+    assert "the control has not said it" in page.text
     assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
+
+
+def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
+    issue, analysed, result, tmp_path, capsys
+):
+    found = tmp_path / "found.json"
+    for one in result["runs"]:
+        one["source"]["started"] = "2026-03-02T08:00:00+00:00"
+    found.write_text(json.dumps(result))
+
+    def refuse(left):
+        source, issued = read_result_source(found), date(2026, 3, 3)
+        with pytest.raises(BundleError) as refused:
+            gather_certificate(source, issued=issued, left=left, identity={})
+        return str(refused.value)
+
+    assert "a measurement of the result as found" in refuse(found)
+    earlier = {"started": "2026-03-01T08:00:00+00:00"}
+    assert "not after the result as found" in refuse(
+        measure_again(result, tmp_path, **earlier)
+    )
+    later = {"started": "2026-03-02T12:00:00+00:00"}
+    off = measure_again(result, tmp_path, **later, control_compensation="off")
+    assert "its compensation is off" in refuse(off)
+    assert issue("c.html", "--as-left", str(analysed / "result.json"))[0] == 2
+    assert "a measurement of the result as found" in capsys.readouterr().err
+    on = measure_again(result, tmp_path, **later, control_compensation="on")
+    _, file = issue("c.html", "--as-left", str(on))
+    assert "The control stated that its compensation was on" in read_page(file).text
 
 
 def test_a_file_of_another_kind_is_refused_by_its_name(issue, analysed, capsys):

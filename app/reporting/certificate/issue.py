@@ -19,6 +19,7 @@ from truepath.app.files.result_file import (
     result_from_json,
 )
 from truepath.app.files.whole_files import read_whole
+from truepath.app.reporting.certificate.as_left import refuse_as_left
 from truepath.app.reporting.certificate.language import LanguageCode
 
 VERIFICATION, COMPENSATION = "verification/1", "compensation/1"
@@ -91,6 +92,7 @@ def gather_certificate(
     as_left = None if left is None else read_result_source(left)
     if as_left is not None:
         require_same_machine(found, as_left)
+        refuse_as_left(found.content, as_left.content, file=as_left.name)
     return Certificate(
         found,
         issued,

@@ -10,6 +10,7 @@ import numpy as np
 
 from truepath.app.kinematics.machine import Axis, position_unit
 from truepath.app.kinematics.symbols import list_error_motions
+from truepath.app.reporting.certificate.as_left import is_compensation_confirmed
 from truepath.app.reporting.certificate.issue import Certificate, Content
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.certificate.map_figures import (
@@ -61,7 +62,16 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
             for name, spread in states
         ],
         "is_measured": certificate.left is not None,
+        "left_note": _say_compensated(certificate, language),
     }
+
+
+def _say_compensated(certificate: Certificate, language: Language) -> str:
+    """Return who says that the compensation was active as the machine was left."""
+    if certificate.left is None:
+        return ""
+    confirmed = is_compensation_confirmed(certificate.left.content)
+    return language.say("left_confirmed" if confirmed else "left_stated")
 
 
 def describe_volume(certificate: Certificate, language: Language) -> View:
