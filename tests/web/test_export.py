@@ -110,6 +110,8 @@ def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
 def test_formats_are_told_in_german(panel, service):
     _, card = show(panel, service, language="de")
     expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card).to_contain_text("X nicht gemessen von 450 bis 500 mm: Letzten Wert")
 
 
 @pytest.mark.parametrize("language", ["en", "de"])

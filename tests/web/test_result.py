@@ -51,6 +51,19 @@ def test_the_grade_of_the_set_up_comes_with_what_would_better_it(panel, service)
     expect(card).to_contain_text("add a line along Y at the low end of X")
 
 
+def test_what_the_data_cannot_tell_is_said_in_german(panel, service):
+    service.result["observability"]["unobservable"] = [
+        "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a "
+        "second target at least 140 mm to the side, in X or Y, separates them"
+    ]
+    page = panel.open(f"#/result/{done(service)}", language="de")
+    card = page.locator(".card", has_text="Was diese Daten nicht verraten")
+    expect(card.locator("li")).to_have_text(
+        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und EYZ zu "
+        "unterscheiden. Ein Ziel mindestens 140 mm seitlich trennt sie."
+    )
+
+
 def test_what_was_not_measured_is_hatched_and_said(panel, service):
     service.result["measured_range"] = {"X": {"from_mm": 100.0, "to_mm": 500.0}}
     table = service.result["error_tables"]["EXX"]
