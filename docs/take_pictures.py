@@ -68,7 +68,7 @@ class Panel:
     def open(self, address: str, *awaited: str) -> None:
         """Go to an address of the page and wait until what it shows is there."""
         self.page.evaluate("address => { location.hash = address; }", address)
-        self.page.wait_for_function("address => location.hash === address", arg=address)
+        self.page.wait_for_url(f"**/{address}")
         for selector in awaited:
             self.page.locator(selector).first.wait_for()
 
@@ -212,7 +212,8 @@ def _verify(desk: Desk, job: str) -> None:
         panel.open(f"#/verify/{job}", "#verify-tolerance")
         panel.page.locator("[data-kind=diagonals]").click()  # they take minutes
         panel.page.locator("#verify-tolerance").fill(TOLERANCE_UM)
-        panel.page.wait_for_function("document.querySelector('#verify-files').value")
+        chosen = panel.page.locator("#verify-files option:checked:not([value=''])")
+        chosen.wait_for(state="attached")
         panel.take("verify")
     desk.first.locator(NEXT).click()
     desk.first.wait_for_url("**/#/check/*")
