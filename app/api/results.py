@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
 
-from truepath.app.api.models.base import Identifier, JobId, RunId, TargetUm
+from truepath.app.api.models.base import CompensationName, JobId, RunId, TargetUm
 from truepath.app.api.models.discovery import DiscoveryOut
 from truepath.app.api.models.estimate import EstimateOut
 from truepath.app.api.models.reanalysis import ReanalysisOut
@@ -165,7 +165,7 @@ def get_volumetric_map(
         Literal["before", "after"], Query(description="Of the compensation.")
     ] = "before",
     compensation: Annotated[
-        Identifier | None,
+        CompensationName | None,
         Query(description="Kept files of the state after; full correction without."),
     ] = None,
 ) -> VolumetricMapOut:

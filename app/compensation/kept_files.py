@@ -36,7 +36,8 @@ class CompensationOrder:
     def name(self) -> str:
         """Names them among those of a result: the same order makes the same files."""
         chosen = "".join(f"-{self.choices[key]}" for key in sorted(self.choices))
-        return f"{self.format}-{self.spacing_mm:g}-{self.unmeasured.value}{chosen}"
+        spacing = repr(float(self.spacing_mm)).removesuffix(".0")
+        return f"{self.format}-{spacing}-{self.unmeasured.value}{chosen}"
 
 
 def keep_files(

@@ -69,6 +69,14 @@ def test_files_are_kept_with_the_result_and_made_once(client, service, place):
     assert [item["id"] for item in items] == ["fanuc-10-hold", "siemens-10-hold"]
 
 
+def test_spacings_that_differ_have_files_of_their_own(client, place):
+    ids = {
+        client.post(place, json={"format": "fanuc", "spacing_mm": spacing}).json()["id"]
+        for spacing in (12.345678, 12.345681)
+    }
+    assert len(ids) == 2
+
+
 def test_a_result_that_is_not_to_be_used_makes_files_only_if_accepted(
     client, service, place, is_problem
 ):

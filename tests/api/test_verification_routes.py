@@ -70,10 +70,24 @@ def test_the_same_seed_drives_the_same_points(client, ask):
         ({"result_id": None}, 422, "validation"),
         ({"result_id": "0190a4a1-0000-7000-8000-000000000000"}, 404, "not-found"),
         ({"compensation_id": "siemens-10-hold"}, 404, "not-found"),
+        ({"compensation_id": ".."}, 422, "validation"),
     ],
 )
 def test_what_cannot_be_verified_is_refused(ask, is_problem, change, status, kind):
     is_problem(ask(**change), status, kind)
+
+
+def test_files_of_any_spacing_can_be_verified_and_mapped(client, ask, result):
+    made = client.post(
+        f"{JOBS}/{result}/compensations", json={"format": "fanuc", "spacing_mm": 12.5}
+    ).json()
+    assert "." in made["id"]
+    answer = ask(compensation_id=made["id"], what=["diagonals"])
+    assert answer.status_code == 202, answer.text
+    client.post(f"{answer.headers['Location']}/abort")
+    query = {"state": "after", "compensation": made["id"], "grid": 2}
+    seen = client.get(f"{JOBS}/{result}/result/volumetric-map", params=query)
+    assert seen.status_code == 200, seen.text
 
 
 def test_a_verification_links_to_its_answer_and_report(

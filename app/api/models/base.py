@@ -36,7 +36,9 @@ Dwell = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 Identifier = Annotated[
     str, StringConstraints(pattern=r"^[0-9a-zA-Z-]+$", max_length=36)
 ]
-
+CompensationName = Annotated[  # neither "." nor "..": it names a folder
+    str, StringConstraints(pattern=r"^[0-9A-Za-z-][0-9A-Za-z.-]*$", max_length=100)
+]
 
 MachineId = Annotated[str, StringConstraints(pattern=MACHINE_ID, max_length=32)]
 MachinePath = Annotated[

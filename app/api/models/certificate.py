@@ -6,7 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
 
-from truepath.app.api.models.base import Identifier, Links, RequestBody
+from truepath.app.api.models.base import (
+    CompensationName,
+    Identifier,
+    Links,
+    RequestBody,
+)
 from truepath.app.files.identity_file import LONGEST
 from truepath.app.files.verdict import State as VerdictState
 
@@ -62,7 +67,7 @@ class CertificateRequest(RequestBody):
     verification_job: Identifier | None = Field(
         None, description="A job that has left a verification."
     )
-    compensation_id: Annotated[str, StringConstraints(max_length=100)] | None = Field(
+    compensation_id: CompensationName | None = Field(
         None, description="Files that were made of this result.", examples=[None]
     )
     accept_verdict: bool = Field(

@@ -10,6 +10,7 @@ from pydantic import AwareDatetime, ConfigDict, Field, model_validator
 from truepath.app.api.models.base import (
     JOB_ID,
     OTHER_ID,
+    CompensationName,
     Degrees,
     Feed,
     Hours,
@@ -206,9 +207,10 @@ class JobRequest(RequestBody):
         description="Of a verification: the largest volumetric error that a place may "
         "have, decided by ISO 14253-1.",
     )
-    compensation_id: Identifier | None = Field(
+    compensation_id: CompensationName | None = Field(
         None,
         description="Of a verification: the kept files that the controller applies.",
+        examples=["heidenhain-0.1-hold"],
     )
     control_compensation: Literal["on", "off"] | None = Field(
         None,

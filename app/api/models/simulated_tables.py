@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from truepath.app.api.models.base import JOB_ID, Identifier, RequestBody
+from truepath.app.api.models.base import (
+    JOB_ID,
+    CompensationName,
+    Identifier,
+    RequestBody,
+)
 
 
 class SimulatedTablesRequest(RequestBody):
@@ -18,9 +23,8 @@ class SimulatedTablesRequest(RequestBody):
     )
 
     job_id: Identifier = Field(description="Job of the result.")
-    compensation_id: str = Field(
-        description="`id` of files in `GET /jobs/{job_id}/compensations`.",
-        max_length=100,
+    compensation_id: CompensationName = Field(
+        description="`id` of files in `GET /jobs/{job_id}/compensations`."
     )
 
 
