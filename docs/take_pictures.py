@@ -232,6 +232,8 @@ def _certify(desk: Desk, job: str) -> None:
         panel.page.locator(NEXT).click()
         frame = panel.page.frame_locator("iframe.preview")
         frame.locator("h1", has_text=TITLES[panel.name]).wait_for()
+        # A frame is painted for one picture and seen on the next.
+        panel.page.screenshot()
         panel.take("certificate")
 
 
