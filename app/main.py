@@ -211,6 +211,7 @@ def _make_context(
         machines=machines,
         calibrations=calibrations,
         registry=registry,
+        read_loaded_files=setup.read_loaded_files,
         live=LiveEstimation,
     )
     return context, setup

@@ -119,10 +119,13 @@ class _Verdict(FileModel):
     details: Any = ()
 
 
-class _Document(FileModel):
+class _MachineOfResult(FileModel):
+    machine: MachineFile
+
+
+class _Document(_MachineOfResult):
     """What is read of both; the key `model` is validated when the machine is known."""
 
-    machine: MachineFile
     mode: Literal["otf", "standstill"]
     direction: _Direction | None = None
     measured_range: _Ranges = _Ranges()
@@ -210,6 +213,13 @@ class ModelDocument(_Document):
 def read_result(file: str | Path) -> CalibrationResult:
     """Read a result or model file. Raises BundleError."""
     return decode_result(read_whole(file, largest_bytes=LARGEST_BYTES), file=str(file))
+
+
+def read_result_machine(file: str | Path) -> Machine:
+    """Return the machine of a result or model file alone. Raises BundleError."""
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    content = parse_json(data, str(file))
+    return validate(_MachineOfResult, content, str(file)).machine.machine()
 
 
 def decode_result(data: bytes, *, file: str) -> CalibrationResult:

@@ -25,6 +25,7 @@ from truepath.app.jobs.science import (
     reanalyse_run,
     verify_recorded,
 )
+from truepath.app.jobs.simulated_controls import LoadedFiles
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.jobs.workers import Workers
@@ -45,6 +46,7 @@ class JobContext:
     results : folder of results, one folder a job
     calibrations : of all machines; None where nobody asks how they stand
     registry : the configurations that machines had; None where none are kept
+    read_loaded_files : which files a simulated control has; nothing of a real one
     confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
@@ -60,6 +62,7 @@ class JobContext:
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     calibrations: Calibrations | None = None
     registry: MachineRegistry | None = None
+    read_loaded_files: Callable[[str], LoadedFiles] = lambda _: LoadedFiles()
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded

@@ -32,7 +32,11 @@ from truepath.app.jobs.machine_registry import (
     MachineRegistry,
     hide_secrets,
 )
-from truepath.app.jobs.simulated_controls import SimulatedControl, SimulatedControls
+from truepath.app.jobs.simulated_controls import (
+    LoadedFiles,
+    SimulatedControl,
+    SimulatedControls,
+)
 from truepath.app.jobs.store import Store
 from truepath.app.kinematics.machine import Machine
 from truepath.app.machine_settings import DeviceConfiguration
@@ -149,6 +153,10 @@ class MachineSetup:
         if tried is None:
             raise CellBusy("", "measuring")
         return tried
+
+    def read_loaded_files(self, machine_id: str) -> LoadedFiles:
+        """Return which files a simulated control has from this service."""
+        return self.simulated_controls.read(machine_id)
 
     def refuse_while_measuring(self, machine_id: str) -> None:
         """Raise CellBusy where a measuring job holds the machine."""

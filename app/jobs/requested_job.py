@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 from truepath.app.errors import (
     BadInput,
+    BundleError,
     IllegalTransition,
     NotFound,
     NotUsable,
     PlanningError,
 )
 from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.one_machine import one_machine
 from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
@@ -24,6 +26,7 @@ from truepath.app.jobs.plan_orders import (
     refuse_several_targets,
 )
 from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
+from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.travel import check_travel
@@ -52,7 +55,7 @@ class RequestedJob:
     on_notice : what is done where the live estimate notices a change
     control_compensation : `on` or `off`, which the control has to say; None for either
     machine : that is measured or planned for; without it the only one, or that of
-        the plan, job or discovery that is named
+        the plan, job, discovery or result that is named
     """
 
     kind: JobKind
@@ -99,7 +102,9 @@ def _add_wish(request: RequestedJob, plan: Json) -> Json:
 def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
     """Return the machine that the request, or what it builds on, names."""
     machine_id = request.machine
-    for job_id in (request.plan_id, request.continues, request.discovery_id):
+    verified = (request.plan_request or {}).get("result_id")
+    builds_on = request.plan_id, request.continues, request.discovery_id, verified
+    for job_id in builds_on:
         stated = None if job_id is None else context.store.get(job_id).machine
         if stated is not None and machine_id not in (None, stated):
             raise BadInput(
@@ -274,17 +279,59 @@ def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job
     find_model_file(context.results, job.id)
     if not (job.has_result or job.has_discovery):
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
+    _require_machine_of_result(job, machine, context)
     if order.get("compensation_id") is not None:
-        folder = context.results / job.id / "compensations"
-        if not (folder / order["compensation_id"] / "compensation.json").is_file():
-            raise NotFound(
-                f"job {job.id} keeps no compensation {order['compensation_id']}"
-            )
+        _require_compensation(order["compensation_id"], job, request, context)
     kinds = [VerificationKind(kind) for kind in order["what"]]
     points = make_verification_points(machine, kinds, order["seed"])
     check_travel(machine, points)
     new = Job(JobKind.VERIFY)
     return new, {**encode_commanded_json(points), "request": order}
+
+
+def _require_compensation(
+    name: str, job: Job, request: RequestedJob, context: JobContext
+) -> None:
+    """Raise NotFound or BadInput where the control cannot apply these files.
+
+    Which files a control applies is known of a simulated one alone.
+    """
+    folder = context.results / job.id / "compensations"
+    if not (folder / name / "compensation.json").is_file():
+        raise NotFound(f"job {job.id} keeps no compensation {name}")
+    if request.control_compensation == "off":
+        raise BadInput(
+            f"compensation_id {name} asks for a control that corrects by these files, "
+            "and control_compensation is off; leave one of the two out"
+        )
+    machine = context.driven or context.machines.choose(None)
+    loaded = context.read_loaded_files(machine.id)
+    if loaded.compensation_id is None:  # that the control says itself
+        return
+    if (loaded.job_id, loaded.compensation_id) != (job.id, name):
+        raise BadInput(
+            f"the simulated control of machine {machine.id} has the files "
+            f"{loaded.compensation_id} of job {loaded.job_id}, not {name} of job "
+            f"{job.id}; load those first, or name the ones that it has"
+        )
+
+
+def _require_machine_of_result(job: Job, machine: Machine, context: JobContext) -> None:
+    """Raise BadInput where a result is of another machine than the one to drive."""
+    # Imported where it is needed: the service itself carries no science.
+    from truepath.app.files.result_file import read_result_machine
+
+    file = find_model_file(context.results, job.id)
+    try:
+        one_machine(
+            [read_result_machine(file), machine], ["the result", "the machine now"]
+        )
+    except BundleError as error:
+        raise BadInput(
+            f"the result of job {job.id} cannot be verified on {machine.name}: "
+            f"{error.problem}; name its own machine, described "
+            "as it was measured, or another result"
+        ) from error
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:

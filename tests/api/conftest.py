@@ -170,6 +170,7 @@ def service(
         follower=follower,
         verifier=verifier,
         registry=registry,
+        read_loaded_files=lambda machine_id: setup.read_loaded_files(machine_id),
     )
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import replace
 
 import pytest
 from scripted_cell import wait_until
@@ -11,6 +13,7 @@ from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
 from truepath.app.files.result_file import read_result
+from truepath.app.jobs.simulated_controls import SimulatedControls
 from truepath.app.main import open_service
 from truepath.app.results.verification import verify
 from truepath.app.results.verification_json import verification_json
@@ -88,6 +91,51 @@ def test_files_of_any_spacing_can_be_verified_and_mapped(client, ask, result):
     query = {"state": "after", "compensation": made["id"], "grid": 2}
     seen = client.get(f"{JOBS}/{result}/result/volumetric-map", params=query)
     assert seen.status_code == 200, seen.text
+
+
+def test_a_result_is_verified_on_its_own_machine_alone(
+    client, service, ask, result, is_problem
+):
+    one = service.machines.get("default")
+    service.machines.put(replace(one, id="mill-9"))
+    said = is_problem(ask(machine="mill-9"), 422, "bad-input")
+    assert "is of machine default, not of mill-9" in said["detail"]
+    made = ask()
+    assert (made.status_code, made.json()["machine"]) == (202, "default"), made.text
+    client.post(f"{made.headers['Location']}/abort")
+    file = service.results / result / "result.json"
+    content = json.loads(file.read_text())
+    content["machine"]["axes"]["X"]["max_mm"] += 40.0
+    file.write_text(json.dumps(content))
+    said = is_problem(ask(), 422, "bad-input")
+    assert "axes.X.max_mm is 500.0, but 540.0 in the result" in said["detail"]
+
+
+class Control:
+    """A simulated control that takes any files."""
+
+    def load_compensation(self, compensation, rules=None):
+        pass
+
+
+def test_files_that_the_control_cannot_apply_are_not_verified(
+    client, service, ask, result, is_problem
+):
+    service.setup.simulated_controls = SimulatedControls({"default": Control()})
+    at = f"{JOBS}/{result}/compensations"
+    orders = {"format": "isg-csv"}, {"format": "linuxcnc"}
+    first, other = (client.post(at, json=order).json()["id"] for order in orders)
+    off = ask(compensation_id=first, control_compensation="off")
+    said = is_problem(off, 422, "bad-input")
+    assert "control_compensation is off" in said["detail"]
+    tables = "/api/v1/machines/default/simulated-tables"
+    loaded = {"job_id": result, "compensation_id": other}
+    assert client.put(tables, json=loaded).status_code == 200
+    said = is_problem(ask(compensation_id=first), 422, "bad-input")
+    assert f"has the files {other} of job {result}" in said["detail"]
+    made = ask(compensation_id=other)
+    assert made.status_code == 202, made.text
+    client.post(f"{made.headers['Location']}/abort")
 
 
 def test_a_verification_links_to_its_answer_and_report(
