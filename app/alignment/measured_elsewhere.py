@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from truepath.app.alignment.observations import Observations
+from truepath.app.alignment.observations import Driving, Observations
 from truepath.app.files.run import Run
 from truepath.drivers.interfaces.records import Path
 
@@ -38,8 +38,30 @@ def drop_measured_elsewhere(
             for each in seen.left_out
             if each.cause not in _MISSING or _describe_row(run, each.row) not in others
         )
-        found.append(replace(seen, left_out=kept))
+        driving = _add_driven_elsewhere(number, runs, observed)
+        found.append(replace(seen, left_out=kept, driving=driving))
     return found
+
+
+def _add_driven_elsewhere(
+    number: int, runs: Sequence[Run], observed: Sequence[Observations]
+) -> Driving | None:
+    """Return what was driven of a path, on to where other Runs of it begin and end."""
+    driving = observed[number].driving
+    if driving is None or driving.is_whole:
+        return driving
+    others = {
+        _describe_row(run, row)
+        for k, (run, seen) in enumerate(zip(runs, observed, strict=True))
+        if k != number and seen.driving is not None
+        for row in range(max(seen.driving.first, 1), seen.driving.last + 1)
+    }
+    first, last, run = driving.first, driving.last, runs[number]
+    while first > 1 and _describe_row(run, first - 1) in others:
+        first -= 1
+    while last < driving.rows - 1 and _describe_row(run, last + 1) in others:
+        last += 1
+    return replace(driving, first=first, last=last)
 
 
 def _describe_row(run: Run, row: int) -> Place:

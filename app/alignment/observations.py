@@ -54,7 +54,8 @@ class Pass:
 class Driving:
     """What was driven of a path, and how.
 
-    first, last, rows : rows of the path that the stream shows, and how many there are
+    first, last, rows : rows of the path that the stream shows, or together with other
+        Runs of it that are aligned beside, and how many there are
     feed : share of the commanded feed on each line that was driven at another, by row
     holds : row, begin and duration in s of standstills in the middle of a line
     """

@@ -135,6 +135,8 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
         result = client.get(f"/api/v1/jobs/{job_id}/result").json()
         assert ended["verdict"] == "usable", result["verdict"]
         assert len(result["runs"]) == 2
+        kinds = [one["kind"] for one in result["verdict"]["details"]]
+        assert "path-not-whole" not in kinds
 
 
 @pytest.mark.long

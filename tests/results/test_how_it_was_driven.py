@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from truepath.app.alignment.align import align
+from truepath.app.alignment.measured_elsewhere import drop_measured_elsewhere
+from truepath.app.alignment.observations import Driving
 from truepath.app.errors import AlignmentError
 from truepath.app.files.verdict import Verdict
+from truepath.app.motion.configurations import select_rows
 from truepath.app.results.analysis import analyse
 from truepath.app.results.verdict import judge_driving
 from truepath.drivers.interfaces.records import Path
@@ -104,6 +107,27 @@ def test_an_early_stop_says_how_far_it_came(record, rng):
     planned = lengthened(run.commanded, rng)
     values = values_of(said_of(replace(run, commanded=planned)))["path-not-whole"]
     assert values == {"first": 1, "last": 23, "lines": 29}
+
+
+@pytest.mark.parametrize(("driven", "missing"), [(6, False), (4, True)])
+def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
+    record, rng, driven, missing
+):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    first, rest = (
+        replace(run, commanded=select_rows(planned, rows))
+        for rows in (slice(None), slice(23, None))
+    )
+    seen = align(first)
+    further = replace(
+        seen, row=seen.row.clip(max=driven), driving=Driving(0, driven, 7, {}, ())
+    )
+    found = drop_measured_elsewhere([first, rest], [seen, further])
+    said = judge_driving([found[0].driving, None], ["first", "rest"]).reasons
+    assert [reason.values for reason in said] == (
+        [{"first": 1, "last": 23 + driven, "lines": 29}] if missing else []
+    )
 
 
 def test_a_recording_that_begins_late_says_so(record):
