@@ -25,9 +25,12 @@ JOBS = "/api/v1/jobs"
 
 @pytest.fixture
 def result(service, finished, analysed):
-    """A job with a real result."""
+    """A job with a real result, of the machine that the service drives."""
     target = service.results / finished["id"]
     shutil.copytree(analysed, target, dirs_exist_ok=True)
+    one = service.machines.get("default")
+    machine = read_result(target / "result.json").machine
+    service.machines.put(replace(one, machine=machine))
     return finished["id"]
 
 
