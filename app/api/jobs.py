@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -47,6 +47,7 @@ from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.machine_cells import MachineCell
+from truepath.app.jobs.resumability import find_way_to_result, may_be_acknowledged
 from truepath.app.jobs.transitions import State, Verb
 
 _WHEN = ["2026-01-31T08:00:00Z"]
@@ -290,6 +291,10 @@ def describe_job(job: Job) -> JobOut:
     at = f"{PREFIX}/jobs/{job.id}"
     links = JobLinks.of(id=job.id, run_id=job.run_id)
     links.verbs = {v: f"{at}/{v}" for v in job.allowed_verbs if v in _ROUTED}
+    if not may_be_acknowledged(job):
+        links.verbs.pop(Verb.ACKNOWLEDGE, None)
+    if failure and (way := find_way_to_result(job)):
+        failure = replace(failure, action=way)
     content["progress"]["stage"] = job.stage
     if job.early_end:
         content["early_end"]["reason"] = "target-reached"

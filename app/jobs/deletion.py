@@ -6,7 +6,7 @@ is noted as deleted is taken into the catalogue again. An empty file `ID.deleted
 the results stays of a job: its Runs name it still, and a catalogue that is made again
 from them must not bring it back. What something else depends on is
 not deleted: a job that others were made from, that a machine is held against or that a
-certificate states; a Run of a result.
+certificate states; a Run of a result, or of a measurement that can go on from it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import StillNeeded
 from truepath.app.jobs.job import Job, JobKind, decode_job, format_utc_now
+from truepath.app.jobs.resumability import can_go_on
+from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.schema import (
     deletions,
@@ -35,6 +37,7 @@ from truepath.app.jobs.schema import (
     machines,
     runs,
 )
+from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.transitions import State
 from truepath.app.measurement.run_file import hash_file
 
@@ -200,7 +203,9 @@ def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
     needed = [
         job
         for job in users
-        if not job.is_final or (_answers(job) and job.id not in allowed)
+        if not job.is_final
+        or (_answers(job) and job.id not in allowed)
+        or _goes_on_from(connection, job, run_id)
     ]
     if needed:
         raise _needed(f"run {run_id}", needed)
@@ -226,6 +231,15 @@ def _forget_run(connection: Connection, job: Job, run_id: str) -> None:
         "version": job.version + 1,
     }
     connection.execute(update(jobs).where(jobs.c.id == job.id).values(**values))
+
+
+def _goes_on_from(connection: Connection, job: Job, run_id: str) -> bool:
+    """Whether a measurement that was cut short would go on from this Run."""
+    query = select(jobs.c.plan).where(jobs.c.id == job.id)
+    plan = connection.execute(query).scalar() or {}
+    own = {*job.run_ids, *list_part_ids(plan)}
+    own.update(list_run_ids(plan), list_run_ids(plan, "points_id"))
+    return run_id in own and can_go_on(job, plan)
 
 
 def _answers(job: Job) -> bool:

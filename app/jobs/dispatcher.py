@@ -34,12 +34,12 @@ from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
-from truepath.app.jobs.resumption import (
-    list_part_ids,
+from truepath.app.jobs.resumability import (
     require_machine_file,
     require_resumable,
     require_targets_apart,
 )
+from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.store import IdempotencyKey, require_version
 from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb

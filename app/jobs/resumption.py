@@ -17,18 +17,12 @@ import numpy as np
 import structlog
 
 from truepath.app.files.commanded_file import decode_commanded_json
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.one_machine import list_differences
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.errors import MachineFault, MachineFileChanged, NotResumable
-from truepath.app.jobs.job import Job, JobKind, Json, Stage, make_id
-from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.machine_cells import MachineCell
-from truepath.app.jobs.machine_registry import MachineRegistry
-from truepath.app.jobs.transitions import LEFT_BY_ACKNOWLEDGE, State
-from truepath.app.kinematics.machine import Machine
+from truepath.app.jobs.errors import MachineFault
+from truepath.app.jobs.job import Job, Json, Stage, make_id
+from truepath.app.jobs.transitions import State
 from truepath.app.measurement.messages import MeasurementOrder
 from truepath.app.motion.configurations import (
     Commanded,
@@ -40,18 +34,6 @@ from truepath.drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
 _FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
-_GOES_ON = frozenset(
-    {JobKind.MEASURE_OTF, JobKind.MEASURE_STANDSTILL, JobKind.MEASURE_EXTRA}
-)
-_MEASURED = frozenset(
-    {
-        Stage.ALIGNING,
-        Stage.ESTIMATING,
-        Stage.VALIDATING,
-        Stage.DISCOVERING,
-        Stage.REPORTING,
-    }
-)
 CLOSURE_CODE = "closure"
 _REMEDY = (
     "Look at reflector, its nest and the tracker: one of them has moved since. Put it "
@@ -65,84 +47,6 @@ log = structlog.get_logger(__name__)
 def list_part_ids(plan: Json) -> list[str]:
     """Return the Runs of the parts of a plan, made or about to be made."""
     return [part["run_id"] for part in plan.get("parts", ())]
-
-
-def require_resumable(job: Job, plan: Json | None) -> None:
-    """Raise NotResumable where a measurement cannot go on by another part."""
-    if job.state not in LEFT_BY_ACKNOWLEDGE:
-        return
-    if reason := _find_reason(job, plan or {}):
-        raise NotResumable(f"job {job.id} ({job.kind}) cannot go on: {reason}")
-
-
-def require_machine_file(
-    job: Job, driven: MachineCell, registry: MachineRegistry | None
-) -> None:
-    """Raise MachineFileChanged where its machine was measured as another file has it.
-
-    What has no known version is compared by the worker that reads its Runs.
-    """
-    if registry is None or job.machine is None or job.machine_version is None:
-        return
-    before = registry.find_version(job.machine, job.machine_version)
-    if before is None:
-        return
-    measured = machine_from_json(before.machine_file)
-    if changed := list_differences(measured, driven.machine):
-        raise MachineFileChanged(
-            f"job {job.id} cannot go on: machine {driven.id} is described otherwise "
-            f"in version {driven.version} than in version {before.number}, by which "
-            f"it was measured: {'; '.join(changed)}; put the machine file of version "
-            f"{before.number} back and acknowledge again, or begin a new job"
-        )
-
-
-def require_targets_apart(plan: Json | None, machine: Machine) -> None:
-    """Raise NotResumable where several targets have to be measured in one Run.
-
-    With rotary axes, and with targets on tool and workpiece, Runs of one target each
-    join nothing to where the axes are. Else every Run has a pose of its own, and each
-    target tells the same error motions at its offset.
-    """
-    rows = (plan or {}), *(plan or {}).get("stations", ())
-    names = {name for one in rows for name in one.get("target", ())}
-    sides = {target.on for target in machine.targets if target.name in names}
-    if len(names) > 1 and (machine.rotary_axes or len(sides) > 1):
-        raise NotResumable(
-            f"the targets {', '.join(sorted(names))} have to be measured in one Run on "
-            f"{machine.name}: it has rotary axes, or targets on tool and workpiece; "
-            "what was recorded is kept; begin a new job"
-        )
-
-
-def _find_reason(job: Job, plan: Json) -> str:
-    kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
-    if job.kind not in _GOES_ON:
-        return f"{_name_obstacle(job.kind)}; {kept}; {_name_way_out(job.kind)}"
-    if job.on_notice is not OnNotice.NOTE:
-        return f"it drives lines again by what it notices; {kept}; begin a new job"
-    stations = plan.get("stations", ())
-    is_measured = job.stage in _MEASURED
-    if stations:  # their checks are computed in a stage of the analysis
-        is_measured = all(station.get("measured") for station in stations)
-    if is_measured:
-        then = "discover in" if job.kind.discovers else "analyse"
-        return f"all its rows are measured; {then} its Runs; {kept}"
-    return ""
-
-
-def _name_obstacle(kind: JobKind) -> str:
-    if kind is JobKind.VERIFY:
-        return "a result is held against one Run alone"
-    if kind.measures:
-        return "its rows are chosen by a live estimate that has ended with its Run"
-    return "it only computes"
-
-
-def _name_way_out(kind: JobKind) -> str:
-    if kind is JobKind.MEASURE_ADAPTIVE:
-        return "begin a new job and analyse the Runs of both together"
-    return "begin a new job"
 
 
 def choose_first_row(commanded: Commanded, next_row: int) -> int:

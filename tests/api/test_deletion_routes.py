@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from truepath.app.jobs.job import Stage
 from truepath.app.jobs.reconciliation import reconcile
 from truepath.app.jobs.retention import Retention, RetentionRules
 
@@ -112,6 +114,25 @@ def test_a_job_without_an_answer_forgets_its_run(client, service, armed, until):
     (run_id,) = service.runs.find([job["id"]])
     assert client.delete(f"{RUNS}/{run_id}").status_code == 204
     assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
+
+
+def test_a_run_stays_while_its_measurement_can_go_on_from_it(
+    client, service, armed, make_cell, until, is_problem
+):
+    make_cell.cell.fault()
+    make_cell.cell.end("faulted")
+    job = until(armed, "faulted")
+    at = f"{RUNS}/{job['run_id']}"
+    for asked in ({}, {"with_results": True}):
+        said = is_problem(client.delete(at, params=asked), 409, "in-use")
+        assert said["dependents"] == [job["id"]]
+    assert "acknowledge" in job["links"]["verbs"]
+    change = {"stage": Stage.ESTIMATING}
+    service.store.change(job["id"], lambda one: replace(one, **change))
+    now = client.get(f"{JOBS}/{job['id']}").json()
+    assert "acknowledge" not in now["links"]["verbs"]
+    assert f'"run_ids": ["{job["run_id"]}"]' in now["error"]["action"]
+    assert client.delete(at).status_code == 204
 
 
 def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(

@@ -18,15 +18,17 @@ from truepath.app.jobs.errors import (
     NotResumable,
     TaskFailed,
 )
-from truepath.app.jobs.job import Job, JobKind, Stage
+from truepath.app.jobs.job import Job, JobKind, Stage, StationProgress
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.resumption import (
-    choose_first_row,
+from truepath.app.jobs.resumability import (
+    find_way_to_result,
+    may_be_acknowledged,
     require_resumable,
     require_targets_apart,
 )
+from truepath.app.jobs.resumption import choose_first_row
 from truepath.app.jobs.transitions import State
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import Path
@@ -341,3 +343,28 @@ def test_only_a_fault_or_an_interruption_is_acknowledged(going_on, until, contex
     until(job, "aborted")
     with pytest.raises(IllegalTransition, match="cannot acknowledge"):
         going_on.acknowledge(job.id)
+
+
+@pytest.mark.parametrize(
+    ("stage", "more", "goes_on", "order"),
+    [
+        (Stage.MEASURING, {}, True, None),
+        (Stage.ESTIMATING, {}, False, '{"kind": "analyse", "run_ids": ["a", "b"]}'),
+        (Stage.ALIGNING, {"station": StationProgress(1, 2, (0.0,))}, True, None),
+        (Stage.MEASURING, {"kind": JobKind.MEASURE_ADAPTIVE}, False, None),
+        (Stage.ALIGNING, {"kind": JobKind.VERIFY}, False, None),
+        (
+            Stage.DISCOVERING,
+            {"kind": JobKind.MEASURE_EXTRA},
+            False,
+            '{"kind": "discover", "run_ids": ["b", "a"]}',
+        ),
+    ],
+)
+def test_only_what_is_not_measured_yet_is_offered_to_go_on(stage, more, goes_on, order):
+    job = Job(JobKind.MEASURE_OTF, state=State.INTERRUPTED, run_id="a", stage=stage)
+    job = replace(job, further_run_ids=("b",), **more)
+    assert may_be_acknowledged(job) is goes_on
+    way = find_way_to_result(job)
+    assert (order in way) if order else way == ""
+    assert not find_way_to_result(replace(job, state=State.SUCCEEDED))
