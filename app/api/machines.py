@@ -54,6 +54,7 @@ def add_machine(
     request: NewMachine, response: Response, service: ServiceDep
 ) -> MachineDetail:
     """Add a machine by its machine file. Its devices are chosen next."""
+    _check_reference(request.id, request.identity, service)
     texts = request.identity.model_dump(include=set(IDENTITY), exclude_none=True)
     service.setup.add(request.id, request.machine_file, texts)
     _change(request.id, request.identity, service)
@@ -72,8 +73,8 @@ def change_machine(
     machine_id: MachinePath, request: MachineIdentity, service: ServiceDep
 ) -> MachineDetail:
     """Say who the machine is, what it may err by, and what it is held against."""
-    if request.reference_job is not None:
-        service.store.get(request.reference_job)
+    service.setup.registry.get(machine_id)
+    _check_reference(machine_id, request, service)
     _change(machine_id, request, service)
     return _read_detail(machine_id, service)
 
@@ -119,6 +120,14 @@ def list_machine_conditions(
 ) -> ConditionList:
     """Return what has to be so before the machine moves. Asks no device."""
     return list_conditions_of(service.machines.get(machine_id))
+
+
+def _check_reference(
+    machine_id: str, request: MachineIdentity, service: Service
+) -> None:
+    """Raise BadInput unless a reference is a usable calibration of the machine."""
+    if request.reference_job is not None:
+        service.calibrations.find_usable(machine_id, request.reference_job)
 
 
 def _change(machine_id: str, request: MachineIdentity, service: Service) -> None:

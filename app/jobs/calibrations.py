@@ -15,7 +15,7 @@ from typing import Any
 
 import structlog
 
-from truepath.app.errors import NotFound, TruepathError
+from truepath.app.errors import BadInput, NotFound, TruepathError
 from truepath.app.jobs.job import Job, JobEvent
 from truepath.app.jobs.machine_registry import MachineRecord, MachineRegistry
 from truepath.app.jobs.runs import RunCatalogue
@@ -41,6 +41,7 @@ class Standing:
     tolerance : None where none is stated
     has_changed : since the reference; None where there is no reference to compare with
     text : what has changed, or why that cannot be said
+    is_reference_lost : it is to be held against a calibration that cannot be used
     """
 
     machine: str
@@ -49,6 +50,7 @@ class Standing:
     reference_job: str | None = None
     has_changed: bool | None = None
     text: str = ""
+    is_reference_lost: bool = False
 
     @property
     def is_alarm(self) -> bool:
@@ -112,6 +114,17 @@ class Calibrations:
                 return self._describe(job, file)
         raise NotFound(f"job {job_id} is no calibration of machine {machine_id}")
 
+    def find_usable(self, machine_id: str, job_id: str) -> Calibration:
+        """Return a calibration that others may be held against. Raises BadInput."""
+        remedy = f"name a usable one of `GET /machines/{machine_id}/history`"
+        try:
+            found = self.find(machine_id, job_id)
+        except NotFound as error:
+            raise BadInput(f"{error}; {remedy}") from error
+        if found.verdict == NOT_USABLE:
+            raise BadInput(f"the result of job {job_id} is not to be used; {remedy}")
+        return found
+
     def find_standing(self, machine_id: str) -> Standing | None:
         """Return how a machine stands, as it was found last."""
         return self._standing.get(machine_id)
@@ -160,7 +173,18 @@ class Calibrations:
         if record.tolerance_um is not None:
             tolerance = judge_tolerance(newest, record.tolerance_um)
         if record.reference_job is not None:
-            earlier = [c for c in earlier if c.job_id == record.reference_job]
+            try:
+                reference = self.find_usable(record.id, record.reference_job)
+            except BadInput as error:
+                return Standing(
+                    record.id,
+                    newest.job_id,
+                    tolerance,
+                    record.reference_job,
+                    text=f"changes are not watched: {error}",
+                    is_reference_lost=True,
+                )
+            earlier = [reference] if reference.job_id != newest.job_id else []
         if not earlier:
             text = "there is no earlier usable calibration to compare with"
             return Standing(record.id, newest.job_id, tolerance, text=text)

@@ -183,7 +183,10 @@ def _find_standing(standing: Standing | None) -> Mapping[ConditionType, Finding]
         found[ConditionType.WITHIN_TOLERANCE] = Finding(
             level or Level.UNKNOWN, reason, tolerance.text if reason else ""
         )
-    if standing is not None and standing.has_changed is not None:
+    if standing is not None and standing.is_reference_lost:
+        lost = Finding(Level.UNKNOWN, "reference-not-usable", standing.text)
+        found[ConditionType.UNCHANGED] = lost
+    elif standing is not None and standing.has_changed is not None:
         changed = Finding(Level.FALSE, "changed", standing.text)
         found[ConditionType.UNCHANGED] = changed if standing.has_changed else YES
     return found

@@ -42,6 +42,24 @@ def test_what_has_changed_since_a_calibration_is_said_in_words(
     assert "one Run" in is_problem(same, 422, "bad-input")["detail"]
 
 
+def test_only_a_usable_calibration_of_the_machine_is_a_reference(
+    client, calibrated, service, finished, is_problem
+):
+    at, standing = f"{BASE}/default", f"{BASE}/default/standing"
+    (service.results / finished["id"] / "result.json").unlink()  # as a verification
+    for other in (finished["id"], "job-9"):
+        refused = client.patch(at, json={"reference_job": other})
+        assert "is no calibration" in is_problem(refused, 422, "bad-input")["detail"]
+    assert client.get(at).json()["reference_job"] is None
+    assert client.patch(at, json={"reference_job": calibrated[0]}).status_code == 200
+    assert client.get(standing).json()["has_changed"] is False
+    (service.results / calibrated[0] / "result.json").unlink()
+    service.calibrations.judge("default")
+    lost = client.get(standing).json()
+    assert (lost["has_changed"], lost["reference_job"]) == (None, calibrated[0])
+    assert lost["change_text"].startswith("changes are not watched")
+
+
 def test_a_machine_over_its_tolerance_raises_an_alarm(client, calibrated, service):
     told = []
     service.event_bus.subscribe(told.append)

@@ -286,6 +286,14 @@ def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
     assert [one.is_obstacle for one in able] == [False, False, True, True]
 
 
+def test_a_reference_that_cannot_be_used_is_said_instead_of_vanishing():
+    text = "changes are not watched: job job-1 is no calibration"
+    standing = Standing("mill", "job-2", None, "job-1", None, text, True)
+    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    unchanged = found[ConditionType.UNCHANGED]
+    assert (unchanged.level, unchanged.message) == (Level.UNKNOWN, text)
+
+
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
     standing = Standing("mill", "job-2", tolerance, "job-1", True, "EXX has changed.")

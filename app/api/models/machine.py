@@ -68,8 +68,8 @@ class MachineIdentity(RequestBody):
     )
     reference_job: Identifier | None = Field(
         default=None,
-        description="Job whose result later ones are held against. Null: the one "
-        "before.",
+        description="Job whose result later ones are held against, a usable "
+        "calibration of this machine. Null: the one before.",
     )
 
 
