@@ -191,6 +191,7 @@ def verify_recorded(
         on_progress=on_progress,
     )
     _replace(Path(folder), lambda part: write_verification(found, part, asked))
+    on_progress(1.0, "reporting")
     return result.verdict.state
 
 
