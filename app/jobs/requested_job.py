@@ -29,6 +29,7 @@ from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.default_points import default_points
+from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.verification_kinds import VerificationKind
 from truepath.app.motion.verification_points import make_verification_points
@@ -190,6 +191,7 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
     if kind is JobKind.PLAN:
         return {}
     context.require_cell()
+    check_feed(machine, request.feed_mm_min)
     if kind is JobKind.MEASURE_ADAPTIVE:
         refuse_several_targets(machine, dict(request.plan_request or {}))
         return {}

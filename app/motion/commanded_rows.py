@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from truepath.app.errors import PlanningError
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, Configurations, name_columns
+from truepath.app.motion.feeds import check_feeds
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.records import Path
@@ -40,6 +41,7 @@ def command_rows(
     if is_path:
         usual = feed_mm_min or DEFAULT_FEED_MM_MIN
         feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
+        check_feeds(machine, feeds)
         commanded = Path(axes, position, feeds, dwell_s, target)
         _refuse_standing_lines(commanded)
     else:

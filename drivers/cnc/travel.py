@@ -43,7 +43,7 @@ def check_positions(
         return
     row, axis = np.argwhere(~inside)[0]
     raise OutOfTravel(
-        f"row {row}: {axes[axis]} = {position[row, axis]:.4f} is outside "
+        f"row {row + 1}: {axes[axis]} = {position[row, axis]:.4f} is outside "
         f"{low[axis]:.4f} to {high[axis]:.4f}; shorten the path, or check the travel "
         "and the zero of the machine"
     )
@@ -57,7 +57,7 @@ def check_feeds(
     if not possible.all():
         row = int(np.argmin(possible))
         raise Refused(
-            f"row {row}: a feed of {feed_mm_min[row]:g} mm/min is not possible; "
+            f"row {row + 1}: a feed of {feed_mm_min[row]:g} mm/min is not possible; "
             f"up to {most_mm_min:g} are"
         )
 
@@ -67,4 +67,4 @@ def check_dwells(dwell_s: NDArray[np.float64], longest_s: float) -> None:
     possible = (dwell_s >= 0) & (dwell_s <= longest_s)
     if not possible.all():
         row = int(np.argmin(possible))
-        raise Refused(f"row {row}: a dwell of {dwell_s[row]:g} s is not possible")
+        raise Refused(f"row {row + 1}: a dwell of {dwell_s[row]:g} s is not possible")

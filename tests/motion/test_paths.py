@@ -11,12 +11,15 @@ from truepath.app.errors import OutOfTravel, PlanningError
 from truepath.app.kinematics.machine import (
     LinearAxis,
     Machine,
+    MotionLimits,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
+from truepath.app.motion.commanded_rows import command_rows
 from truepath.app.motion.configurations import Configurations
 from truepath.app.motion.default_points import default_points
+from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.motion_times import row_times_s, travel_time_s
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.records import Path
@@ -119,6 +122,19 @@ def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(meas
     assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
     assert "shorten the plan" in text
     measured(f"“{text}”")
+
+
+@pytest.mark.parametrize("feed_mm_min", [1e-9, 0.99, 8001.0, 1e6])
+def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(feed_mm_min):
+    mill = replace(machine(), motion=MotionLimits(8000.0, assumed=()))
+    rows = [{"x_mm": x, "y_mm": 0, "z_mm": 0} for x in (0, 100)]
+    rows[1]["feed_mm_min"] = feed_mm_min
+    with pytest.raises(PlanningError, match=r"row 2: a feed of .* give 1 to 8000 mm"):
+        command_rows(mill, rows, is_path=True)
+    with pytest.raises(PlanningError, match="cannot be driven by small mill"):
+        check_feed(mill, feed_mm_min)
+    rows[1]["feed_mm_min"] = 8000.0
+    assert command_rows(mill, rows, is_path=True).feed_mm_min[1] == 8000.0
 
 
 def test_a_position_below_the_travel_is_refused():

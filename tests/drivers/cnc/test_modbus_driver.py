@@ -133,7 +133,7 @@ def test_out_of_travel_is_refused_before_the_first_byte(
     with pytest.raises(OutOfTravel, match=text):
         controller.move_to(position, 1000)
     path = path_of([[0, 0, 0], [1, 1, -1], position])
-    with pytest.raises(OutOfTravel, match="row 2: " + text):
+    with pytest.raises(OutOfTravel, match="row 3: " + text):
         controller.load(path)
     assert len(peer.requests) == sent
 
@@ -146,7 +146,7 @@ def test_the_ends_of_the_travel_are_within_it(controller):
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        (path_of([[0, 0, 0]], feed_mm_min=0.0), "feed of 0 mm/min"),
+        (path_of([[0, 0, 0]], feed_mm_min=0.0), "row 1: a feed of 0 mm/min"),
         (path_of([[0, 0, 0]], feed_mm_min=30_001.0), "up to 30000 are"),
         (path_of([[0, 0, 0]], feed_mm_min=float("nan")), "feed of nan"),
         (path_of([[0, 0, 0]], dwell_s=-1.0), "dwell of -1 s"),
