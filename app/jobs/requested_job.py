@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 from truepath.app.errors import (
     BadInput,
-    BundleError,
     IllegalTransition,
     NotFound,
     NotUsable,
     PlanningError,
 )
 from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.one_machine import one_machine
 from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
@@ -26,7 +24,10 @@ from truepath.app.jobs.plan_orders import (
     refuse_several_targets,
 )
 from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
-from truepath.app.kinematics.machine import Machine
+from truepath.app.jobs.verification_orders import (
+    require_compensation,
+    require_machine_of_result,
+)
 from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.feeds import check_feed
@@ -281,59 +282,15 @@ def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job
     find_model_file(context.results, job.id)
     if not (job.has_result or job.has_discovery):
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
-    _require_machine_of_result(job, machine, context)
+    require_machine_of_result(job, machine, context)
     if order.get("compensation_id") is not None:
-        _require_compensation(order["compensation_id"], job, request, context)
+        wish = request.control_compensation
+        require_compensation(order["compensation_id"], job, wish, context)
     kinds = [VerificationKind(kind) for kind in order["what"]]
     points = make_verification_points(machine, kinds, order["seed"])
     check_travel(machine, points)
     new = Job(JobKind.VERIFY)
     return new, {**encode_commanded_json(points), "request": order}
-
-
-def _require_compensation(
-    name: str, job: Job, request: RequestedJob, context: JobContext
-) -> None:
-    """Raise NotFound or BadInput where the control cannot apply these files.
-
-    Which files a control applies is known of a simulated one alone.
-    """
-    folder = context.results / job.id / "compensations"
-    if not (folder / name / "compensation.json").is_file():
-        raise NotFound(f"job {job.id} keeps no compensation {name}")
-    if request.control_compensation == "off":
-        raise BadInput(
-            f"compensation_id {name} asks for a control that corrects by these files, "
-            "and control_compensation is off; leave one of the two out"
-        )
-    machine = context.driven or context.machines.choose(None)
-    loaded = context.read_loaded_files(machine.id)
-    if loaded.compensation_id is None:  # that the control says itself
-        return
-    if (loaded.job_id, loaded.compensation_id) != (job.id, name):
-        raise BadInput(
-            f"the simulated control of machine {machine.id} has the files "
-            f"{loaded.compensation_id} of job {loaded.job_id}, not {name} of job "
-            f"{job.id}; load those first, or name the ones that it has"
-        )
-
-
-def _require_machine_of_result(job: Job, machine: Machine, context: JobContext) -> None:
-    """Raise BadInput where a result is of another machine than the one to drive."""
-    # Imported where it is needed: the service itself carries no science.
-    from truepath.app.files.result_file import read_result_machine
-
-    file = find_model_file(context.results, job.id)
-    try:
-        one_machine(
-            [read_result_machine(file), machine], ["the result", "the machine now"]
-        )
-    except BundleError as error:
-        raise BadInput(
-            f"the result of job {job.id} cannot be verified on {machine.name}: "
-            f"{error.problem}; name its own machine, described "
-            "as it was measured, or another result"
-        ) from error
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
