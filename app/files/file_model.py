@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -65,10 +66,31 @@ def _require_three(value: object) -> object:
     return value
 
 
+def is_line(text: str) -> bool:
+    """Whether a text is a printed line, of `LONGEST_LINE` characters at most."""
+    return len(text) <= LONGEST_LINE and not _UNPRINTED.search(text)
+
+
+def check_line(text: str) -> str:
+    """Return a text that is a printed line, of `LONGEST_LINE` characters at most."""
+    if len(text) > LONGEST_LINE:
+        problem = f"is {quote(text)}, of {len(text)} characters"
+        raise refuse(problem, f"write {LONGEST_LINE} at most")
+    if bad := _UNPRINTED.search(text):
+        problem = f"holds \\u{ord(bad.group()):04x} at character {bad.start() + 1}"
+        raise refuse(problem, "write one line of characters that are printed")
+    return text
+
+
 Text = Annotated[str, Field(min_length=1)]
+Line = Annotated[Text, AfterValidator(check_line)]
 Vector = Annotated[
     tuple[float, float, float], Strict(False), BeforeValidator(_require_three)
 ]
+# Control characters, and marks that turn the direction of what follows.
+UNPRINTED = "\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069"
+_UNPRINTED = re.compile(f"[{UNPRINTED}\\ud800-\\udfff]")
+LONGEST_LINE = 200
 _NO_CHARACTER = re.compile("[\0\ud800-\udfff]")
 Model = TypeVar("Model", bound=FileModel)
 

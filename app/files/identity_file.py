@@ -7,13 +7,18 @@ missing. Earlier versions kept one such object by the name of each machine in
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 from truepath.app.errors import BadInput, BundleError
-from truepath.app.files.file_model import encode_json, parse_json, quote
+from truepath.app.files.file_model import (
+    LONGEST_LINE,
+    encode_json,
+    is_line,
+    parse_json,
+    quote,
+)
 from truepath.app.files.whole_files import read_whole, replace_file
 
 Field = Literal[
@@ -37,10 +42,8 @@ FIELDS: tuple[Field, ...] = Field.__args__
 OF_ONE_MEASUREMENT: frozenset[Field] = frozenset({"warm_up", "measured_on"})
 """Stated anew each time: what was true of the last measurement is not of this one."""
 
-LONGEST = 200
 SCHEMA, STORE_SCHEMA = "identity/1", "identities/1"
 _LARGEST_BYTES = 1 << 20
-_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 Identity = Mapping[str, str]
 """Texts by the names of `FIELDS`; what nobody has stated is missing."""
@@ -106,7 +109,7 @@ def _check(key: object, text: object, file: str) -> str:
     if key not in FIELDS:
         remedy = f"write one of {', '.join(FIELDS)}"
         raise BundleError(f"{quote(key)} is no field", file=file, remedy=remedy)
-    if not isinstance(text, str) or len(text) > LONGEST or _CONTROL.search(text):
-        remedy = f"write one line of text of at most {LONGEST} characters"
+    if not isinstance(text, str) or not is_line(text):
+        remedy = f"write one line of text of at most {LONGEST_LINE} characters"
         raise BundleError(f"{key} is {quote(text)}", file=file, remedy=remedy)
     return text

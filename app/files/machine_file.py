@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from truepath.app.files.file_model import (
     FileModel,
+    Line,
     Text,
     Vector,
     encode_json,
@@ -153,7 +154,7 @@ class MachineFile(FileModel):
     """A machine file."""
 
     schema_: Literal["machine/1"] = Field(alias="schema")
-    name: Text = "machine"
+    name: Line = "machine"
     axes: AxesFile
     kinematic_chain: Text
     tool_offset_mm: Vector | None = None

@@ -20,7 +20,7 @@ from typing import Any
 import structlog
 from sqlalchemy import Connection, Text, cast, delete, insert, or_, select, update
 
-from truepath.app.errors import NotFound
+from truepath.app.errors import BundleError, NotFound
 from truepath.app.files.file_model import as_object, parse_json
 from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.jobs.database import Database
@@ -161,12 +161,23 @@ class Deletion:
         own = self._results / job_id
         stated = {hash_file(own / n) for n in _STATED if (own / n).is_file()}
         for record in self._results.glob(f"*/{_CERTIFICATES}"):
-            content = as_object(parse_json(record.read_bytes(), record.name))
-            sources = as_object(content.get("sources_sha256")).values()
-            if record.is_relative_to(own) or stated.intersection(sources):
+            if record.is_relative_to(own) or stated.intersection(_list_sources(record)):
                 number = record.parent.name
                 text = f"certificate {number} states the result of job {job_id}"
                 raise StillNeeded(text, [f"certificate {number}"])
+
+
+def _list_sources(record: Path) -> list[object]:
+    """Return the SHA-256 of what a certificate states; none where it is unreadable.
+
+    It holds its own job all the same, and must not hold every other one for ever.
+    """
+    try:
+        content = as_object(parse_json(record.read_bytes(), record.name))
+    except (BundleError, OSError) as error:
+        log.warning("certificate not read", file=str(record), reason=str(error))
+        return []
+    return list(as_object(content.get("sources_sha256")).values())
 
 
 def list_deleted_jobs(database: Database, results: Path) -> set[str]:

@@ -18,7 +18,7 @@ from truepath.app.errors import NotFound, TruepathError
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.deletion import Deletion, Note
-from truepath.app.jobs.errors import StillNeeded
+from truepath.app.jobs.errors import StillNeeded, StorageUnavailable
 from truepath.app.jobs.job import format_utc
 
 log = structlog.get_logger(__name__)
@@ -113,6 +113,11 @@ class Retention:
             delete()
         except (StillNeeded, NotFound) as error:
             log.debug("kept", reason=str(error))
+            return 0
+        except StorageUnavailable:
+            raise
+        except TruepathError as error:  # of this one: the others go on
+            log.warning("not deleted", reason=str(error))
             return 0
         return 1
 

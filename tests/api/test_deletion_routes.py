@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from truepath.app.errors import BundleError
 from truepath.app.jobs.job import Stage
 from truepath.app.jobs.reconciliation import reconcile
 from truepath.app.jobs.retention import Retention, RetentionRules
@@ -94,6 +95,35 @@ def test_the_result_of_a_certificate_stays(client, service, kept, run, is_proble
     at = f"{RUNS}/{run['id']}"
     is_problem(client.delete(at, params={"with_results": True}), 409, "in-use")
     assert (folder / "certificate.json").is_file()
+
+
+def test_a_certificate_that_cannot_be_read_holds_no_other_job(
+    client, service, kept, analyse, run, is_problem
+):
+    other = analyse(run)
+    folder = service.results / other["id"] / "certificates" / "TP-1"
+    folder.mkdir(parents=True)
+    (folder / "certificate.json").write_bytes(b'{"place": "a\\u0000b"}')
+    is_problem(client.delete(f"{JOBS}/{other['id']}"), 409, "in-use")
+    assert client.delete(f"{JOBS}/{kept['id']}").status_code == 204
+
+
+def test_a_sweep_goes_on_behind_a_job_that_cannot_be_deleted(
+    client, analyse, run, retention, service, monkeypatch
+):
+    bad, good = analyse(run), analyse(run)
+    delete_job = service.deletion.delete_job
+
+    def refuse_one(job_id, note):
+        if job_id == bad["id"]:
+            raise BundleError("is not JSON", file="certificate.json")
+        return delete_job(job_id, note)
+
+    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
+    retention.sweep(LATER)
+    rows = {i for kind, i in retention.rows if kind == "job"}
+    assert good["id"] in rows
+    assert bad["id"] not in rows
 
 
 def test_a_run_goes_with_its_results_only_when_that_is_asked(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from truepath.app.files.machine_file import machine_to_json
@@ -50,6 +52,25 @@ def test_identity_is_asked_once_and_kept(client, is_problem):
     assert (again["customer"], again["tolerance_um"]) == ("Example Ltd", None)
     is_problem(client.patch(f"{BASE}/press", json=body), 404, "not-found")
     is_problem(client.patch(f"{BASE}/default", json={"id": "x"}), 422, "validation")
+
+
+@pytest.mark.parametrize("code", ["0000", "000a", "202e", "2066", "d800"])
+def test_what_is_not_printed_identifies_no_machine(client, is_problem, code):
+    """A certificate would state it."""
+    text = f'"a\\u{code}b"'
+    as_json = {"content-type": "application/json"}
+    body = f'{{"serial_number": {text}}}'
+    is_problem(
+        client.patch(f"{BASE}/default", content=body, headers=as_json),
+        422,
+        "validation",
+    )
+    body = f'{{"identity": {{"machine_serial": {text}}}}}'
+    at = "/api/v1/jobs/any/certificates"
+    is_problem(client.post(at, content=body, headers=as_json), 422, "validation")
+    file = json.dumps(load_machine("demo") | {"name": "NAME"}).replace('"NAME"', text)
+    body = f'{{"id": "mill-9", "machine_file": {file}}}'
+    is_problem(client.post(BASE, content=body, headers=as_json), 422, "bundle")
 
 
 def test_a_changed_machine_file_or_device_is_a_new_version(service):

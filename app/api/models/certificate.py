@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from truepath.app.api.models.base import (
     CompensationName,
@@ -12,12 +12,9 @@ from truepath.app.api.models.base import (
     Links,
     RequestBody,
 )
-from truepath.app.files.identity_file import LONGEST
+from truepath.app.api.models.naming import Name
 from truepath.app.files.verdict import State as VerdictState
 
-Line = Annotated[
-    str, StringConstraints(max_length=LONGEST, pattern=r"^[^\x00-\x1f\x7f]*$")
-]
 Language = Literal["en", "de"]
 
 
@@ -27,21 +24,21 @@ class IdentityIn(RequestBody):
     The registry of machines keeps it, but for the last two.
     """
 
-    machine_maker: Line = ""
-    machine_model: Line = ""
-    machine_serial: Line = ""
-    control: Line = ""
-    tracker: Line = Field("", description="Maker and model.")
-    tracker_serial: Line = ""
-    tracker_certificate: Line = Field("", description="Number of its own certificate.")
-    tracker_calibrated_on: Line = ""
-    target: Line = Field("", description="Reflector: kind and serial number.")
-    operator: Line = ""
-    laboratory: Line = Field("", description="Who issues the certificate.")
-    customer: Line = ""
-    place: Line = ""
-    warm_up: Line = Field("", description="Of this measurement; not kept.")
-    measured_on: Line = Field("", description="Date of this measurement; not kept.")
+    machine_maker: Name = ""
+    machine_model: Name = ""
+    machine_serial: Name = ""
+    control: Name = ""
+    tracker: Name = Field("", description="Maker and model.")
+    tracker_serial: Name = ""
+    tracker_certificate: Name = Field("", description="Number of its own certificate.")
+    tracker_calibrated_on: Name = ""
+    target: Name = Field("", description="Reflector: kind and serial number.")
+    operator: Name = ""
+    laboratory: Name = Field("", description="Who issues the certificate.")
+    customer: Name = ""
+    place: Name = ""
+    warm_up: Name = Field("", description="Of this measurement; not kept.")
+    measured_on: Name = Field("", description="Date of this measurement; not kept.")
 
 
 class CertificateRequest(RequestBody):

@@ -9,7 +9,6 @@ from pydantic import (
     ConfigDict,
     Field,
     JsonValue,
-    StringConstraints,
     field_validator,
 )
 
@@ -21,6 +20,7 @@ from truepath.app.api.models.base import (
     RequestBody,
 )
 from truepath.app.api.models.machine_file import MachineFileOut
+from truepath.app.api.models.naming import Name
 from truepath.app.files.machine_file import MachineFile
 from truepath.app.machine_settings import (
     DeviceConfiguration,
@@ -28,7 +28,6 @@ from truepath.app.machine_settings import (
     check_machine_id,
 )
 
-_Text = Annotated[str, StringConstraints(max_length=200)]
 _TRACKER: dict[str, JsonValue] = {"port": "/dev/serial/by-id/usb-tracker-if00-port0"}
 
 
@@ -51,13 +50,13 @@ class MachineIdentity(RequestBody):
         },
     )
 
-    name: _Text | None = None
-    maker: _Text | None = None
-    model: _Text | None = None
-    serial_number: _Text | None = None
-    control: _Text | None = Field(default=None, description="The numerical control.")
-    customer: _Text | None = None
-    place: _Text | None = None
+    name: Name | None = None
+    maker: Name | None = None
+    model: Name | None = None
+    serial_number: Name | None = None
+    control: Name | None = Field(default=None, description="The numerical control.")
+    customer: Name | None = None
+    place: Name | None = None
     tolerance_um: float | None = Field(
         default=None,
         gt=0,

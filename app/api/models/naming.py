@@ -8,13 +8,15 @@ from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.models.base import RequestBody
+from truepath.app.files.file_model import LONGEST_LINE, UNPRINTED
 
-# Neither control characters nor marks that turn the direction of what follows.
-_PRINTED = "[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]"
+_PRINTED = f"[^{UNPRINTED}]"
 _PRINTED_OR_BREAK = (
     "[^\\u0000-\\u0008\\u000b-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]"
 )
-Name = Annotated[str, StringConstraints(pattern=f"^{_PRINTED}*$", max_length=200)]
+Name = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED}*$", max_length=LONGEST_LINE)
+]
 RunName = Annotated[
     str, StringConstraints(pattern=f"^{_PRINTED}+$", min_length=1, max_length=200)
 ]
