@@ -10,12 +10,18 @@ from typing import Annotated, Literal
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import AwareDatetime
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.access_control import note_change, note_deletion, note_naming
 from truepath.app.api.models.arming import ArmRequest
-from truepath.app.api.models.base import PREFIX, JobId, MachineId, MachinePath, Problem
+from truepath.app.api.models.base import (
+    PREFIX,
+    JobId,
+    MachineId,
+    MachinePath,
+    Problem,
+    Time,
+)
 from truepath.app.api.models.job import (
     DiscoveryLinks,
     JobLinks,
@@ -60,11 +66,11 @@ NamePart = Annotated[
     ),
 ]
 Since = Annotated[
-    AwareDatetime | SkipJsonSchema[None],
+    Time | SkipJsonSchema[None],
     Query(description="Created not before this time.", examples=_WHEN),
 ]
 Until = Annotated[
-    AwareDatetime | SkipJsonSchema[None],
+    Time | SkipJsonSchema[None],
     Query(description="Created before this time.", examples=_WHEN),
 ]
 

@@ -156,3 +156,19 @@ def list_methods(path):
         for method in methods
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", described), path)
     }
+
+
+@pytest.mark.parametrize("path", ["jobs", "runs"])
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"until": "9999-12-31T23:59:59-14:00"},
+        {"since": "0001-01-01T00:00:00+14:00"},
+    ],
+)
+def test_a_time_outside_the_years_of_utc_is_refused(client, is_problem, path, query):
+    answer = client.get(f"/api/v1/{path}", params=query)
+    is_problem(answer, 422, "validation")
+    (at,) = query.values()
+    body = {"kind": "reanalyse", "since": at}
+    is_problem(client.post("/api/v1/jobs", json=body), 422, "validation")

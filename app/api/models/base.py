@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 from typing import Annotated, Self
 
 from fastapi import Path
 from pydantic import (
+    AfterValidator,
+    AwareDatetime,
     BaseModel,
     ConfigDict,
     Field,
@@ -39,6 +42,17 @@ Identifier = Annotated[
 CompensationName = Annotated[  # neither "." nor "..": it names a folder
     str, StringConstraints(pattern=r"^[0-9A-Za-z-][0-9A-Za-z.-]*$", max_length=100)
 ]
+
+
+def _require_utc(at: datetime) -> datetime:
+    try:
+        return at.astimezone(UTC)
+    except OverflowError:
+        raise ValueError("is not in the years 1 to 9999 of UTC") from None
+
+
+Time = Annotated[AwareDatetime, AfterValidator(_require_utc)]
+"""With its zone; turned into UTC."""
 
 MachineId = Annotated[str, StringConstraints(pattern=MACHINE_ID, max_length=32)]
 MachinePath = Annotated[

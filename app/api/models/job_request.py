@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Any, Literal, Self
 
-from pydantic import AwareDatetime, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from truepath.app.api.models.base import (
     JOB_ID,
@@ -19,6 +19,7 @@ from truepath.app.api.models.base import (
     MachineId,
     RequestBody,
     TargetUm,
+    Time,
 )
 from truepath.app.api.models.plan import PlanRequest, Point, Waypoint
 from truepath.app.jobs.job import JobKind
@@ -131,7 +132,7 @@ class JobRequest(RequestBody):
         "place of run_id: 50 at most. Of a trend two or more, in the order of time. Of "
         "a reanalysis up to 10 000 of any machine, each analysed for itself.",
     )
-    since: AwareDatetime | None = Field(
+    since: Time | None = Field(
         None,
         description="Of a reanalysis, in place of run_ids: Runs created not before; "
         "with `machine` those of one.",
