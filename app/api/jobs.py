@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Annotated, Literal
 
-from anyio import CapacityLimiter
+from anyio import CapacityLimiter, move_on_after
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.access_control import note_change, note_deletion, note_naming
+from truepath.app.api.access_control import (
+    note_change,
+    note_deletion,
+    note_naming,
+    read_token,
+)
 from truepath.app.api.models.arming import ArmRequest
 from truepath.app.api.models.base import (
     PREFIX,
@@ -46,9 +52,9 @@ from truepath.app.api.request_headers import (
     make_key,
 )
 from truepath.app.api.route_roles import LEAST_ROLES
-from truepath.app.api.service import ServiceDep
+from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
-from truepath.app.errors import NotFound
+from truepath.app.errors import NotFound, TruepathError
 from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
@@ -85,6 +91,7 @@ _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
+_LOOK_UP_S = 1.0  # of whoever stops
 
 
 @router.post("", status_code=202, responses=declare_problems(404, 409, 422))
@@ -264,19 +271,23 @@ async def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> J
 
 
 @stop.post("/stop", status_code=202)
-async def stop_motion(service: ServiceDep) -> Stopped:
+async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
-    return _describe_stop(jobs, service.machines.list_all())
+    stopped = _describe_stop(jobs, service.machines.list_all())
+    return await _hide_from_strangers(stopped, request, service)
 
 
 @stop.post(
     "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
 )
-async def stop_machine(machine_id: MachinePath, service: ServiceDep) -> Stopped:
+async def stop_machine(
+    machine_id: MachinePath, request: Request, service: ServiceDep
+) -> Stopped:
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=_STOPPING)
-    return _describe_stop(jobs, [service.machines.get(machine_id)])
+    stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
+    return await _hide_from_strangers(stopped, request, service)
 
 
 @router.get("/{job_id}/plan", responses=declare_problems(404))
@@ -320,6 +331,21 @@ def describe_job(job: Job) -> JobOut:
 def _describe(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = format_etag(job)
     return describe_job(job)
+
+
+async def _hide_from_strangers(
+    stopped: Stopped, request: Request, service: Service
+) -> Stopped:
+    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
+
+    Looked up after the stop and not for long: neither waits for the catalogue.
+    """
+    with move_on_after(_LOOK_UP_S), suppress(TruepathError):
+        token = read_token(request.scope)
+        known = await run_sync(service.access.identify, token, abandon_on_cancel=True)
+        if known is not None:
+            return stopped
+    return stopped.model_copy(update={"jobs": []})
 
 
 def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:

@@ -181,6 +181,7 @@ def validate(
 def quote(value: object) -> str:
     """Quote a value as JSON, shortened."""
     text = json.dumps(value, ensure_ascii=False, default=str)
+    text = text.encode(errors="backslashreplace").decode()
     return text if len(text) <= 60 else text[:57] + "…"
 
 
@@ -226,6 +227,7 @@ _KINDS = {
     "int_from_float": "a whole number",
     "string_type": "a text",
     "string_too_short": "a text",
+    "string_unicode": "a text of whole characters",
     "list_type": "a list, […]",
     "dict_type": "an object, {…}",
     "model_type": "an object, {…}",

@@ -231,7 +231,7 @@ def test_a_wrong_password_is_refused_and_at_length_waits(client, access):
 
 
 def test_whoever_comes_may_stop_whatever_the_catalogue_says(
-    client, access, armed_by_hand, make_cell, monkeypatch
+    client, service, access, armed_by_hand, make_cell, monkeypatch
 ):
     def away(*_):
         raise StorageUnavailable("the catalogue is away")
@@ -240,7 +240,19 @@ def test_whoever_comes_may_stop_whatever_the_catalogue_says(
     assert client.get(f"{API}/jobs", headers=bearer("any")).status_code == 503
     stopped = client.post(f"{API}/stop", headers=bearer("wrong"))
     assert stopped.status_code == 202
-    assert [job["id"] for job in stopped.json()["jobs"]] == [armed_by_hand]
+    assert stopped.json()["jobs"] == []
+    wait_until(lambda: service.store.get(armed_by_hand).state == "aborted")
+
+
+@pytest.mark.parametrize("logs_in", [False, True])
+def test_only_who_is_logged_in_is_told_which_jobs_were_stopped(
+    client, service, tokens, armed_by_hand, logs_in
+):
+    sent = bearer(tokens[Role.VIEWER]) if logs_in else {}
+    stopped = client.post(f"{API}/stop", headers=sent).json()
+    wait_until(lambda: service.store.get(armed_by_hand).state == "aborted")
+    assert [job["id"] for job in stopped["jobs"]] == [armed_by_hand] * logs_in
+    assert stopped["machines"]
 
 
 @pytest.fixture

@@ -259,5 +259,7 @@ class MachineStop(BaseModel):
 class Stopped(BaseModel):
     """The jobs that a blanket abort has reached, and whether the machines stand."""
 
-    jobs: list[JobOut]
+    jobs: list[JobOut] = Field(
+        description="None where who stops is not logged in, or cannot be looked up."
+    )
     machines: list[MachineStop]
