@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from truepath.app.files.file_model import (
     FileModel,
@@ -14,6 +14,7 @@ from truepath.app.files.file_model import (
     Text,
     Vector,
     encode_json,
+    is_line,
     parse_json,
     quote,
     refuse,
@@ -35,16 +36,34 @@ SCHEMA = "machine/1"
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 _USUAL = TrackerNoise()
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+# Figures that no machine has are slips of unit or of the key.
+_LARGEST = 1e6
+_LEAST_TRAVEL = {"mm": 1.0, "deg": 0.01}
+
+Mm = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+Deg = Annotated[float, Field(ge=-1e5, le=1e5)]
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
+NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+RateHz = Annotated[float, Field(gt=0.0, le=1e5)]
+
+
+def _require_within(vector: Vector) -> Vector:
+    for index, value in enumerate(vector):
+        if abs(value) > _LARGEST:
+            remedy = f"it must be within ±{_LARGEST:g}"
+            raise refuse(f"is {value:g}", remedy, index)
+    return vector
+
+
+Place = Annotated[Vector, AfterValidator(_require_within)]
 
 
 class LinearAxisFile(FileModel):
     """A linear axis."""
 
     type: Literal["linear"]
-    min_mm: float
-    max_mm: float
+    min_mm: Mm
+    max_mm: Mm
 
     @model_validator(mode="after")
     def _require_travel(self) -> LinearAxisFile:
@@ -60,10 +79,10 @@ class RotaryAxisFile(FileModel):
     """A rotary axis; without a direction it turns about that of its name."""
 
     type: Literal["rotary"]
-    min_deg: float
-    max_deg: float
-    origin_mm: Vector = (0.0, 0.0, 0.0)
-    direction: Vector | None = None
+    min_deg: Deg
+    max_deg: Deg
+    origin_mm: Place = (0.0, 0.0, 0.0)
+    direction: Place | None = None
 
     @model_validator(mode="after")
     def _require_travel_and_direction(self) -> RotaryAxisFile:
@@ -110,7 +129,7 @@ class TargetFile(FileModel):
     """A target; how well its place is known."""
 
     on: Literal["tool", "workpiece"]
-    offset_mm: Vector
+    offset_mm: Place
     seat_sigma_mm: Positive = SEAT_SIGMA_MM
 
 
@@ -121,7 +140,7 @@ class TrackerFile(FileModel):
     range_ppm: NotNegative = _USUAL.range_ppm
     angle_sigma_urad: NotNegative = _USUAL.angle_sigma_urad
     transverse_sigma_um: NotNegative = _USUAL.transverse_sigma_um
-    rate_hz: Positive = _USUAL.rate_hz
+    rate_hz: RateHz = _USUAL.rate_hz
     stands_on: Literal["workpiece", "base"] = "workpiece"
 
     @model_validator(mode="after")
@@ -134,10 +153,7 @@ class TrackerFile(FileModel):
 
 
 class MotionFile(FileModel):
-    """What the machine can; the usual is taken for what it does not state.
-
-    Figures that no machine has are slips of unit or of the key.
-    """
+    """What the machine can; the usual is taken for what it does not state."""
 
     max_feed_mm_min: Annotated[float, Field(ge=10.0, le=1e6)] | None = None
     acceleration_mm_s2: Annotated[float, Field(ge=1.0, le=1e6)] | None = None
@@ -157,7 +173,7 @@ class MachineFile(FileModel):
     name: Line = "machine"
     axes: AxesFile
     kinematic_chain: Text
-    tool_offset_mm: Vector | None = None
+    tool_offset_mm: Place | None = None
     targets: dict[str, TargetFile] | None = None
     tracker: TrackerFile = TrackerFile()
     motion: MotionFile | None = None
@@ -180,6 +196,9 @@ class MachineFile(FileModel):
         for name in self.targets or ():
             if not name.strip():
                 raise refuse("has no name", "name every target", "targets", name)
+            if not is_line(name):
+                problem = f"has the name {quote(name)}"
+                raise refuse(problem, "write a short line of printed text", "targets")
         return self
 
     @model_validator(mode="after")
@@ -255,8 +274,9 @@ def encode_machine(machine: Machine) -> bytes:
 
 
 def _require_order(unit: str, low: float, high: float) -> None:
-    if high <= low:
-        remedy = f"it must exceed min_{unit}, {low:g}"
+    least = _LEAST_TRAVEL[unit]
+    if high - low < least:
+        remedy = f"it must exceed min_{unit}, {low:g}, by {least:g} {unit} or more"
         raise refuse(f"is {high:g}", remedy, f"max_{unit}")
 
 
