@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from truepath.app.api.models.machine import NewMachine
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.machine_setup import show_devices
@@ -52,6 +53,12 @@ def test_identity_is_asked_once_and_kept(client, is_problem):
     assert (again["customer"], again["tolerance_um"]) == ("Example Ltd", None)
     is_problem(client.patch(f"{BASE}/press", json=body), 404, "not-found")
     is_problem(client.patch(f"{BASE}/default", json={"id": "x"}), 422, "validation")
+
+
+def test_the_machine_of_the_description_can_be_added(client):
+    (example,) = NewMachine.model_config["json_schema_extra"]["examples"]
+    answer = client.post(BASE, json=example)
+    assert answer.status_code == 201, answer.text
 
 
 @pytest.mark.parametrize("code", ["0000", "000a", "202e", "2066", "d800"])

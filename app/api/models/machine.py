@@ -81,6 +81,7 @@ _FILE = {
         "Y": {"type": "linear", "min_mm": 0, "max_mm": 300},
         "Z": {"type": "linear", "min_mm": 0, "max_mm": 200},
     },
+    "tool_offset_mm": [20, 30, -150],
 }
 
 
