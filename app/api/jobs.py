@@ -91,6 +91,7 @@ _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
+_LOOKING_UP = CapacityLimiter(8)
 _LOOK_UP_S = 1.0  # of whoever stops
 
 
@@ -340,9 +341,15 @@ async def _hide_from_strangers(
 
     Looked up after the stop and not for long: neither waits for the catalogue.
     """
+    if not service.access.rules.log_in_required:
+        return stopped
     with move_on_after(_LOOK_UP_S), suppress(TruepathError):
-        token = read_token(request.scope)
-        known = await run_sync(service.access.identify, token, abandon_on_cancel=True)
+        known = await run_sync(
+            service.access.identify,
+            read_token(request.scope),
+            abandon_on_cancel=True,
+            limiter=_LOOKING_UP,
+        )
         if known is not None:
             return stopped
     return stopped.model_copy(update={"jobs": []})
