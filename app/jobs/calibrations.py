@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import structlog
 
 from truepath.app.errors import BadInput, NotFound, TruepathError
-from truepath.app.jobs.job import Job, JobEvent
+from truepath.app.jobs.job import Job, JobEvent, format_utc
 from truepath.app.jobs.machine_registry import MachineRecord, MachineRegistry
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
@@ -25,6 +26,7 @@ from truepath.app.results.machine_documents import (
     ToleranceJudgement,
     changes_json,
     judge_tolerance,
+    read_stated,
 )
 from truepath.app.results.model_history import RESULT
 
@@ -94,13 +96,17 @@ class Calibrations:
 
     def list_of(self, machine_id: str) -> list[Calibration]:
         """Return the calibrations of a machine, the oldest measured first."""
-        newest: dict[tuple[str, ...], Calibration] = {}
+        newest: dict[object, Calibration] = {}
         for job in self._store.list_with_result(machine_id):
             file = self._results / job.id / RESULT
             if file.is_file():
                 key = tuple(sorted(job.run_ids)) or (job.id,)
                 newest[key] = self._describe(job, file)
-        return sorted(newest.values(), key=lambda one: (one.measured, one.job_id))
+        # The same Run may have come twice, under two names.
+        once = {_list_inputs(c) or c.job_id: c for c in newest.values()}
+        return sorted(
+            once.values(), key=lambda c: (c.is_time_stated, c.measured, c.job_id)
+        )
 
     def list_usable(self, machine_id: str) -> list[Calibration]:
         """Return those whose verdict lets them be used."""
@@ -154,7 +160,7 @@ class Calibrations:
 
     def _describe(self, job: Job, file: Path) -> Calibration:
         created = [self._runs.get(run_id).created for run_id in job.run_ids]
-        return Calibration(
+        catalogued = Calibration(
             str(job.machine),
             job.id,
             job.run_ids,
@@ -162,7 +168,12 @@ class Calibrations:
             job.machine_version,
             job.verdict,
             file,
+            is_time_stated=False,
         )
+        started = _find_start(catalogued)
+        if started is None:
+            return catalogued
+        return replace(catalogued, measured=started, is_time_stated=True)
 
     def _find_standing(self, record: MachineRecord) -> Standing:
         usable = self.list_usable(record.id)
@@ -197,6 +208,22 @@ class Calibrations:
             found.get("has_changed"),
             " ".join(found["text"]),
         )
+
+
+def _find_start(one: Calibration) -> str | None:
+    """Return when the first Run of a result began, where its Runs state it."""
+    runs = read_stated(one).get("runs") or ()
+    stated = [run.get("source", {}).get("started") for run in runs]
+    times = [
+        datetime.fromisoformat(str(each)).astimezone(UTC) for each in stated if each
+    ]
+    return format_utc(min(times)) if times else None
+
+
+def _list_inputs(one: Calibration) -> frozenset[str]:
+    """Return the digests of the Runs that a result comes from."""
+    runs = read_stated(one).get("provenance", {}).get("runs") or ()
+    return frozenset(str(run["input_sha256"]) for run in runs)
 
 
 def _compare(since: Calibration, until: Calibration) -> Mapping[str, Any]:

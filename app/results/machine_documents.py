@@ -30,6 +30,7 @@ class Calibration:
     """One result of a machine: whose, from which Runs, when it was measured.
 
     file : its `result.json`; verdict : what it says of itself
+    is_time_stated : by its Runs; else `measured` is when it was catalogued
     """
 
     machine: str
@@ -39,6 +40,7 @@ class Calibration:
     machine_version: int | None
     verdict: str | None
     file: Path
+    is_time_stated: bool = True
 
     def describe(self) -> dict[str, Any]:
         """Return what a document states of it."""

@@ -26,6 +26,30 @@ def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(
     is_problem(client.get(f"{BASE}/press/history"), 404, "not-found")
 
 
+def test_an_old_run_that_is_uploaded_late_is_not_the_newest(
+    client, calibrated, service
+):
+    def state(job_id, started, digest):
+        file = service.results / job_id / "result.json"
+        content = json.loads(file.read_text())
+        for run in content["runs"]:
+            run["source"].pop("started", None)
+            run["source"].update({"started": started} if started else {})
+        content["provenance"]["runs"] = [{"name": "r", "input_sha256": digest}]
+        file.write_text(json.dumps(content))
+
+    def list_jobs():
+        return [one.job_id for one in service.calibrations.list_of("default")]
+
+    state("job-1", "2026-02-01T08:00:00+00:00", "1" * 64)
+    state("job-2", "2025-02-01T08:00:00+00:00", "2" * 64)
+    assert list_jobs() == ["job-2", "job-1"]
+    state("job-2", None, "2" * 64)
+    assert list_jobs() == ["job-2", "job-1"]
+    state("job-2", None, "1" * 64)
+    assert len(list_jobs()) == 1
+
+
 def test_what_has_changed_since_a_calibration_is_said_in_words(
     client, calibrated, is_problem
 ):

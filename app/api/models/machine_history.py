@@ -15,7 +15,9 @@ class CalibrationOut(BaseModel):
     job_id: str = Field(examples=[JOB_ID])
     run_ids: list[str]
     measured: str = Field(
-        examples=["2026-05-04T09:30:00.000Z"], description="When its first Run began."
+        examples=["2026-05-04T09:30:00.000Z"],
+        description="When its first Run began; when it was catalogued where no Run "
+        "states it: such a one stands before all that are dated.",
     )
     machine_version: int | None = Field(
         description="Of the machine's configuration; null where nobody knows."
