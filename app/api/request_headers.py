@@ -23,7 +23,7 @@ IdempotencyKeyHeader = Annotated[
     | SkipJsonSchema[None],
     Header(description="Of your choice: the same key and body make one job, once."),
 ]
-_TAG = re.compile(r'^(?:W/)?"?(\d{1,9})"?$')
+_TAG = re.compile(r'^"?(\d{1,9})"?$')  # a weak tag matches nothing (RFC 9110)
 
 
 def make_key(key: str | None, kind: str, request: BaseModel) -> IdempotencyKey | None:

@@ -94,11 +94,12 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
     assert "begin" not in make_cell.cell.heard
 
 
-def test_a_weak_tag_of_the_right_version_is_taken(client, ready):
+def test_a_weak_tag_matches_no_version(client, ready, is_problem, make_cell):
     headers = {"If-Match": f'W/"{ready["version"]}"'}
     body = {"token": request_token(client, ready["id"])}
     answer = client.post(f"/api/v1/jobs/{ready['id']}/arm", headers=headers, json=body)
-    assert answer.status_code == 202
+    is_problem(answer, 412, "stale-version")
+    assert "begin" not in make_cell.cell.heard
 
 
 def test_arming_shows_what_moves_and_its_token_arms_once(
@@ -373,6 +374,21 @@ def test_a_body_that_is_not_as_documented_is_named(
     assert errors[0]["location"] == where
     assert text in errors[0]["message"]
     assert set(errors[0]) == {"location", "message", "type"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"tolerance_um": True},
+        {"tolerance_um": "5"},
+        {"seed": True},
+        {"perpendicular_only": "yes"},
+    ],
+)
+def test_a_value_of_another_type_is_refused(client, is_problem, change):
+    body = {"kind": "verify", "result_id": "0190a4a1", **change}
+    said = is_problem(client.post("/api/v1/jobs", json=body), 422, "validation")
+    assert next(iter(change)) in said["detail"]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
-from typing import Annotated, Self
+from typing import Annotated, Any, Self, cast
 
 from fastapi import Path
 from pydantic import (
@@ -107,10 +107,36 @@ class AsKept:
         return {"type": "array", "items": described} if self._many else described
 
 
+_STRICT = frozenset({"bool", "int", "float"})
+_NO_SCHEMA = frozenset({"config", "default", "metadata"})
+
+
+def _make_strict(schema: Any) -> Any:
+    """Return a core schema whose numbers and truth values are strict."""
+    if isinstance(schema, list):
+        return [_make_strict(one) for one in cast(list[Any], schema)]
+    if not isinstance(schema, dict):
+        return schema
+    parts = cast(dict[str, Any], schema)
+    inner = {k: v if k in _NO_SCHEMA else _make_strict(v) for k, v in parts.items()}
+    is_strict = isinstance(kind := parts.get("type"), str) and kind in _STRICT
+    return inner | {"strict": True} if is_strict else inner
+
+
 class RequestBody(BaseModel):
-    """What clients send: nothing else is in it."""
+    """What clients send: nothing else is in it.
+
+    A number is no text and no truth value, a truth value is nothing else.
+    """
 
     model_config = ConfigDict(extra="forbid", str_max_length=200)
+
+    @classmethod
+    def __get_pydantic_core_schema__(
+        cls, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Take numbers and truth values as they are declared; names stay lax."""
+        return _make_strict(handler(source))
 
 
 class Links(BaseModel):
