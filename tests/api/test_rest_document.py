@@ -6,12 +6,13 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.api import problems
 from truepath.app.jobs.plan_orders import plan_measurement
 from truepath.app.jobs.transitions import FINAL, State
 
@@ -28,6 +29,12 @@ def section(heading):
     starts = [n for n, word in enumerate(words) if word == "curl"]
     ends = [*starts[1:], len(words)]
     return [words[a + 1 : b] for a, b in zip(starts, ends, strict=True)]
+
+
+def test_the_tables_of_codes_are_those_of_the_service():
+    script = DOCUMENT.with_name("write_problem_codes.py")
+    checked = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert checked.returncode == 0, "python docs/write_problem_codes.py writes them"
 
 
 class Curl:
@@ -329,16 +336,6 @@ def test_the_machine_is_asked_for_extra_lines(
     make_cell.cell.end()
     follow("succeeded")
     assert curl(found).json()["schema"] == "discovery/1"
-
-
-def test_every_code_of_the_document_exists_with_its_status():
-    table = TEXT.split("\n## Refusals\n")[1].split("\n## ")[0]
-    rows = re.findall(r"^\| ([\d, ]+) \| (.*) \|$", table, re.MULTILINE)
-    assert len(rows) == 9
-    kinds = [*problems.PROBLEM_KINDS.values(), *problems.BY_STATUS.values()]
-    for statuses, codes in rows:
-        known = {k.code for k in kinds if str(k.status) in statuses.split(", ")}
-        assert set(re.findall(r"`([\w-]+)`", codes)) <= known, statuses
 
 
 def test_the_example_of_a_refusal_is_what_is_answered(client, order, is_problem):
