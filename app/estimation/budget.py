@@ -67,7 +67,7 @@ def _split_covariance(
 ) -> Float64[np.ndarray, "s p p"]:
     size = fit.model.size
     held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
-    known = _known_precisions(fit)
+    known = _find_known_precisions(fit)
     prior = fit.prior.precision_matrix(size)
     data = replace(fit.data, matrix=held + known.sum(axis=0))
     C = compute_posterior(data, prior).covariance
@@ -92,7 +92,7 @@ def _split_noise(
     return [white, correlated, total - white - correlated]
 
 
-def _known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
+def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
     """Return what was known before of thermal effects, and of all others."""
     size, known = fit.model.size, fit.known
     whole = np.zeros((size, size))

@@ -80,7 +80,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
         ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
         (
             "compensation_after",
-            f"{language.expanded(after['mean'], after['mean_uncertainty'])} µm (k = 2)",
+            f"{language.write_expanded(after['mean'], after['mean_uncertainty'])} µm (k = 2)",
         ),
         ("compensation_file", ", ".join(map(_base_name, account["files"]))),
     ]
@@ -129,7 +129,7 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
         )
         value, sigma = (np.atleast_1d(number[key]) for key in ("value", "uncertainty"))
         pairs = zip(value.tolist(), sigma.tolist(), strict=True)
-        shown = ", ".join(language.expanded(v, s) for v, s in pairs)
+        shown = ", ".join(language.write_expanded(v, s) for v, s in pairs)
         word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
         yield f"{word} {shown} {unit}".strip()
 

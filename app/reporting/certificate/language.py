@@ -55,7 +55,7 @@ class Language:
         """Return a number with the language's decimal mark and a true minus sign."""
         return self.mark(format_number(value, decimals))
 
-    def expanded(self, value: float, standard: float) -> str:
+    def write_expanded(self, value: float, standard: float) -> str:
         """Return `value ± U`, k = 2; `standard` is the standard uncertainty."""
         return self.mark(format_expanded(value, standard))
 

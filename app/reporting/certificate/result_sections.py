@@ -154,7 +154,7 @@ def describe_single(certificate: Certificate, language: Language) -> View:
             (
                 symbol,
                 language.name_symbol(symbol),
-                f"{language.expanded(value, sigma)} {SIGN[unit]}",
+                f"{language.write_expanded(value, sigma)} {SIGN[unit]}",
             )
             for symbol, (value, sigma, unit) in {**square, **places}.items()
         ]
@@ -190,7 +190,7 @@ def _list_after(
 
 
 def _say_figure(figure: Mapping[str, float], language: Language) -> str:
-    return language.expanded(figure["value_um"], figure["uncertainty_um"])
+    return language.write_expanded(figure["value_um"], figure["uncertainty_um"])
 
 
 def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:
@@ -253,7 +253,9 @@ def _list_values(
         own = _unit_of(table, "value")
         head.append(f"{symbol}, {SIGN[own]}")
         pairs = zip(table[f"value_{own}"], table[f"uncertainty_{own}"], strict=True)
-        columns.append([language.expanded(value, sigma) for value, sigma in pairs])
+        columns.append(
+            [language.write_expanded(value, sigma) for value, sigma in pairs]
+        )
     places = [
         language.number(position, 1) + ("*" if is_beyond else "")
         for position, is_beyond in zip(
@@ -292,7 +294,7 @@ def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ..
         yield (
             symbol,
             language.name_symbol(symbol),
-            f"{language.expanded(value[largest], sigma[largest])} {SIGN[unit]}",
+            f"{language.write_expanded(value[largest], sigma[largest])} {SIGN[unit]}",
             f"{at} {_POSITION_SIGN[place]}",
         )
 
@@ -329,7 +331,7 @@ def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str
     def say(stated: Stated | None) -> str:
         if stated is None:
             return "–"
-        return language.expanded(stated.value, stated.uncertainty)
+        return language.write_expanded(stated.value, stated.uncertainty)
 
     return (
         f"{one.symbol[2]},\u00a0{SIGN[one.unit]}",
