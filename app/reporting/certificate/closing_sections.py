@@ -69,6 +69,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
     account = source.content
     error = account["volumetric_error_um"]
     after = error["after"]
+    left = language.write_expanded(after["mean"], after["mean_uncertainty"])
     key = f"format.{account['format']}"
     carries = language.shared.get(f"{key}.carries", account["carries"])
     not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
@@ -80,7 +81,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
         ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
         (
             "compensation_after",
-            f"{language.write_expanded(after['mean'], after['mean_uncertainty'])} µm (k = 2)",
+            f"{left} µm (k = 2)",
         ),
         ("compensation_file", ", ".join(map(_base_name, account["files"]))),
     ]
