@@ -194,7 +194,7 @@ def test_what_nobody_has_stated_is_shown_as_not_stated(issue, capsys):
     assert "not stated: machine_maker" in capsys.readouterr().err
     _, file = issue("d.html", "--language", "de")
     identity = dict(read_page(file).tables["identity"][0])
-    assert identity["Bediener"] == "Jörg Weiß"
+    assert identity["Bediener"] == "nicht angegeben"
     assert identity["Seriennummer des Trackers"] == "nicht angegeben"
 
 
