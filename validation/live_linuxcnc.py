@@ -99,15 +99,23 @@ class LiveRig:
 
 
 @contextmanager
-def live_rig(content: Mapping[str, Any], seed: int, case: Case) -> Iterator[LiveRig]:
-    """Start LinuxCNC with the travel of a machine file, and a tracker beside it."""
+def live_rig(
+    content: Mapping[str, Any],
+    seed: int,
+    case: Case,
+    tables: Mapping[str, str] | None = None,
+) -> Iterator[LiveRig]:
+    """Start LinuxCNC with the travel of a machine file, and a tracker beside it.
+
+    tables : compensation table of an axis that LinuxCNC corrects by
+    """
     machine = parse_machine(content)
     travel = {
         axis.name: (low - _BEYOND, high + _BEYOND)
         for axis, low, high in zip(machine.axes, machine.low, machine.high, strict=True)
     }
     machine_on_linuxcnc = LinuxCncMachine(
-        travel, kinematics=case.kinematics, hal=case.hal
+        travel, tables or {}, kinematics=case.kinematics, hal=case.hal
     )
     is_modbus = case.driver == "modbus"
     with (
