@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -335,6 +336,16 @@ def volume() -> Callable[[Machine], np.ndarray]:
 def at_rest() -> Callable[[Machine, np.ndarray], Any]:
     """Give the conditions of a machine at rest."""
     return make_standstill
+
+
+@pytest.fixture(autouse=True)
+def no_log_of_another_test() -> Iterator[None]:
+    """Take away what a command has set up to write its log with."""
+    yield
+    root = logging.getLogger()
+    for handler in root.handlers[:]:
+        if type(handler) is logging.StreamHandler:
+            root.removeHandler(handler)
 
 
 @pytest.fixture(scope="module")

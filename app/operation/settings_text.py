@@ -17,6 +17,7 @@ _EXAMPLES: Mapping[str, str] = {
     "data_dir": '"/srv/truepath"',
     "database_url": '"postgresql+psycopg://truepath@db.example/truepath"',
     "database_password_file": '"/etc/truepath/database_password"',
+    "temperature_drift_limit_degC": "0.5",
     "tls_cert": '"/etc/truepath/cert.pem"',
     "tls_key": '"/etc/truepath/key.pem"',
     "trusted_hosts": '["calibration.plant.example"]',
