@@ -105,7 +105,7 @@ def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
         ({"language": "fr"}, 422, "validation"),
         ({"identity": {"opertor": "A"}}, 422, "validation"),
         ({"identity": {"operator": "A\nB"}}, 422, "validation"),
-        ({"compensation_id": "../../x"}, 404, "not-found"),
+        ({"compensation_id": "../../x"}, 422, "validation"),
         ({"as_left_job": "019a3f6b"}, 404, "not-found"),
     ],
 )

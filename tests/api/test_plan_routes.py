@@ -225,6 +225,16 @@ def test_the_same_key_makes_one_plan(client):
 
 
 @pytest.mark.parametrize("feed", [5e-324, 1e-9, 1e6])
+def test_rows_with_a_feed_of_no_machine_are_refused(client, is_problem, feed):
+    rows = [
+        {"x_mm": 10, "y_mm": 10, "z_mm": 100},
+        {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
+    ]
+    answer = client.post("/api/v1/plans:validate", json={"path": rows})
+    assert "row 2: a feed of" in is_problem(answer, 422, "plan")["detail"]
+
+
+@pytest.mark.parametrize("feed", [1.0, 6000.0, 99_999.0])
 def test_rows_that_may_be_driven_have_a_duration(client, feed):
     rows = [
         {"x_mm": 10, "y_mm": 10, "z_mm": 100, "dwell_s": 3600},
