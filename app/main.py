@@ -122,16 +122,16 @@ def open_service(settings: Settings) -> Iterator[Service]:
         reconciliation.start()
         for one in context.machines.list_all():
             one.start()
-        calibrations = setup.calibrations
-        _begin_to_judge(calibrations, stack)
+        _begin_to_judge(setup.calibrations, stack)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         deletion = Deletion(database, context.runs, context.results)
+        rules = RetentionRules(settings.keep_runs_days, settings.keep_results_days)
         retention = Retention(
             context,
-            calibrations,
+            setup.calibrations,
             deletion,
-            RetentionRules(settings.keep_runs_days, settings.keep_results_days),
+            rules,
             partial(_audit_retention, access.audit_log),
             lambda: dispatcher.is_measuring,
         )
@@ -148,7 +148,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             event_bus=event_bus,
             machines=context.machines,
             setup=setup,
-            calibrations=calibrations,
+            calibrations=setup.calibrations,
             deletion=deletion,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,

@@ -10,6 +10,8 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
+from page_section import write_section
+
 from truepath.app.api.problems import BY_STATUS, PROBLEM_KINDS
 
 PAGE = Path(__file__).with_name("rest-api.md")
@@ -52,16 +54,5 @@ def _list_named(known: set[str]) -> list[tuple[str, str]]:
     )
 
 
-def main() -> int:
-    """Write the page, or say whether it has to be written."""
-    old = PAGE.read_text(encoding="utf-8")
-    head, rest = old.split(BEGIN)
-    new = f"{head}{BEGIN}\n{write_tables()}\n{END}{rest.split(END)[1]}"
-    if "--check" in sys.argv:
-        return int(new != old)
-    PAGE.write_text(new, encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(write_section(PAGE, BEGIN, END, write_tables))

@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
+from page_section import write_section
+
 PAGE = Path(__file__).with_name("reliability.md")
 TESTS = Path(__file__).parents[1] / "tests"
 MEASURED = PAGE.with_name("reliability-measured.json")
@@ -140,16 +142,5 @@ def write_table() -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
-    """Write the page, or say whether it has to be written."""
-    old = PAGE.read_text(encoding="utf-8")
-    head, rest = old.split(BEGIN)
-    new = f"{head}{BEGIN}\n{write_table()}\n{END}{rest.split(END)[1]}"
-    if "--check" in sys.argv:
-        return int(new != old)
-    PAGE.write_text(new, encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(write_section(PAGE, BEGIN, END, write_table))

@@ -8,6 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from page_section import write_section
+
 from truepath.app.operation.settings_text import SettingText, list_settings
 
 PAGE = Path(__file__).with_name("settings.md")
@@ -30,16 +32,5 @@ def _write_row(one: SettingText) -> str:
     return f"| `{one.name}` | {default} | {meaning}{example} | `{one.environment}` |"
 
 
-def main() -> int:
-    """Write the page, or say whether it has to be written."""
-    old = PAGE.read_text(encoding="utf-8")
-    head, rest = old.split(BEGIN)
-    new = f"{head}{BEGIN}\n{write_table()}\n{END}{rest.split(END)[1]}"
-    if "--check" in sys.argv:
-        return int(new != old)
-    PAGE.write_text(new, encoding="utf-8")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(write_section(PAGE, BEGIN, END, write_table))

@@ -126,7 +126,7 @@ def _run_json(found: Verification) -> dict[str, Any]:
         "input_sha256": found.run.digest,
         "samples_used": found.samples[0],
         "samples_offered": found.samples[1],
-        "left_out": [_left_out_to_json(one) for one in found.left_out],
+        "left_out": [_describe_left_out(one) for one in found.left_out],
     }
 
 
@@ -296,7 +296,7 @@ def _places_json(found: Verification) -> dict[str, Any]:
     }
 
 
-def _left_out_to_json(one: LeftOut) -> dict[str, Any]:
+def _describe_left_out(one: LeftOut) -> dict[str, Any]:
     return {
         "cause": one.cause,
         "row": one.row,
