@@ -132,9 +132,10 @@ def _run_json(found: Verification) -> dict[str, Any]:
 
 def state_findings(found: Verification) -> Iterator[str]:
     """Yield what the verification says, a sentence each, what matters most first."""
+    state = "with its compensation active" if found.is_compensated else "as it is"
     for name, one in found.conformity.items():
         what = (
-            "The machine as it is"
+            f"The machine {state}"
             if name == "measured"
             else "The result, as a prediction of the machine,"
         )

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.reporting.certificate.closing_sections import word_findings
+from truepath.app.reporting.certificate.closing_sections import (
+    say_decision,
+    word_findings,
+)
 from truepath.app.reporting.certificate.language import load_language
 
 MEASURED = {
@@ -63,3 +66,18 @@ def test_a_scale_as_expected_is_not_commented():
 )
 def test_a_file_that_states_less_is_quoted(language, content):
     assert word_findings(content, load_language(language)) == ["The machine fails."]
+
+
+@pytest.mark.parametrize("decision", ["within", "outside", "undecided"])
+@pytest.mark.parametrize(
+    ("language", "words"), [("en", "compensation active"), ("de", "aktiver Komp")]
+)
+def test_a_decision_says_whether_the_compensation_was_active(decision, language, words):
+    conformity = {"measured": MEASURED | {"conformity": decision}}
+    content = VERIFICATION | {"conformity": conformity}
+    with_it, without = (
+        say_decision(content | {"compensated": active}, load_language(language))
+        for active in (True, False)
+    )
+    assert words in with_it
+    assert words not in without

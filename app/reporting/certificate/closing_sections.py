@@ -55,7 +55,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         "mismatch": _say_mismatch(
             "verification_mismatch", source, certificate, language
         ),
-        "decision": _say_decision(source.content, language),
+        "decision": say_decision(source.content, language),
         "statements": word_findings(source.content, language),
         "rows": list(_flatten(_pick(source.content), language))[:_MOST_ROWS],
     }
@@ -145,13 +145,14 @@ def _say_mismatch(
     return language.say(key, other=other[:16], own=own[:16])
 
 
-def _say_decision(content: Mapping[str, Any], language: Language) -> str:
+def say_decision(content: Mapping[str, Any], language: Language) -> str:
     """Return whether the machine keeps its tolerance, else whether both agree."""
     conformity = as_object(content.get("conformity"))
     decision = as_object(conformity.get("measured")).get("conformity")
     agrees = as_object(content.get("agreement")).get("consistent")
     if decision in _DECISIONS:
-        return language.say(f"verification_{decision}")
+        state = "_compensated" if content.get("compensated") else ""
+        return language.say(f"verification_{decision}{state}")
     if isinstance(agrees, bool):
         return language.say("verification_agrees" if agrees else "verification_differs")
     return language.say("not_stated")
