@@ -68,5 +68,5 @@ def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
     proof = json.loads((tmp_path / "proof" / "verification.json").read_text())
     assert proof["agreement"]["consistent"]
     assert proof["difference_um"]["mean"]["within"]
-    left_um = proof["volumetric_error_um"]["measured"]["mean"]["value"]
+    left_um = proof["volumetric_error_um"]["measured"]["mean"]
     assert left_um < 0.8 * found.before_um  # positioning alone is carried
