@@ -312,7 +312,7 @@ def _add_compensation(add: Callable[..., object]) -> None:
         type=Path,
         metavar="FILE",
         help="compensation tables of one controller: LinuxCNC, SINUMERIK, Heidenhain, "
-        "Fanuc or ISG_CSV",
+        "Fanuc, ISG_CSV or Etalon Exchange",
     )
     add(
         "--backlash-reading",

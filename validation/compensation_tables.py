@@ -40,6 +40,7 @@ ORDERS: Mapping[str, tuple[str, dict[str, str]]] = {
     "fanuc": ("fanuc", {}),
     "isg-csv": ("isg-csv", {}),
     "isg-csv, tool followed": ("isg-csv", {"tool_length": "followed"}),
+    "etalon-exchange": ("etalon-exchange", {}),
 }
 
 

@@ -91,7 +91,7 @@ def export(
     tool_length: Annotated[
         Literal["fixed", "followed"] | None,
         typer.Option(
-            help="Of ISG: of the measured tool, or of the one in use. [fixed]"
+            help="Of ISG, Etalon: of the measured tool, or of the one in use. [fixed]"
         ),
     ] = None,
     at_temperature: Annotated[

@@ -15,7 +15,9 @@ files that make the error larger are refused.
                           the error motions of each axis at equal spacing, mm, rad
     export                writing, reading back, what remains of the whole and of each
                           effect of a model: the account of the files
-    linuxcnc, siemens, heidenhain, fanuc, isg_csv    one maker a file
+    linuxcnc, siemens, heidenhain, fanuc, isg_csv, etalon_exchange
+                          one maker a file
+    tool_length           of the tool in use, where a control follows it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
 

@@ -2,10 +2,8 @@
 
 Blocks of an argument and the motions of an axis, mm and rad, split by `#`. Squareness
 is in the straightness, the target's offset in the displacements, so that lever arms
-count from the zero of the axes and the tool length is 0. With N0X, N0Y, N0Z, the unit
-vector from the flange to the tip, the controller adds what the angles do at the end of
-the tool that is in use, and displacements are those of a tool without length: only what
-is across that vector stays in them. The controller computes the
+count from the zero of the axes and the tool length is 0; or that of the tool in use
+(`tool_length`). The controller computes the
 tool point of the chain and takes the error away; the sign at the machine has to be
 tried (it has a switch `negate`). A guide that bends under another axis has a block of
 two arguments, the other axis first, on a grid. Source: ISG kernel manual, volumetric
@@ -15,7 +13,6 @@ compensation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -31,11 +28,10 @@ from truepath.app.compensation.motion_correction import (
     correct_by_motions,
     interpolate_rows,
 )
+from truepath.app.compensation.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR, is_turn, list_error_motions
-
-_TOOL = ("N0X", "N0Y", "N0Z")
 
 
 class IsgCsv(CompensationFormat):
@@ -51,32 +47,23 @@ class IsgCsv(CompensationFormat):
     not_carried = "backlash and what depends on direction"
     sign = "the file has the errors; the controller takes them away"
     sign_is_verified = False
-    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "tool_length": ("fixed", "followed")
-    }
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = ToolLength.choices
 
     def __init__(self, tool_length: str = "fixed") -> None:
-        self._follows = tool_length == "followed"
+        self._tool = ToolLength(tool_length)
         self.note = (
             "file_format ISG_CSV, Interpolation GRID, the kinematic chain as it stands "
-            "in the second line; "
-        ) + (
-            "N0X, N0Y, N0Z give the tool's direction, along Z: the control adds the "
-            "length of the tool in use, counted as the offset in the third line is"
-            if self._follows
-            else "tool length 0 (N0X, N0Y, N0Z left out): for the measured tool alone"
+            f"in the second line; {self._tool.note}"
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file with a block an axis."""
         lines = [f"// {line}" for line in content.stamp]
-        tables = content.tables
+        tables = self._tool.shorten(content.tables, content.machine)
         blocks: list[str] = []
-        if self._follows:
-            tool = _find_tool_mm(content.machine)
-            tables = tuple(_shorten(table, tool) for table in tables)
-            sign = "-1" if tool[2] < 0.0 else "1"
-            blocks.append("\n".join(["  ".join(_TOOL), f"0  0  {sign}"]))
+        if direction := self._tool.find_direction(content.machine):
+            numbers = "  ".join(map(str, direction))
+            blocks.append("\n".join(["  ".join(TOOL_SYMBOLS), numbers]))
         blocks += ["\n".join(_write_block(table)) for table in tables]
         text = "\n".join([*lines, "\n#\n".join(blocks), ""])
         return {f"{content.stem}{self.suffix}": text}
@@ -85,9 +72,7 @@ class IsgCsv(CompensationFormat):
         """Return minus the error that the chain makes of the motions."""
         (text,) = files.values()
         blocks = dict(_read_blocks(text))
-        direction_of_tool = blocks.pop(_TOOL[0], ("", np.zeros((1, 3))))[1][0]
-        length_mm = abs(_find_tool_mm(machine)[2])
-        tool = length_mm * direction_of_tool
+        tool = blocks.pop(TOOL_SYMBOLS[0], ("", np.zeros((1, 3))))[1][0]
 
         def find_motion(
             axis: str, position_mm: Float64[np.ndarray, "n a"], direction: float
@@ -99,21 +84,9 @@ class IsgCsv(CompensationFormat):
                 motion = _interpolate_grid(rows, other, at)
             else:
                 motion = interpolate_rows(rows, at)
-            motion[:, :3] += np.cross(motion[:, 3:], tool)
-            return motion
+            return add_tool(motion, tool, machine)
 
         return correct_by_motions(machine, blocks, find_motion)
-
-
-def _find_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
-    """Return the part of the target's offset along Z, where a tool's length counts."""
-    return np.array([0.0, 0.0, machine.target().offset_mm[2]])
-
-
-def _shorten(table: AxisTable, tool_mm: Float64[np.ndarray, "3"]) -> AxisTable:
-    """Return the table of a tool without length."""
-    lever = np.cross(table.rotation_rad, tool_mm)
-    return replace(table, translation_mm=table.translation_mm - lever)
 
 
 def _write_block(table: AxisTable) -> Iterator[str]:
@@ -133,8 +106,13 @@ def _write_rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterat
     symbols = list_error_motions(table.axis.name)
     for at, row in zip(table.position_mm, motions, strict=True):
         values = zip(symbols, row, strict=True)
-        numbers = [f"{v:z.9f}" if is_turn(s) else f"{v:z.6f}" for s, v in values]
+        numbers = [format_motion(symbol, value) for symbol, value in values]
         yield "  ".join([f"{at:.6f}", *numbers])
+
+
+def format_motion(symbol: str, value: float) -> str:
+    """Return mm or rad as the control reads them, to a nanometre and a nanoradian."""
+    return f"{value:z.9f}" if is_turn(symbol) else f"{value:z.6f}"
 
 
 def _interpolate_grid(
@@ -166,7 +144,7 @@ def _read_blocks(
         head, *rows = [line.split() for line in block.splitlines() if line.strip()]
         by = head.pop(0) if len(head) > 1 and head[1] in LINEAR else ""
         axis = head[0]
-        if tuple(head) == _TOOL:
+        if tuple(head) == TOOL_SYMBOLS:
             yield axis, ("", np.array([[float(word) for word in rows[0]]]))
             continue
         if head[1:] != list(list_error_motions(axis)):

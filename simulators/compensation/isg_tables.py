@@ -9,7 +9,7 @@ Source: ISG kernel manual, volumetric compensation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,12 +105,23 @@ def read_isg(
             constants |= dict(zip(head, table[0].tolist(), strict=True))
         else:
             blocks.append(_make_block(name, head, table, arguments))
+    return correct_volume(name, machine, blocks, constants, rules)
+
+
+def correct_volume(
+    name: str,
+    machine: MachineFile,
+    blocks: Iterable[Block],
+    constants: Mapping[str, float],
+    rules: Rules,
+) -> VolumetricCorrection:
+    """Return the correction by the parameters of a file, of whatever form."""
     known = {*SQUARENESS, *_TOOL}
     for constant in constants:
         if constant not in known:
             raise SimulatorError(f"{name}: the constant {constant} is not simulated")
     return VolumetricCorrection(
-        perfect(machine), tuple(blocks), constants, rules.tool_length_mm
+        perfect(machine), tuple(blocks), dict(constants), rules.tool_length_mm
     )
 
 

@@ -14,6 +14,7 @@ from truepath.simulators.compensation.correction import (
     TableCorrection,
     Term,
 )
+from truepath.simulators.compensation.etalon_tables import read_etalon
 from truepath.simulators.compensation.fanuc_tables import read_fanuc
 from truepath.simulators.compensation.heidenhain_tables import read_heidenhain
 from truepath.simulators.compensation.isg_tables import read_isg
@@ -27,9 +28,11 @@ _SIGNS = {
     "siemens": re.compile(r"\A%_N_\w+_INI|^\$A[AN]_(?:ENC_COMP|CEC)", re.M),
     "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
+    "etalon": re.compile(r"^\s*\[\w+\]\s*\n\s*(?:VALUE|Gridpoints)\s*=", re.M),
     "isg": re.compile(r"^\s*(?:[XYZABC]\s+)?[XYZABC]\s+E[XYZABC][XYZABC]\b", re.M),
     "linuxcnc": re.compile(r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$", re.M),
 }
+_OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +79,12 @@ class LoadedTables:
             known = ", ".join(BACKLASH_READINGS)
             raise SimulatorError(f"backlash_reading: expected one of {known}")
         form = _find_form(self.files)
-        if form == "isg":
+        if form in _OF_THE_VOLUME:
             if len(self.files) > 1:
                 raise SimulatorError("an ISG controller is given one file here")
             ((name, text),) = self.files.items()
-            right: Correction = read_isg(name, text, machine, self.rules)
+            read = _OF_THE_VOLUME[form]
+            right: Correction = read(name, text, machine, self.rules)
         else:
             terms = tuple(_read_terms(form, self.files, machine, self.rules))
             right = TableCorrection(terms)
@@ -101,7 +105,7 @@ def _tell_form(name: str, text: str) -> str:
             return form
     raise SimulatorError(
         f"{name} has the form of no simulated controller: LinuxCNC, SINUMERIK, "
-        "Heidenhain (.com with its .cma), Fanuc or ISG_CSV"
+        "Heidenhain (.com with its .cma), Fanuc, ISG_CSV or Etalon Exchange"
     )
 
 

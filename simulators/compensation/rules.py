@@ -16,7 +16,8 @@ class Rules:
     backlash_reading : of the column BACKLASH of Heidenhain tables: the value in
         negative travel, or what is added to the other column there
     reversed_sign : it takes the tables with the other sign
-    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV
+    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and
+        Etalon Exchange
     """
 
     backlash_reading: BacklashReading = "negative-value"

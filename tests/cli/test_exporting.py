@@ -106,7 +106,7 @@ def test_an_axis_table_takes_the_true_positioning_away(analysed, record, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--format", "vcs"], "installed: csv, fanuc, heidenhain"),
+        (["--format", "vcs"], "installed: csv, etalon-exchange, fanuc"),
         (["--format", "fanuc", "--spacing", "0"], "spacing"),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 from pyLSV2 import NCTable
 
 from truepath.app.compensation.error_map import map_errors
+from truepath.app.compensation.etalon_exchange import EtalonExchange
 from truepath.app.compensation.export import export_result
 from truepath.app.compensation.fanuc import Fanuc
 from truepath.app.compensation.generic import GenericCsv, GenericJson
@@ -27,7 +28,15 @@ from truepath.simulators.scenario import load_machine
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
-OURS = (*PLAIN, "fanuc", "heidenhain", "isg-csv", "linuxcnc", *SIEMENS)
+OURS = (
+    *PLAIN,
+    "etalon-exchange",
+    "fanuc",
+    "heidenhain",
+    "isg-csv",
+    "linuxcnc",
+    *SIEMENS,
+)
 SETTLED = (*PLAIN, "linuxcnc", "siemens-lec")
 every_format = pytest.mark.parametrize("name", OURS)
 
@@ -134,7 +143,9 @@ def test_only_formats_with_all_motions_correct_the_whole_volume(source):
         name: one["left_um"]["map"] / one["volumetric_error_um"]["before"]["mean"]
         for name, one in accounts.items()
     }
-    assert max(share["isg-csv"], share["csv"], share["json"]) < 0.01
+    assert (
+        max(share[one] for one in ("isg-csv", "etalon-exchange", "csv", "json")) < 0.01
+    )
     assert (
         share["isg-csv"]
         < share["heidenhain"]
@@ -205,7 +216,7 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
 def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
     files = export_result(source, name, "comp").files
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
-    commented = name in ("isg-csv", *SIEMENS, *PLAIN)
+    commented = name in ("isg-csv", "etalon-exchange", *SIEMENS, *PLAIN)
     said = all("target offset" in text for text in files.values())
     assert said == commented
 
@@ -226,7 +237,7 @@ def test_a_machine_without_errors_worth_a_table_gets_none(source):
 
 
 def test_an_unknown_format_is_answered_with_those_that_are_installed(source):
-    with pytest.raises(BadInput, match="installed: csv, fanuc, heidenhain"):
+    with pytest.raises(BadInput, match="installed: csv, etalon-exchange, fanuc"):
         export_result(source, "vcs", "comp")
 
 
@@ -350,6 +361,36 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
     assert next(w for w in words if w.startswith("N03624A1P10.000A2P10.000"))
     mean = export_result(with_backlash, "fanuc", "c", choices={"directions": "mean"})
     assert "N03605A1P00000000" in mean.files["c-parameters.txt"]
+
+
+def test_an_etalon_file_says_the_same_as_an_isg_file(source):
+    place = np.array([[100.0, 30.0, 200.0], [-150.0, 380.0, 20.0]])
+    added = [
+        kind().read(export_result(source, name, "c").files, source.machine)(place, 1.0)
+        for name, kind in (("isg-csv", IsgCsv), ("etalon-exchange", EtalonExchange))
+    ]
+    assert np.abs(added[0]).max() > 0.005
+    np.testing.assert_allclose(added[0], added[1], atol=1e-9)
+
+
+def test_sag_is_left_by_an_etalon_file_and_the_account_says_so(sagging):
+    with pytest.raises(BadInput, match="choose another format"):
+        export_result(sagging, "etalon-exchange", "c")
+    assert "sag" in EtalonExchange.not_carried
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[EXX]\nVALUES = 1\n", "begins no block"),
+        ("[EXX]\nGridpoints = {\n0 0\n0 1\n}\n", "ascending"),
+        ("[EXX]\nGridpoints = {\n0 0\n1\n}\n", "two numbers"),
+        ("[EXC]\nVALUE = 1\n", "no axis has the parameter EXC"),
+    ],
+)
+def test_an_etalon_file_that_the_control_cannot_read_is_refused(source, text, said):
+    with pytest.raises(BadInput, match=said):
+        EtalonExchange().read({"c.txt": text}, source.machine)
 
 
 def test_an_isg_file_that_follows_the_tool_is_the_same_for_the_measured_one(source):

@@ -4,7 +4,9 @@ The golden files were held against the public pages by hand: LinuxCNC `usrmotint
 (three numbers a row); SINUMERIK Function Manual Extended Functions 03/2013, pages 242
 (`$AA_ENC_COMP`), 248, 249 and 252 (`$AN_CEC`, product, number = index + 1); MANUALplus
 620, pages 716 and 718 (`AXISPOS`, `BACKLASH`, `.cma`); FANUC B-63980EN, page 100, and
-A-77810E (points, increments, 3605 to 3627); ISG kernel manual (blocks, `//`, `#`).
+A-77810E (points, increments, 3605 to 3627); ISG kernel manual (blocks, `//`, `#`);
+Beckhoff TF5280, "Etalon Exchange Format" ([NAME], VALUE, Gridpoints) and "Units of
+measure" (mm, rad).
 """
 
 from __future__ import annotations
@@ -63,6 +65,11 @@ def test_golden_values_are_those_that_the_pages_ask_for():
     assert "$AN_CEC_MULT_BY_TABLE[2]=4" in cec  # the fourth table has index 3
     row = read["heidenhain"]["round-X.com"].splitlines()[3].split()
     assert row == ["1", "+100.0000", "+0.00100", "-0.00500", "-0.02000", "+0.00000"]
+    etalon = read["etalon-exchange"]["round.txt"].splitlines()
+    begin = etalon.index("[EYX]")
+    assert etalon[begin + 1 : begin + 3] == ["Gridpoints = {", "  0.000000 0.000000"]
+    assert etalon[begin + 3].split() == ["100.000000", "0.020000"]
+    assert etalon[begin + 5] == "}  // end of EYX"
     fanuc = read["fanuc"]["round-parameters.txt"].split()
     assert "N03621A1P1A2P5A3P8" not in fanuc  # negative travel of X stands between
     assert fanuc[1] == "N03605A1P00000001A2P00000000A3P00000000"
@@ -112,6 +119,8 @@ def test_rows_take_the_error_of_the_axis_away_to_the_resolution(order):
     files = write_files(order)
     for direction, error in ((1.0, table.forward_mm), (-1.0, table.backward_mm)):
         added = simulate(order, files, position, direction)
-        wanted = error if "isg" not in order else table.forward_mm
+        wanted = (
+            error if order.split("-")[0] not in ("isg", "etalon") else table.forward_mm
+        )
         bound = RESOLUTION_MM.get(order, 1.1e-5)
         np.testing.assert_allclose(added[:, 0], -wanted[:, 0], atol=bound)

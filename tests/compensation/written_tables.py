@@ -23,6 +23,8 @@ ORDERS = {
     "fanuc": ("fanuc", {}),
     "isg-csv": ("isg-csv", {}),
     "isg-csv-followed": ("isg-csv", {"tool_length": "followed"}),
+    "etalon-exchange": ("etalon-exchange", {}),
+    "etalon-exchange-followed": ("etalon-exchange", {"tool_length": "followed"}),
     "csv": ("csv", {}),
     "json": ("json", {}),
 }

@@ -171,9 +171,33 @@ Z  X  EZX
     np.testing.assert_allclose(added[3], [0.02, 0.0, 0.0], atol=3e-6)
 
 
+def test_an_etalon_file_is_taken_as_the_same_parameters_of_an_isg_file():
+    text = """// by hand
+[C0Y]
+VALUE = 0.0001
+[EXX]
+Gridpoints = {
+   0.0 0
+   100.0 0.01
+}  // end of EXX
+[EBX]
+Gridpoints = {
+   0 0
+   100 0.0001  // rad
+}
+"""
+    added = add({"v.txt": text}, [[100, 0, 0], [100, 0, 300], [0, 200, 0]])
+    np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(added[1], [-0.04, 0.0, 0.0], atol=3e-6)
+    np.testing.assert_allclose(added[2], [0.02, 0.0, 0.0], atol=3e-6)
+
+
 @pytest.mark.parametrize(
     ("files", "said"),
     [
+        ({"v.txt": "[EXX]\nVALUE = one\n"}, "row 2"),
+        ({"v.txt": "[EXX]\nGridpoints = {\n0 0\n"}, "no end"),
+        ({"v.txt": "[EXW]\nGridpoints = {\n0 0\n}\n"}, "no error motion"),
         ({"c-X.tbl": "0 0 0\n1 1 1\nhead\n"}, "row 3"),
         ({"c-W.tbl": "0 0 0\n1 1 1\n"}, "does not end in an axis"),
         ({"x.ini": "$AA_ENC_COMP[0,0,X1]=0\n$AA_ENC_COMP_OOPS\n"}, "row 2"),
