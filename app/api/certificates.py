@@ -78,7 +78,7 @@ def issue_certificate(
         actor.name if actor else "",
         _find_other(service, body.as_left_job, "result.json"),
         _find_other(service, body.verification_job, "verification.json"),
-        _find_account(result.parent, body.compensation_id),
+        _find_account(service, result.parent, body),
         _keep_identity(service, result, body),
         body.language,
         body.accept_verdict,
@@ -161,13 +161,24 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
     return file
 
 
-def _find_account(folder: Path, compensation_id: str | None) -> Path | None:
+def _find_account(
+    service: Service, folder: Path, body: CertificateRequest
+) -> Path | None:
+    """Return the account of the files that are named, else of those verified."""
     from truepath.app.compensation.kept_files import find_file
 
-    if compensation_id is None:
+    if body.compensation_id is not None:
+        kept = folder / "compensations"
+        return find_file(kept, body.compensation_id, "compensation.json")
+    if body.verification_job is None:
         return None
-    kept = folder / "compensations"
-    return find_file(kept, compensation_id, "compensation.json")
+    asked = service.store.read_plan_request(body.verification_job)
+    if asked.get("compensation_id") is None:
+        return None
+    kept = service.results / str(asked["result_id"]) / "compensations"
+    file = kept / str(asked["compensation_id"]) / "compensation.json"
+    # Deleted since: the certificate then says that no account was given.
+    return file if file.is_file() else None
 
 
 def _keep_identity(

@@ -150,14 +150,17 @@ class Demo:
         run_file.unlink(missing_ok=True)
         order = MeasurementOrder("demo, as left", str(run_file), machine, points)
         _run_measurement(Cell(_configure(bench)), order, None, None)
+        active = read_active_files(files, _FORMAT, machine)
+        assert active is not None  # noqa: S101 (an account names its files)
         with show_progress("verify") as on_progress:
             found = verify(
                 read_result(result),
                 open_run(run_file),
-                correction=read_active_files(files, _FORMAT, machine),
+                correction=active.added,
                 on_progress=on_progress,
             )
-        return write_verification(found, self.output / "as-left")
+        left = self.output / "as-left"
+        return write_verification(found, left, compensation=active.describe())
 
     def _measure(self, bench: Any) -> tuple[Run, int]:
         machine = decode_machine(json.dumps(bench.machine).encode())

@@ -23,7 +23,14 @@ from truepath.app.cli.terminal import (
     show_progress,
 )
 
-_KEPT = ("compensated", "verdict", "statements", "agreement", "map_scale")
+_KEPT = (
+    "compensated",
+    "compensation",
+    "verdict",
+    "statements",
+    "agreement",
+    "map_scale",
+)
 _KEPT += ("conformity", "volumetric_error_um", "difference_um", "directions", "worst")
 
 
@@ -66,17 +73,18 @@ def verify(
     require_folder(output, "the verification")
     loaded = read_result(result)
     files = tuple(compensation or ())
-    correction = read_active_files(files, format, loaded.machine)
+    active = read_active_files(files, format, loaded.machine)
     with show_progress("verify") as on_progress:
         found = verify(
             loaded,
             open_recorded(bundle),
             tolerance_um=tolerance_um,
-            correction=correction,
+            correction=active.added if active else None,
             on_progress=on_progress,
         )
         on_progress(1.0, "writing")
-        content = write_verification(found, output)
+        named = active.describe() if active else None
+        content = write_verification(found, output, compensation=named)
     written = list_files(output)
     warn_of_verdict(content["verdict"])
     for name, one in content["conformity"].items():

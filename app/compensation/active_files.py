@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -20,10 +23,26 @@ AddedMotion = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
 """What a controller adds, mm, under conditions that say from where an axis came."""
 
 
+@dataclass(frozen=True, slots=True)
+class ActiveFiles:
+    """Files of a format, and what a controller adds by them.
+
+    files_sha256 : digest by name
+    """
+
+    format: str
+    files_sha256: Mapping[str, str]
+    added: AddedMotion
+
+    def describe(self) -> dict[str, Any]:
+        """Return which files they are, as a verification states it."""
+        return {"format": self.format, "files_sha256": dict(self.files_sha256)}
+
+
 def read_active_files(
     files: Sequence[Path], name: str | None, machine: Machine
-) -> AddedMotion | None:
-    """Return what the files of a format add; None where there are none.
+) -> ActiveFiles | None:
+    """Return the files of a format and what they add; None where there are none.
 
     Raises BadInput if the format is not named, or a file is not of it.
     """
@@ -35,17 +54,20 @@ def read_active_files(
         raise BadInput(
             f"{files[0]}: say its format with --format; `formats` lists them"
         )
-    content = {file.name: read_whole(file).decode("utf-8", "replace") for file in files}
-    return follow_approach(load_format(name).read(content, machine), machine)
+    data = {file.name: read_whole(file) for file in files}
+    content = {file: each.decode("utf-8", "replace") for file, each in data.items()}
+    correction = load_format(name).read(content, machine)
+    digests = {file: hashlib.sha256(each).hexdigest() for file, each in data.items()}
+    return ActiveFiles(name, digests, follow_approach(correction, machine))
 
 
-def read_kept_files(folder: Path, machine: Machine) -> AddedMotion:
-    """Return what files that are kept with a result add. Raises NotFound."""
+def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
+    """Return files that are kept with a result. Raises NotFound."""
     account = read_account(folder.parent, folder.name)
     files = [folder / name for name in account["files"]]
-    added = read_active_files(files, account["format"], machine)
-    assert added is not None  # noqa: S101 (an account names its files)
-    return added
+    active = read_active_files(files, account["format"], machine)
+    assert active is not None  # noqa: S101 (an account names its files)
+    return active
 
 
 def follow_approach(correction: Correction, machine: Machine) -> AddedMotion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,7 +68,7 @@ def export_files(
     """Write the files of a format beside `output`, and their account as `STEM.json`.
 
     A single file is written to `output` itself; the names of several begin with the
-    stem of `output`. Returns the account, `files` as paths.
+    stem of `output`. Returns the account, `files` as paths, their digests by name.
 
     unmeasured : what tables have where an axis was not measured
     choices : of the format, by name
@@ -96,12 +97,15 @@ def export_files(
     place.parent.mkdir(parents=True, exist_ok=True)
     beside = place.parent / f"{stem}.json"
     alone = len(export.files) == 1 and place.suffix != "" and place != beside
-    written: list[str] = []
+    written: list[Path] = []
+    digests: dict[str, str] = {}
     for file, text in export.files.items():
-        target = place if alone else place.parent / file
-        replace_file(target, text.encode("ascii"))
-        written.append(str(target))
-    account = {**export.account, "files": written}
+        target, data = place if alone else place.parent / file, text.encode("ascii")
+        replace_file(target, data)
+        written.append(target)
+        digests[target.name] = hashlib.sha256(data).hexdigest()
+    told = {"files": [str(file) for file in written], "files_sha256": digests}
+    account = {**export.account, **told}
     replace_file(beside, encode_json(account, indent=1))
     return account
 

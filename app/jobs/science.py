@@ -180,17 +180,19 @@ def verify_recorded(
     from truepath.app.results.verification import verify
 
     result = read_result(result_file)
-    added = None
-    if compensation is not None:
-        added = read_kept_files(Path(compensation), result.machine)
+    active = compensation and read_kept_files(Path(compensation), result.machine)
     found = verify(
         result,
         open_recorded(Path(run_file)),
         tolerance_um=asked.get("tolerance_um"),
-        correction=added,
+        correction=active.added if active else None,
         on_progress=on_progress,
     )
-    _replace(Path(folder), lambda part: write_verification(found, part, asked))
+    named = active.describe() if active else None
+    _replace(
+        Path(folder),
+        lambda part: write_verification(found, part, asked, compensation=named),
+    )
     on_progress(1.0, "reporting")
     return result.verdict.state
 

@@ -43,13 +43,22 @@ _STATISTICS = (
 
 
 def write_verification(
-    found: Verification, folder: str | Path, asked: Mapping[str, Any] | None = None
+    found: Verification,
+    folder: str | Path,
+    asked: Mapping[str, Any] | None = None,
+    *,
+    compensation: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write `verification.json` and `report.html`; return the content of the first.
 
     asked : what was asked for, to be repeated there
+    compensation : which files were active, `format` and `files_sha256` by name
     """
-    content = {**verification_json(found), "asked": dict(asked or {})}
+    content = {
+        **verification_json(found),
+        "compensation": compensation,
+        "asked": dict(asked or {}),
+    }
     page = render_verification_report(found).encode()
     write_files(Path(folder), {REPORT: page, VERIFICATION: encode_json(content)})
     return content

@@ -10,6 +10,7 @@ import pytest
 
 from truepath.app.api.models.base import PREFIX
 from truepath.app.api.route_roles import LEAST_ROLES
+from truepath.app.jobs.job import Job, JobKind
 from truepath.app.users.roles import Role
 
 
@@ -122,6 +123,26 @@ def test_the_result_itself_does_not_state_the_machine_as_left(
     problem = is_problem(answer, 422, "bundle")
     assert "measure again with the compensation active" in json.dumps(problem)
     assert client.get(place).json()["items"] == []
+
+
+def test_the_files_of_a_verification_are_stated_without_being_named_again(
+    client, service, place
+):
+    job = place.split("/")[-2]
+    kept = client.post(f"/api/v1/jobs/{job}/compensations", json={"format": "json"})
+    asked = {"result_id": job, "compensation_id": kept.json()["id"]}
+    proof, _ = service.store.create(Job(JobKind.VERIFY), plan={"request": asked})
+    folder = service.results / proof.id
+    folder.mkdir()
+    active = {"format": "json", "files_sha256": kept.json()["files_sha256"]}
+    content = {"schema": "verification/1", "compensated": True, "compensation": active}
+    (folder / "verification.json").write_text(json.dumps(content))
+    order = {"verification_job": proof.id}
+    page = client.get(client.post(place, json=order).json()["links"]["html"]).text
+    assert "With the files, as the control reads them" in page
+    shutil.rmtree(service.results / job / "compensations")
+    page = client.get(client.post(place, json=order).json()["links"]["html"]).text
+    assert "these files of the format json active" in page
 
 
 def test_a_job_without_a_result_has_no_certificate(

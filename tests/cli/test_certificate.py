@@ -288,6 +288,45 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
     assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
 
 
+ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            {"compensated": True, "compensation": ACTIVE},
+            "these files of the format json active: c.tables.json (SHA-256 dddddddd",
+        ),
+        ({"compensated": True}, "compensation files active, which it does not name"),
+        ({"compensated": False}, "No account of compensation files was given."),
+    ],
+)
+def test_files_that_a_verification_names_are_named_without_their_account(
+    issue, tmp_path, content, words
+):
+    verification = tmp_path / "v.json"
+    verification.write_text(json.dumps({"schema": "verification/1", **content}))
+    _, file = issue("c.html", "--verification", str(verification))
+    assert words in read_page(file).text
+
+
+def test_a_verification_with_other_files_than_the_account_states_is_an_alarm(
+    issue, analysed, tmp_path
+):
+    words = ["export", str(analysed / "result.json"), "--format", "json"]
+    assert run([*words, "-o", str(tmp_path / "c.tables.json")]) == 0
+    made = json.loads((tmp_path / "c.json").read_text())["files_sha256"]
+    for digests, is_other in ((made, False), (ACTIVE["files_sha256"], True)):
+        active = {"format": "json", "files_sha256": digests}
+        content = {"schema": "verification/1", "compensated": True}
+        verification = tmp_path / "v.json"
+        verification.write_text(json.dumps({**content, "compensation": active}))
+        beside = ("--compensation", str(tmp_path / "c.json"))
+        _, file = issue("c.html", *beside, "--verification", str(verification))
+        assert ("MADE WITH OTHER FILES" in read_page(file).text) == is_other
+
+
 def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
     issue, analysed, result, tmp_path, capsys
 ):

@@ -65,7 +65,10 @@ class CertificateRequest(RequestBody):
         None, description="A job that has left a verification."
     )
     compensation_id: CompensationName | None = Field(
-        None, description="Files that were made of this result.", examples=[None]
+        None,
+        description="Files that were made of this result; those that the verification "
+        "was made with, where it is left out.",
+        examples=[None],
     )
     accept_verdict: bool = Field(
         False, description="Issue one of a result that is not to be used."

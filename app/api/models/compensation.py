@@ -160,6 +160,9 @@ class CompensationOut(BaseModel):
         default_factory=dict, description="Of the format, as they were taken."
     )
     files: list[str] = Field(examples=[["compensation-X.tbl", "compensation-Y.tbl"]])
+    files_sha256: dict[str, str] = Field(
+        default_factory=dict, description="SHA-256 by name."
+    )
     machine: str
     verdict: VerdictState = Field(description="Of the result they were made of.")
     carries: str

@@ -164,12 +164,22 @@ class VerificationProvenanceOut(BaseModel):
     result: ProvenanceOut
 
 
+class ActiveFilesOut(BaseModel):
+    """Compensation files that were active while it was measured."""
+
+    format: str = Field(examples=["linuxcnc"])
+    files_sha256: dict[str, str] = Field(description="SHA-256 by name.")
+
+
 class VerificationOut(BaseModel):
     """A result held against a measurement that it was not made from."""
 
     schema_: Literal["verification/1"] = Field(alias="schema")
     machine: str
     compensated: bool
+    compensation: ActiveFilesOut | None = Field(
+        None, description="Null where no files were named."
+    )
     verdict: VerdictOut = Field(description="That of the result.")
     statements: list[str] = Field(description="What was found, in sentences.")
     asked: VerificationAskedOut

@@ -65,7 +65,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
     """Return what compensation files leave, with its uncertainty."""
     source = certificate.compensation
     if source is None:
-        return {"source": None}
+        return {"source": None, "named": _say_named_files(certificate, language)}
     account = source.content
     error = account["volumetric_error_um"]
     after = error["after"]
@@ -90,9 +90,35 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
         "mismatch": _say_mismatch(
             "compensation_mismatch", source, certificate, language
         ),
+        "other": _say_other_files(certificate, language),
         "rows": [(language.say(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
+
+
+def _say_named_files(certificate: Certificate, language: Language) -> str:
+    """Return which files a verification names that nobody gave the account of."""
+    content = certificate.verification.content if certificate.verification else {}
+    if not content.get("compensated"):
+        return ""
+    named = as_object(content.get("compensation"))
+    files = as_object(named.get("files_sha256"))
+    if not files:
+        return language.say("compensation_unnamed")
+    each = ", ".join(f"{name} (SHA-256 {str(d)[:16]}…)" for name, d in files.items())
+    return language.say("compensation_named", format=named.get("format"), files=each)
+
+
+def _say_other_files(certificate: Certificate, language: Language) -> str:
+    """Return a warning where a verification was made with other files than stated."""
+    if certificate.verification is None or certificate.compensation is None:
+        return ""
+    active = as_object(certificate.verification.content.get("compensation"))
+    verified = as_object(active.get("files_sha256"))
+    stated = as_object(certificate.compensation.content.get("files_sha256"))
+    if not verified or not stated or set(verified.values()) == set(stated.values()):
+        return ""
+    return language.say("compensation_other", files=", ".join(verified))
 
 
 def describe_provenance(certificate: Certificate, language: Language) -> View:
