@@ -93,10 +93,10 @@ def test_a_result_that_is_not_to_be_used_makes_files_only_if_accepted(
 @pytest.mark.parametrize(
     ("asked", "code", "detail"),
     [
-        ({"format": "vcs"}, "bad-input", "installed: csv, fanuc"),
+        ({"format": "vcs"}, "bad-input", "installed: csv, etalon"),
         ({"format": "linuxcnc", "spacing_mm": 0}, "validation", "spacing_mm"),
         ({"format": "linuxcnc", "unmeasured": "guess"}, "validation", "unmeasured"),
-        ({"format": "../linuxcnc"}, "bad-input", "installed: csv, fanuc"),
+        ({"format": "../linuxcnc"}, "bad-input", "installed: csv, etalon"),
     ],
 )
 def test_what_cannot_be_made_says_why(client, place, is_problem, asked, code, detail):
