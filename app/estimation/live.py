@@ -14,7 +14,7 @@ millimetre and a milliradian, a hundred times what they are known to at the end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,7 +28,12 @@ from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import Unidentifiable
 from truepath.app.estimation.confounded_prior import WholePrior
 from truepath.app.estimation.design_matrix import Linearisation
-from truepath.app.estimation.information import Information, Posterior
+from truepath.app.estimation.earlier_runs import EarlierRun, sum_up_runs
+from truepath.app.estimation.information import (
+    Information,
+    Posterior,
+    add_information,
+)
 from truepath.app.estimation.knots import add_hidden_variance, join_cells
 from truepath.app.estimation.known_effects import KnownEffects
 from truepath.app.estimation.live_gate import (
@@ -112,6 +117,7 @@ class LiveEstimator:
 
     known : effects known from an earlier measurement, to be estimated beside; what
         depends on temperatures waits for the analysis of the Run, which has them
+    earlier : Runs of the measurement that it goes on from
     """
 
     def __init__(
@@ -121,6 +127,7 @@ class LiveEstimator:
         *,
         perpendicular_only: bool = False,
         known: KnownEffects | None = None,
+        earlier: Sequence[EarlierRun] = (),
     ) -> None:
         self._machine, self._commanded = machine, commanded
         self._known = known or KnownEffects()
@@ -148,6 +155,13 @@ class LiveEstimator:
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
         self._earlier = Information.of_matrix(np.zeros((self._model.size,) * 2))
+        self._runs = sum_up_runs(
+            earlier,
+            self._model,
+            self._known,
+            self._weak[-6:],
+            perpendicular_only=perpendicular_only,
+        )
         self._foretold: Posterior | None = None  # of machine and pose, about the sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
@@ -281,9 +295,10 @@ class LiveEstimator:
         """Return what the newest part tells, and all that is known beside it."""
         size, weak = self._model.size, self._weak
         matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
-        matrix[:size, :size] += self._earlier.matrix
-        vector[:size] += self._earlier.vector
-        square = data.square + self._earlier.square
+        before = add_information([self._earlier, self._runs])
+        matrix[:size, :size] += before.matrix
+        vector[:size] += before.vector
+        square = data.square + before.square
         data = replace(data, matrix=matrix, vector=vector, square=square)
         return self._known.add_to(data, self._model)
 

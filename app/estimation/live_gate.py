@@ -128,7 +128,7 @@ class CheckedParts:
             for k, part in enumerate(self.parts[:-1])
         ]
         nothing = Information.of_matrix(np.zeros((model.size, model.size)))
-        runs = _collect(inputs, model, weak)
+        runs = collect_parts(inputs, model, weak)
         return add_information([nothing, *(run.own.eliminate() for run in runs)])
 
     def state(self, noise: NoiseModel) -> LiveCheck:
@@ -187,7 +187,7 @@ def check_parts(
     def solve(parts: Sequence[RunPart]) -> CheckedParts:
         model = prior.model
         inputs = [RunInput(part.seen, pose, noise) for part in parts]
-        runs = _collect(inputs, model, weak)
+        runs = collect_parts(inputs, model, weak)
         data = known.add_to(combine_runs(runs), model)
         result = compute_posterior(data, prior.precision_matrix(model.size))
         fit = Fit("constant", model, runs, runs, known, prior, result, 0.0)
@@ -231,7 +231,7 @@ def split_at(seen: Observations, times_s: Sequence[float]) -> list[RunPart]:
     return parts
 
 
-def _collect(
+def collect_parts(
     inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
 ) -> tuple[RunInformation, ...]:
     """Return what parts of a Run tell, with a weak prior on their poses."""

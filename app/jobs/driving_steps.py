@@ -10,7 +10,10 @@ from typing import Any
 import structlog
 
 from truepath.app.errors import MeasurementFailed
-from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
@@ -22,8 +25,10 @@ from truepath.app.jobs.live_process import LiveEstimateOrder
 from truepath.app.jobs.notices import NoticeBoard
 from truepath.app.jobs.planned_rows import PlannedRows
 from truepath.app.measurement.messages import MeasurementOrder
-from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.configurations import Commanded, join_rows, select_rows
 from truepath.drivers.interfaces.records import Path
+
+_OF_FIRST_PART = frozenset({"predicted_um", "document"})
 
 log = structlog.get_logger(__name__)
 
@@ -34,6 +39,8 @@ class DrivingSteps:
 
     request : as `plan_orders` states it, for the live estimate
     run_id : of the Run that is made; it bears the name of the job where it is the first
+    first_row : of the plan, with which the Run begins
+    kept_run_ids : Runs of the measurement that it goes on from
     """
 
     job: Job
@@ -41,6 +48,8 @@ class DrivingSteps:
     context: JobContext
     request: Json
     run_id: str
+    first_row: int = 0
+    kept_run_ids: tuple[str, ...] = ()
 
     def run(self, commanded: Commanded) -> None:
         """Drive the machine; what was recorded is in the catalogue in any case."""
@@ -69,7 +78,14 @@ class DrivingSteps:
         self, live: LiveEstimation, commanded: Commanded, planned: PlannedRows | None
     ) -> None:
         cell, policy = self.context.require_cell(), self.job.on_notice
-        board = NoticeBoard(self.active, cell, policy, planned)
+        board = NoticeBoard(
+            self.active,
+            cell,
+            policy,
+            planned,
+            first_row=self.first_row,
+            before=self.active.job.notices,
+        )
         steering = LiveSteering(
             live,
             cell,
@@ -79,6 +95,7 @@ class DrivingSteps:
             self._store_early_end,
             board.show,
             planned,
+            self._keep_plan,
         )
         grows = self._is_adaptive or planned is not None
         self._drive(commanded, steering, grows=grows)
@@ -132,6 +149,7 @@ class DrivingSteps:
             self.job.perpendicular_only,
             self.request,
             rows - isinstance(commanded, Path),
+            tuple(str(self.context.runs.file(run)) for run in self.kept_run_ids),
         )
         live = self.context.live(
             order, lambda body: self.active.publish("estimate", body)
@@ -158,7 +176,13 @@ class DrivingSteps:
         self._keep_plan(rows)
 
     def _keep_plan(self, rows: Commanded) -> None:
+        """Keep all rows of the plan: those of parts before, then these."""
+        store = self.context.store
         try:
-            self.context.store.keep_plan(self.job.id, encode_commanded_json(rows))
+            plan = store.read_plan(self.job.id) or {}
+            before = select_rows(decode_commanded_json(plan), slice(self.first_row))
+            kept = {key: plan[key] for key in plan if key not in _OF_FIRST_PART}
+            joined = encode_commanded_json(join_rows([before, rows]))
+            store.keep_plan(self.job.id, {**kept, **joined})
         except StorageUnavailable:
             log.exception("the extended plan is not stored; the Run holds it")

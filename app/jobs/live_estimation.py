@@ -176,6 +176,7 @@ class LiveSteering:
     commanded : the first part of an adaptive measurement; None for one planned whole
     target_um : volumetric uncertainty (k = 1) at which the rest is left out
     on_part : receives all rows after each part, and the body of the event `plan`
+    on_again : receives all rows, where some are about to be driven again
     on_target : receives the estimate that has reached the target
     on_notices : receives all that has been noticed so far
     planned : rows that are driven part by part
@@ -189,6 +190,7 @@ class LiveSteering:
     on_target: Show = lambda _: None
     on_notices: Callable[[Sequence[Mapping[str, Any]]], object] = lambda _: None
     planned: PlannedRows | None = None
+    on_again: Callable[[Commanded], object] = lambda _: None
     _is_next_due: bool = False
     _answer_by: float | None = None
     _parts: int = 1
@@ -236,10 +238,13 @@ class LiveSteering:
         return total if self.planned is None else max(total, self.planned.total)
 
     def _drive_next(self, planned: PlannedRows) -> None:
+        total = planned.total
         part = planned.next()
         if part is None:
             self.cell.send(CellVerb.CONCLUDE)
             return
+        if planned.total > total:  # what goes on after an interruption counts by them
+            self.on_again(planned.rows)
         self.live.extend(part)
         self.cell.extend(part)
 

@@ -7,20 +7,23 @@ the words of `result.json`, µm, µrad, k = 1.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from multiprocessing.connection import Connection
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 from truepath.app.files.run import PointBlock
 from truepath.app.files.verdict import verdict_json
 from truepath.app.kinematics.machine import Machine
+from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.motion.configurations import Commanded, Configurations, append_part
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
+    from truepath.app.estimation.earlier_runs import EarlierRun
     from truepath.app.estimation.live import LiveEstimator
     from truepath.app.planning.adaptive_plan import AdaptivePlanner, Part
     from truepath.app.planning.plan_order import PlanOrder
@@ -37,6 +40,7 @@ class LiveEstimateOrder:
     request : as `plan_orders` states it: the model whose effects are estimated beside,
         and what the further parts of an adaptive measurement are chosen for
     total : lines or points that are planned, where they are commanded part by part
+    earlier_files : of the Runs of the measurement that it goes on from
     """
 
     machine: Machine
@@ -44,6 +48,7 @@ class LiveEstimateOrder:
     perpendicular_only: bool = False
     request: Mapping[str, Any] | None = None
     total: int = 0
+    earlier_files: tuple[str, ...] = ()
 
 
 class LiveCommand(Enum):
@@ -91,17 +96,21 @@ def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
 
 def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
+    from truepath.app.estimation.earlier_runs import align_earlier
     from truepath.app.estimation.live import LiveEstimator
     from truepath.app.jobs.plan_orders import read_plan_order
 
+    files = order.earlier_files
+    earlier = align_earlier([open_recorded(FilePath(file)) for file in files])
     request = read_plan_order(order.request or {})
     live = LiveEstimator(
         order.machine,
         order.commanded,
         perpendicular_only=order.perpendicular_only,
         known=request.select_effects(order.machine),
+        earlier=earlier,
     )
-    chooser = _PartChooser(order, request, live)
+    chooser = _PartChooser(order, request, live, earlier)
     stream = _Stream(link)
     while not stream.is_over:
         is_new = False
@@ -131,9 +140,14 @@ class _PartChooser:
     """What is commanded, and its further parts; `total` lines or points so far."""
 
     def __init__(
-        self, order: LiveEstimateOrder, request: PlanOrder, live: LiveEstimator
+        self,
+        order: LiveEstimateOrder,
+        request: PlanOrder,
+        live: LiveEstimator,
+        earlier: Sequence[EarlierRun],
     ) -> None:
         self._order, self._request, self._live = order, request, live
+        self._earlier = earlier
         self._choice: AdaptivePlanner | None = None
         self._commanded = order.commanded
         self.total = max(_count(order.commanded), order.total)
@@ -150,7 +164,7 @@ class _PartChooser:
         if self._choice is None:
             order = self._order
             self._choice = AdaptivePlanner(
-                order.machine, order.commanded, self._request
+                order.machine, order.commanded, self._request, self._earlier
             )
         now, found = self._live.estimate(), self._live.findings()
         if now is None or found is None:

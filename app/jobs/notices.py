@@ -29,6 +29,8 @@ class NoticeBoard:
 
     policy : what is done about each
     planned : rows that are driven part by part, so that some can be driven again
+    first_row : of the plan, with which the rows of the estimate begin
+    before : what was noticed in parts before, which is kept
     """
 
     def __init__(
@@ -37,9 +39,14 @@ class NoticeBoard:
         cell: CellSupervisor,
         policy: OnNotice,
         planned: PlannedRows | None,
+        *,
+        first_row: int = 0,
+        before: tuple[LiveNotice, ...] = (),
     ) -> None:
         self._active, self._cell = active, cell
         self._policy, self._planned = policy, planned
+        self._before, self._first_row = before, first_row
+        self._numbered = max((each.number for each in before), default=0)
         self._shown: dict[int, LiveNotice] = {}
 
     def show(self, told: Sequence[Mapping[str, Any]]) -> None:
@@ -51,26 +58,31 @@ class NoticeBoard:
             self._act(notice)
         if news or is_obeyed:
             self.keep(told)
-        for body in told:
-            notice = self._read(body)
-            if notice.number in {n.number for n in news}:
-                log.info("noticed", **body)
-                self._active.publish("notice", {**body, "action": str(notice.action)})
+        for notice in news:
+            body = asdict(self._shown[notice.number])
+            log.info("noticed", **body)
+            self._active.publish("notice", {**body, "action": str(body["action"])})
 
     def keep(self, told: Sequence[Mapping[str, Any]]) -> None:
         """Store the notices with the job, as they are now."""
         notices = tuple(self._read(each) for each in told)
         self._shown = {each.number: each for each in notices}
         try:
-            self._active.store_values(notices=notices)
+            self._active.store_values(notices=(*self._before, *notices))
         except StorageUnavailable:
             log.exception("notices are not stored; the measurement goes on")
 
     def _read(self, body: Mapping[str, Any]) -> LiveNotice:
         notice = decode_notice(body)
-        known = self._shown.get(notice.number)
-        action = self._policy if known is None else known.action
-        return replace(notice, action=action)
+        number = self._numbered + notice.number
+        known = self._shown.get(number)
+        return replace(
+            notice,
+            number=number,
+            since_row=self._first_row + notice.since_row,
+            noticed_row=self._first_row + notice.noticed_row,
+            action=self._policy if known is None else known.action,
+        )
 
     def _is_news(self, notice: LiveNotice) -> bool:
         known = self._shown.get(notice.number)
@@ -100,7 +112,7 @@ class NoticeBoard:
     def _measure_again(self, how: OnNotice, notice: LiveNotice) -> None:
         if self._planned is None or how not in (OnNotice.CHECK, OnNotice.REPLAN):
             return
-        first = notice.since_row - (how is OnNotice.CHECK)
+        first = notice.since_row - self._first_row - (how is OnNotice.CHECK)
         log.info("measure again", from_row=first)
         self._planned.repeat(first)
 

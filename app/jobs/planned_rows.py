@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from truepath.app.motion.configurations import Commanded, append_part, select_rows
+from truepath.app.motion.configurations import (
+    Commanded,
+    append_part,
+    join_rows,
+    select_rows,
+)
 from truepath.app.motion.driven_again import drive_again
 from truepath.drivers.interfaces.records import Path
 
@@ -15,6 +20,7 @@ class PlannedRows:
     """A plan, driven from its first row on.
 
     driven : rows so far, those driven again among them; total : lines or points in all
+    rows : these, then those of the plan that are left
     """
 
     def __init__(self, plan: Commanded) -> None:
@@ -23,6 +29,12 @@ class PlannedRows:
         self._times = 0
         self.driven = select_rows(plan, slice(self._next))
         self.total = len(plan) - isinstance(plan, Path)
+
+    @property
+    def rows(self) -> Commanded:
+        """All rows, as they are driven where nothing more is to be driven again."""
+        left = select_rows(self._plan, slice(self._next, None))
+        return join_rows([self.driven, left])
 
     def repeat(self, first: int) -> None:
         """Measure again from a row on, before anything else is driven.

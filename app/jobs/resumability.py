@@ -9,15 +9,11 @@ from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.one_machine import list_differences
 from truepath.app.jobs.errors import MachineFileChanged, NotResumable
 from truepath.app.jobs.job import Job, JobKind, Json, Stage
-from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.transitions import LEFT_BY_ACKNOWLEDGE
 from truepath.app.kinematics.machine import Machine
 
-_GOES_ON = frozenset(
-    {JobKind.MEASURE_OTF, JobKind.MEASURE_STANDSTILL, JobKind.MEASURE_EXTRA}
-)
 _MEASURED = frozenset(
     {
         Stage.ALIGNING,
@@ -63,8 +59,7 @@ def find_way_to_result(job: Job) -> str:
     Empty of any other job.
     """
     is_left = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
-    is_single = job.kind is JobKind.VERIFY  # no other job holds a result against a Run
-    if not is_left or is_single or may_be_acknowledged(job):
+    if not is_left or may_be_acknowledged(job):
         return ""
     if job.stage not in _MEASURED:
         return ""
@@ -118,10 +113,10 @@ def require_targets_apart(plan: Json | None, machine: Machine) -> None:
 
 def _find_reason(job: Job, plan: Json) -> str:
     kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
-    if job.kind not in _GOES_ON:
-        return f"{_name_obstacle(job.kind)}; {kept}; {_name_way_out(job.kind)}"
-    if job.on_notice is not OnNotice.NOTE:
-        return f"it drives lines again by what it notices; {kept}; begin a new job"
+    if not job.kind.measures:
+        return f"it only computes; {kept}; begin a new job"
+    if job.kind is JobKind.VERIFY:  # no other job holds a result against its Runs
+        return ""
     stations = plan.get("stations", ())
     is_measured = job.stage in _MEASURED
     if stations:  # their checks are computed in a stage of the analysis
@@ -134,17 +129,3 @@ def _find_reason(job: Job, plan: Json) -> str:
 
 def _name_analysis(kind: JobKind) -> JobKind:
     return JobKind.DISCOVER if kind.discovers else JobKind.ANALYSE
-
-
-def _name_obstacle(kind: JobKind) -> str:
-    if kind is JobKind.VERIFY:
-        return "a result is held against one Run alone"
-    if kind.measures:
-        return "its rows are chosen by a live estimate that has ended with its Run"
-    return "it only computes"
-
-
-def _name_way_out(kind: JobKind) -> str:
-    if kind is JobKind.MEASURE_ADAPTIVE:
-        return "begin a new job and analyse the Runs of both together"
-    return "begin a new job"

@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 import structlog
 
-from truepath.app.files.commanded_file import decode_commanded_json
+from truepath.app.errors import MeasurementFailed
+from truepath.app.files.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
@@ -27,12 +31,14 @@ from truepath.app.measurement.messages import MeasurementOrder
 from truepath.app.motion.configurations import (
     Commanded,
     Configurations,
+    join_rows,
     select_rows,
     split_by_target,
 )
 from truepath.drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
+_SAME = 1e-5  # mm or deg: as rows are rounded where they are kept
 _FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
 CLOSURE_CODE = "closure"
 _REMEDY = (
@@ -69,6 +75,28 @@ def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
     return int(ends[number - 1]) if number else 0, int(ends[number])
 
 
+def _join_told(plan: Json, base: int, told: Commanded) -> Commanded:
+    """Return the rows of a plan, with those that its Run was told beyond them.
+
+    What chooses rows on its way may have told its Run more than it could keep.
+
+    base : row of the plan that the Run begins with
+
+    Raises MeasurementFailed where the plan is another one.
+    """
+    planned = decode_commanded_json(plan)
+    both = min(len(planned) - base, len(told))
+    apart = planned.position[base : base + both] - told.position[:both]
+    if np.abs(apart).max(initial=0.0) > _SAME:
+        raise MeasurementFailed(
+            "the rows that are kept with the job are not those that its Run was told; "
+            "begin a new job and analyse the Runs of both together"
+        )
+    more = select_rows(told, slice(both, None))
+    left = select_rows(planned, slice(base + both, None))
+    return join_rows([select_rows(planned, slice(base + both)), more, left])
+
+
 @dataclass(frozen=True, slots=True)
 class Resumption:
     """How a measurement goes on, as the plan keeps it.
@@ -96,6 +124,11 @@ class Resumption:
             tuple(found["closure_row"]),
             tuple(tuple(place) for place in found["place_mm"]),
         )
+
+    @property
+    def going_on(self) -> tuple[int, tuple[str, ...]]:
+        """The row where the further part begins, and the Runs that it goes on from."""
+        return self.first_row, self.kept_run_ids
 
     def select_rest(self, commanded: Commanded) -> Commanded:
         """Return the rows that are left; a path begins where the machine stands."""
@@ -130,13 +163,16 @@ class ResumedSteps:
         parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
         recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
         parts = [part for part in parts if part["run_id"] in recorded]
-        found = self._find(plan, parts)
-        plan |= {"parts": parts, "resumption": found}
+        plan |= {"parts": parts, "resumption": None} | self._find(plan, parts)
+        found = plan["resumption"]
         self.context.store.keep_plan(self.job.id, plan)
         log.info("the measurement can go on", row=found and found["first_row"])
 
-    def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any] | None:
-        """Return a resumption; None where nothing that was recorded can be used."""
+    def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any]:
+        """Return a resumption, and the rows of the plan as its Runs were told them.
+
+        Nothing where nothing that was recorded can be used.
+        """
         files = [str(self.context.runs.file(part["run_id"])) for part in parts]
         found = self.compute(
             State.PREPARING,
@@ -147,19 +183,20 @@ class ResumedSteps:
         )
         usable = [k for k, one in enumerate(found) if one is not None]
         if not usable:
-            return None
+            return {}
         last, base = found[usable[-1]], parts[usable[-1]]["first_row"]
-        commanded = decode_commanded_json(plan)
+        commanded = _join_told(plan, base, decode_commanded_json(last["commanded"]))
         rows = [base + row for row in last["row"]]
         first, _ = _find_target(commanded, rows[-1])
         rows = [row for row in rows if row >= first]  # nobody changes the target
-        return {
+        resumption = {
             "first_row": choose_first_row(commanded, base + last["next_row"]),
             "kept_run_ids": [parts[k]["run_id"] for k in usable],
             # One row more: the first place is then come to from where it was before.
             "closure_row": [*range(max(rows[0] - 1, first), rows[0]), *rows],
             "place_mm": last["place_mm"][-len(rows) :],
         }
+        return {**encode_commanded_json(commanded), "resumption": resumption}
 
     def begin_part(self, resumption: Resumption, commanded: Commanded) -> str:
         """Check the closure, then return the Run of the part that is to be driven.

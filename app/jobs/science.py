@@ -15,6 +15,7 @@ import numpy as np
 import structlog
 
 from truepath.app.errors import AlignmentError, BundleError, TruepathError
+from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import State
 from truepath.app.files.whole_files import sync_to_disk, write_files
@@ -158,7 +159,8 @@ def follow_recorded(
 
 
 def verify_recorded(
-    run_file: str,
+    run_files: Sequence[str],
+    first_row: Sequence[int],
     folder: str,
     result_file: str,
     compensation: str | None,
@@ -166,10 +168,11 @@ def verify_recorded(
     *,
     on_progress: Progress,
 ) -> State:
-    """Hold a result against a Run and write the answer, whole or not at all.
+    """Hold a result against the parts of a Run; write the answer, all or nothing.
 
     Returns the state of the result's verdict.
 
+    first_row : of the plan, that each part begins with
     compensation : folder of the files that the controller applied, if it did
     asked : `tolerance_um`, and what the answer is to repeat of the request
     """
@@ -183,7 +186,8 @@ def verify_recorded(
     active = compensation and read_kept_files(Path(compensation), result.machine)
     found = verify(
         result,
-        open_recorded(Path(run_file)),
+        *(open_recorded(Path(file)) for file in run_files),
+        first_row=first_row,
         tolerance_um=asked.get("tolerance_um"),
         correction=active.added if active else None,
         on_progress=on_progress,
@@ -241,6 +245,8 @@ def find_committed_rows(
 ) -> list[dict[str, Any] | None]:
     """Return how far each Run has got, as `Committed`; None where it tells nothing.
 
+    With `commanded`, all rows that it was told, as the plan keeps rows.
+
     machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
     # Imported where it computes: the service itself carries no science.
@@ -263,7 +269,8 @@ def find_committed_rows(
             found.append(None)
             continue
         place_mm = at.place_mm.tolist()
-        found.append({"next_row": at.next_row, "row": at.row, "place_mm": place_mm})
+        reached = {"next_row": at.next_row, "row": at.row, "place_mm": place_mm}
+        found.append(reached | {"commanded": encode_commanded_json(run.commanded)})
     on_progress(1.0, "planning")
     return found
 

@@ -177,7 +177,7 @@ class _JobSteps:
         if job.kind is JobKind.REANALYSE:
             self._reanalyse()
         if job.kind is JobKind.VERIFY:
-            self._verify()
+            self._verify(run_ids)
 
     def _plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
@@ -250,7 +250,9 @@ class _JobSteps:
         elif job.started is not None:
             run_id = self._resumed_steps.begin_anew()
         order = self._plan_order()
-        DrivingSteps(job, self.active, self.context, order, run_id).run(commanded)
+        going_on = (0, ()) if resumption is None else resumption.going_on
+        steps = DrivingSteps(job, self.active, self.context, order, run_id, *going_on)
+        steps.run(commanded)
         return tuple(dict.fromkeys((*before, run_id)))
 
     @property
@@ -318,14 +320,17 @@ class _JobSteps:
         self.active.enter(State.RUNNING, Stage.ESTIMATING)
         write_summary(folder, outcomes)
 
-    def _verify(self) -> None:
-        """Let a task hold the result that was named against the job's own Run."""
+    def _verify(self, run_ids: Sequence[str]) -> None:
+        """Let a task hold the result that was named against the job's own Runs."""
         context, job = self.context, self.job
         asked = context.store.read_plan_request(job.id)
         result_id, files = asked["result_id"], asked.get("compensation_id")
         kept = context.results / result_id / "compensations"
+        parts = (context.store.read_plan(job.id) or {}).get("parts", ())
+        first_row = {part["run_id"]: part["first_row"] for part in parts}
         told = (
-            str(context.runs.file(job.id)),
+            [str(context.runs.file(run_id)) for run_id in run_ids],
+            [first_row.get(run_id, 0) for run_id in run_ids],
             str(context.results / job.id),
             str(find_model_file(context.results, result_id)),
             None if files is None else str(kept / files),

@@ -9,11 +9,13 @@ standstill it is the next point (Brunn & Hanebeck 2005), looking a few points ah
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truepath.app.errors import PlanningError
+from truepath.app.estimation.earlier_runs import EarlierRun
 from truepath.app.estimation.live import LiveFindings
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, append_part, select_rows
@@ -48,10 +50,15 @@ class AdaptivePlanner:
 
     commanded : all rows so far
     order : its minutes are those of the whole measurement
+    earlier : Runs of the measurement that it goes on from
     """
 
     def __init__(
-        self, machine: Machine, commanded: Commanded, order: PlanOrder
+        self,
+        machine: Machine,
+        commanded: Commanded,
+        order: PlanOrder,
+        earlier: Sequence[EarlierRun] = (),
     ) -> None:
         self.commanded = commanded
         # On the fly only the first target is measured, while the rotary axes stand.
@@ -59,7 +66,7 @@ class AdaptivePlanner:
         self._machine, self._order = machine, order
         self._moving, self._drive = order.moving(machine), order.drive(machine)
         self._assumed, self._feeds = order.assume(machine), order.feeds(machine)
-        self._number = 0
+        self._number, self._earlier = 0, earlier
 
     def next(self, found: LiveFindings, sigma_mm: float) -> Part:
         """Return the next part; its rows count as commanded from now on.
@@ -97,9 +104,11 @@ class AdaptivePlanner:
             workspace = workspace.place_tracker(found.station_mm)
         is_free = order.is_on_the_fly and not order.feeds_mm_min
         planner = Planner(self._machine, design, workspace, self._feeds, is_free)
-        for row in sorted({*found.rows, len(self.commanded) - 1}):
-            line = slice(max(row - 1, 0), row + 1)
-            planner = planner.update(select_rows(self.commanded, line))
+        here = self.commanded, {*found.rows, len(self.commanded) - 1}
+        for rows, measured in (*((e.driven, e.rows) for e in self._earlier), here):
+            for row in sorted(measured):
+                line = slice(max(row - 1, 0), row + 1)
+                planner = planner.update(select_rows(rows, line))
         return planner
 
     def _make_design(self, found: LiveFindings) -> DesignState:
@@ -133,6 +142,6 @@ class AdaptivePlanner:
 
     @property
     def _used_s(self) -> float:
-        return float(
-            row_times_s(self.commanded, self._feeds[0], self._machine.motion).sum()
-        )
+        driven = (*(run.driven for run in self._earlier), self.commanded)
+        feed, limits = self._feeds[0], self._machine.motion
+        return sum(float(row_times_s(rows, feed, limits).sum()) for rows in driven)

@@ -9,10 +9,12 @@ further targets: whoever states a deviation takes both out first.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.linalg import block_diag
 
 from truepath.app.alignment.observations import CellMeans, Observations
 from truepath.app.estimation.noise import NoiseModel, split_sigma_mm
@@ -114,6 +116,44 @@ def reduce_to_places(
     )
     residual = pose.invert().apply(cells.tracker_mm) - cells.at.point_mm
     return replace(places, residual_mm=places.project(residual))
+
+
+def join_places(parts: Sequence[MeasuredPlaces]) -> MeasuredPlaces:
+    """Return the places of several Runs, one after another, each with its own pose."""
+    if len(parts) == 1:
+        return parts[0]
+    places = np.cumsum([0, *(len(part) for part in parts[:-1])])
+    cells = np.cumsum([0, *(len(part.means.weight) for part in parts[:-1])])
+    weight = np.concatenate([part.means.weight for part in parts])
+    starts = [part.means.starts + k for part, k in zip(parts, cells, strict=True)]
+    owner = [part.owner + k for part, k in zip(parts, places, strict=True)]
+    return MeasuredPlaces(
+        _join_moments([part.at for part in parts]),
+        np.concatenate([part.row for part in parts]),
+        _join_moments([part.cells for part in parts]),
+        CellMeans(weight, np.concatenate(starts)),
+        np.concatenate([part.component for part in parts]),
+        np.concatenate(owner),
+        np.concatenate([part.residual_mm for part in parts]),
+        block_diag(*(part.nuisance for part in parts)),
+        block_diag(*(part.noise_mm2 for part in parts)),
+    )
+
+
+def _join_moments(parts: Sequence[Conditions]) -> Conditions:
+    """Return moments of several Runs without what a recording says of one Run alone."""
+    first = parts[0]
+    return Conditions(
+        first.machine,
+        np.concatenate([part.position_mm for part in parts]),
+        np.concatenate([part.offset_mm for part in parts]),
+        np.concatenate([part.time_s for part in parts]),
+        np.concatenate([part.line for part in parts]),
+        np.concatenate([part.line_time_s for part in parts]),
+        np.concatenate([part.velocity_mm_s for part in parts]),
+        np.concatenate([part.approach for part in parts]),
+        first.observer,
+    )
 
 
 def _find_starts(observations: Observations) -> Int64[np.ndarray, " n"]:

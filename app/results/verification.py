@@ -17,14 +17,14 @@ and C of the result allow.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
-from truepath.app.alignment.align import align_all
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.observations import Observations
 from truepath.app.errors import BadInput, Unidentifiable
@@ -49,7 +49,6 @@ from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.model import MachineModel
 from truepath.app.kinematics.second_order import compute_second_order_mm
-from truepath.app.numerics.rigid import RigidTransform
 from truepath.app.progress import Progress, ignore_progress
 from truepath.app.results.driven_figures import DrivenFigures, evaluate_driven
 from truepath.app.results.length_statistics import (
@@ -58,7 +57,12 @@ from truepath.app.results.length_statistics import (
     state_measured,
     state_predicted,
 )
-from truepath.app.results.measured_places import MeasuredPlaces, reduce_to_places
+from truepath.app.results.measured_places import (
+    MeasuredPlaces,
+    join_places,
+    reduce_to_places,
+)
+from truepath.app.results.parts_of_run import align_parts
 from truepath.app.results.place_conformity import PlaceConformity, decide_places
 
 K = 2.0
@@ -141,6 +145,19 @@ class MapScale:
 
 
 @dataclass(frozen=True, slots=True)
+class VerifiedRun:
+    """A Run, or a part of one that went on, that a result was held against.
+
+    samples : used and offered
+    """
+
+    summary: RunSummary
+    noise: NoiseModel
+    samples: tuple[int, int]
+    left_out: tuple[LeftOut, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Verification:
     """What a measurement says of a result.
 
@@ -148,11 +165,10 @@ class Verification:
     statistics : of lengths: `measured`, `predicted`, `deviation`
     conformity : of `measured` and `deviation` where there is a tolerance
     driven : figures of ISO 230-2, -4 and -6 where lines and circles were measured
-    samples : used and offered
     """
 
     result: CalibrationResult
-    run: RunSummary
+    runs: tuple[VerifiedRun, ...]
     places: MeasuredPlaces
     measured: PlaceVectors
     predicted: PlaceVectors
@@ -165,21 +181,19 @@ class Verification:
     tolerance_um: float | None
     is_compensated: bool
     driven: DrivenFigures
-    noise: NoiseModel
-    samples: tuple[int, int]
-    left_out: tuple[LeftOut, ...]
 
 
 def verify(
     result: CalibrationResult,
-    run: Run,
-    *,
+    *runs: Run,
+    first_row: Sequence[int] = (0,),
     tolerance_um: float | None = None,
     correction: Correction | None = None,
     on_progress: Progress = ignore_progress,
 ) -> Verification:
-    """Hold a result against a Run that it was not made from.
+    """Hold a result against a Run that it was not made from, or against its parts.
 
+    first_row : of the plan, that each part of a Run begins with
     tolerance_um : largest length that a deviation may have
     correction : what the controller added while it was measured, if it did
 
@@ -187,23 +201,39 @@ def verify(
     another machine, EstimationError if the data do not carry the answer.
     """
     on_progress(0.0, "aligning")
-    summary = summarize_run(run)
-    refuse_used_run(result, summary)
-    one_machine([result.machine, run.machine], ["the result", run.name])
-    observations = align_all([run], [run.name])[0]
+    summaries = [summarize_run(run) for run in runs]
+    for run, summary in zip(runs, summaries, strict=True):
+        refuse_used_run(result, summary)
+        one_machine([result.machine, run.machine], ["the result", run.name])
+    parts = align_parts(runs, first_row)
     if correction is not None:
-        _refuse_turning(run.machine)
+        _refuse_turning(runs[0].machine)
     on_progress(0.4, "estimating")
-    pose, noise = _find_pose(result, observations, correction)
-    places = reduce_to_places(observations, pose, noise)
-    if len(places.owner) <= places.nuisance.shape[1]:
-        raise Unidentifiable(
-            f"{len(places)} places were measured, too few to tell where the tracker "
-            "stands; measure more"
-        )
-    held = _Held.of(result, places, correction)
+    found = _find_poses(result, [part.seen for part in parts], correction)
+    places = [
+        reduce_to_places(part.own, one.pose, one.noise)
+        for part, one in zip(parts, found, strict=True)
+    ]
+    _require_enough(places)
+    held = _Held.join([_Held.of(result, one, correction) for one in places])
     on_progress(0.8, "reporting")
-    return _state(held, summary, tolerance_um, correction, noise, observations)
+    verified = tuple(
+        VerifiedRun(
+            summary, one.noise, (part.seen.used, part.seen.offered), part.own.left_out
+        )
+        for summary, part, one in zip(summaries, parts, found, strict=True)
+    )
+    return _state(held, verified, tolerance_um, correction)
+
+
+def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
+    """Raise Unidentifiable where places do not tell where the tracker stands."""
+    for places in parts:
+        if len(places.owner) <= places.nuisance.shape[1]:
+            raise Unidentifiable(
+                f"{len(places)} places were measured, too few to tell where the "
+                "tracker stands; measure more"
+            )
 
 
 def refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
@@ -228,48 +258,55 @@ def _refuse_turning(machine: Machine) -> None:
         )
 
 
-def _find_pose(
-    result: CalibrationResult, observations: Observations, correction: Correction | None
-) -> tuple[RigidTransform, NoiseModel]:
-    """Return the pose and the noise of a Run, whatever its machine is.
+def _find_poses(
+    result: CalibrationResult,
+    parts: Sequence[Observations],
+    correction: Correction | None,
+) -> Sequence[RunInput]:
+    """Return the pose and the noise of each part, whatever its machine is.
 
     The noise is that beside a machine which is free to err otherwise than the result
     says, so that what the result gets wrong does not pass for noise. Of what the result
     explains nothing is left to be taken for errors: noise is not lost to them either.
     """
-    moved = predict_displacement(result, observations.at, correction)
-    rest = replace(
-        observations,
-        tracker_mm=observations.tracker_mm - moved @ observations.pose.rotation.T,
-    )
     known = extract_known_effects(
         result.model, np.zeros(result.model.size), result.covariance
     ).loosen()
-    models = build_run_models(
-        result.machine, [observations.at.offset_mm], known.effects
-    )
-    guess = guess_noise(observations, perpendicular_only=False)
-    start = RunInput(rest, observations.pose, guess)
+    offsets = [part.at.offset_mm for part in parts]
+    models = build_run_models(result.machine, offsets, known.effects)
+    starts = [_take_off(result, part, correction) for part in parts]
     try:
-        found = _settle_noise(models.coarse, start, known)
+        return _settle_noise(models.coarse, starts, known)
     except Unidentifiable:  # too few places to tell: as loud as is usual
-        return observations.pose, raise_noise(guess)
-    return found.pose, found.noise
+        return [replace(one, noise=raise_noise(one.noise)) for one in starts]
+
+
+def _take_off(
+    result: CalibrationResult, part: Observations, correction: Correction | None
+) -> RunInput:
+    """Return what a result leaves unexplained of a part, with its rough pose."""
+    moved = predict_displacement(result, part.at, correction)
+    rest = replace(part, tracker_mm=part.tracker_mm - moved @ part.pose.rotation.T)
+    return RunInput(rest, part.pose, guess_noise(part, perpendicular_only=False))
 
 
 def _settle_noise(
-    model: MachineModel, start: RunInput, known: KnownEffects
-) -> RunInput:
+    model: MachineModel, starts: Sequence[RunInput], known: KnownEffects
+) -> Sequence[RunInput]:
     """Return pose and noise with how far the machine errs judged by that same noise.
 
     By a noise that is too low, some of it passes for error of the free machine, which
     the next noise then lacks: few places cannot tell, so both are found in turn.
     """
-    found = start
+    found: Sequence[RunInput] = starts
     for _ in range(_ROUNDS):
-        before = replace(start, pose=found.pose, noise=found.noise)
-        found = refine_runs(model, [before], known=known)[0]
-        if np.allclose(found.noise.ou, before.noise.ou, rtol=_SAME_NOISE, atol=0.0):
+        before = [
+            replace(start, pose=one.pose, noise=one.noise)
+            for start, one in zip(starts, found, strict=True)
+        ]
+        found = refine_runs(model, before, known=known)
+        now, last = ([one.noise.ou for one in runs] for runs in (found, before))
+        if np.allclose(now, last, rtol=_SAME_NOISE, atol=0.0):
             break
     return found
 
@@ -326,6 +363,21 @@ class _Held:
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
+        )
+
+    @staticmethod
+    def join(parts: Sequence[_Held]) -> _Held:
+        """Return several Runs as one, each without a rigid motion of its own."""
+        if len(parts) == 1:
+            return parts[0]
+        return _Held(
+            parts[0].result,
+            join_places([part.places for part in parts]),
+            np.concatenate([part.as_found_mm for part in parts]),
+            np.concatenate([part.predicted_mm for part in parts]),
+            np.concatenate([part.columns for part in parts]),
+            np.concatenate([part.bend_mm2 for part in parts]),
+            block_diag(*(part.less_rigid for part in parts)),
         )
 
     def state(
@@ -385,11 +437,9 @@ class _Held:
 
 def _state(
     held: _Held,
-    summary: RunSummary,
+    runs: tuple[VerifiedRun, ...],
     tolerance_um: float | None,
     correction: Correction | None,
-    noise: NoiseModel,
-    observations: Observations,
 ) -> Verification:
     places, result = held.places, held.result
     spread = held.predict_covariance(result.covariance)
@@ -409,7 +459,7 @@ def _state(
     }
     return Verification(
         result,
-        summary,
+        runs,
         places,
         measured,
         predicted,
@@ -428,9 +478,6 @@ def _state(
         tolerance_um,
         correction is not None,
         evaluate_driven(places, measured.vector_mm, predicted.vector_mm, drawn),
-        noise,
-        (observations.used, observations.offered),
-        observations.left_out,
     )
 
 

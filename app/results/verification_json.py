@@ -17,7 +17,12 @@ from truepath.app.results.driven_figures import CircleFigures, LineFigures
 from truepath.app.results.length_statistics import LengthStatistics
 from truepath.app.results.number_format import format_number
 from truepath.app.results.place_conformity import PlaceConformity
-from truepath.app.results.verification import K, PlaceVectors, Verification
+from truepath.app.results.verification import (
+    K,
+    PlaceVectors,
+    Verification,
+    VerifiedRun,
+)
 
 SCHEMA = "verification/1"
 _DIRECTIONS = "XYZ"
@@ -63,14 +68,12 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "components": "all three"
         if found.places.is_whole
         else "three at standstills, the two across the travel on lines",
-        "gauge": "without the best-fit rigid motion over the measured places, each "
-        "component counting the same",
-        "noise": {
-            "white_of_stated": list(found.noise.white),
-            "correlated_of_stated": list(found.noise.ou),
-            "correlation_time_s": found.noise.ou_time_s,
-        },
-        "run": _run_json(found),
+        "gauge": "without the best-fit rigid motion over the measured places"
+        f"{' of each Run' if len(found.runs) > 1 else ''}, each component counting "
+        "the same",
+        "noise": _noise_json(found.runs[0]),
+        "run": _run_json(found.runs[0]),
+        "runs": [{**_run_json(one), "noise": _noise_json(one)} for one in found.runs],
         "provenance": {
             "software": "truepath",
             "software_version": version("truepath"),
@@ -119,14 +122,22 @@ def _scale_json(found: Verification) -> dict[str, Any] | None:
     return {"value": value, "uncertainty": uncertainty, "cause": cause}
 
 
-def _run_json(found: Verification) -> dict[str, Any]:
+def _run_json(run: VerifiedRun) -> dict[str, Any]:
     return {
-        "name": found.run.name,
-        "mode": found.run.mode,
-        "input_sha256": found.run.digest,
-        "samples_used": found.samples[0],
-        "samples_offered": found.samples[1],
-        "left_out": [_describe_left_out(one) for one in found.left_out],
+        "name": run.summary.name,
+        "mode": run.summary.mode,
+        "input_sha256": run.summary.digest,
+        "samples_used": run.samples[0],
+        "samples_offered": run.samples[1],
+        "left_out": [_describe_left_out(one) for one in run.left_out],
+    }
+
+
+def _noise_json(run: VerifiedRun) -> dict[str, Any]:
+    return {
+        "white_of_stated": list(run.noise.white),
+        "correlated_of_stated": list(run.noise.ou),
+        "correlation_time_s": run.noise.ou_time_s,
     }
 
 

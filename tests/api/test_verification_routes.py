@@ -163,7 +163,8 @@ def test_a_verification_links_to_its_answer_and_report(
     make_cell.cell.end()
     wait_until(lambda: client.get(at).json()["state"] == "succeeded")
     job = client.get(at).json()
-    ((run_file, result_file, files, told),) = verifier.calls
+    (((run_file,), first_row, result_file, files, told),) = verifier.calls
+    assert first_row == [0]
     assert run_file.split("/")[-1].startswith(job["run_id"])
     assert result_file.split("/")[-2:] == [result, "result.json"]
     assert (files, told["seed"], told["tolerance_um"]) == (None, 4, 3.0)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.measurement.run_reading import open_recorded
+
 PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
 
 
 class Resumer:
-    """Says how far each Run has got."""
+    """Says how far each Run has got, and what it was told."""
 
     def __init__(self):
         self.calls, self.next_row, self.error = [], 4, None
@@ -18,7 +23,8 @@ class Resumer:
         if self.next_row is None:
             return [None for _ in files]
         reached = {"next_row": self.next_row, "row": [2, 3], "place_mm": PLACES}
-        return [reached for _ in files]
+        told = [encode_commanded_json(open_recorded(Path(f)).commanded) for f in files]
+        return [reached | {"commanded": rows} for rows in told]
 
 
 class Closer:

@@ -256,6 +256,9 @@ class ScriptedLive:
     def ask(self):
         self.heard.append("ask")
 
+    def extend(self, part):
+        self.heard.append("extend")
+
     def take_part(self):
         return self.parts.pop(0) if self.parts else None
 
@@ -446,8 +449,10 @@ class Verifier:
         self.calls: list[tuple] = []
         self.content = {"schema": "verification/1"}
 
-    def __call__(self, run_file, folder, result_file, files, asked, *, on_progress):
-        self.calls.append((run_file, result_file, files, asked))
+    def __call__(
+        self, run_files, first_row, folder, result_file, files, asked, *, on_progress
+    ):
+        self.calls.append((run_files, first_row, result_file, files, asked))
         on_progress(0.5, "estimating")
         place = FilePath(folder)
         place.mkdir(parents=True)

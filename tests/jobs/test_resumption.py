@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arming import arm_at_once
 from resumption_doubles import PLACES, Closer, Resumer
+from scripted_cell import ScriptedLive, Verifier, wait_until
 
 from truepath.app.errors import IllegalTransition
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
@@ -30,7 +31,9 @@ from truepath.app.jobs.resumability import (
 )
 from truepath.app.jobs.resumption import choose_first_row
 from truepath.app.jobs.transitions import State
+from truepath.app.measurement.messages import PartRequested
 from truepath.app.motion.configurations import Configurations
+from truepath.app.planning.adaptive_plan import Part
 from truepath.drivers.interfaces.records import Path
 from truepath.simulators.scenario import load_machine
 
@@ -70,10 +73,33 @@ def describe(context, registry):
 
 
 @pytest.fixture
-def going_on(context, event_bus, resumer, closer, registry):
+def lives():
+    """The live estimates, the newest last."""
+    return []
+
+
+@pytest.fixture
+def verifier():
+    return Verifier()
+
+
+@pytest.fixture
+def going_on(context, event_bus, resumer, closer, registry, lives, verifier):
     """A dispatcher that can go on with what was cut short."""
+
+    def follow(order, show):
+        lives.append(ScriptedLive(order, show))
+        return lives[-1]
+
     context.require_cell().start()
-    full = replace(context, resumer=resumer, closer=closer, registry=registry)
+    full = replace(
+        context,
+        resumer=resumer,
+        closer=closer,
+        registry=registry,
+        live=follow,
+        verifier=verifier,
+    )
     dispatcher = Dispatcher(full, event_bus)
     yield dispatcher
     dispatcher.close()
@@ -83,16 +109,21 @@ def going_on(context, event_bus, resumer, closer, registry):
 def faulted(going_on, until, make_cell):
     """A measurement that a fault has ended in motion."""
 
-    def make(request=OTF):
-        job, _ = going_on.create(request)
-        arm_at_once(going_on, job.id, until(job, "ready").version)
-        cell = make_cell.cell
-        assert cell.begun.wait(5)
-        cell.fault()
-        cell.end("faulted")
-        return until(job, "faulted")
+    def make(request=OTF, then=lambda _: None):
+        return cut_short(going_on, until, make_cell.cell, request, then)
 
     return make
+
+
+def cut_short(going_on, until, cell, request, then):
+    """Measure, do what the test wants, then fault."""
+    job, _ = going_on.create(request)
+    arm_at_once(going_on, job.id, until(job, "ready").version)
+    assert cell.begun.wait(5)
+    then(cell)
+    cell.fault()
+    cell.end("faulted")
+    return until(job, "faulted")
 
 
 def drive(going_on, until, cell, job):
@@ -243,17 +274,116 @@ def test_it_does_not_go_on_while_another_job_holds_the_machine(
         going_on.acknowledge(job.id)
 
 
-@pytest.mark.parametrize(
-    ("reason", "on_notice"), [("by what it notices", OnNotice.CHECK)]
-)
-def test_a_measurement_that_cannot_go_on_says_why(
-    going_on, faulted, context, reason, on_notice
+ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
+
+
+def choose_line(cell, live, x_mm):
+    """Have the live estimate choose a line after those of the order; tell the cell."""
+    position = np.array([cell.order.commanded.position[-1], [x_mm, 90.0, 90.0]])
+    part = Path(("X", "Y", "Z"), position, np.full(2, 3000.0), np.zeros(2))
+    cell.parts.clear()
+    live.parts.append(Part(part, 1, 3.0, 1e-3))
+    cell.say(PartRequested(len(cell.order.commanded) - 1))
+    wait_until(lambda: cell.parts, "the part")
+
+
+def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
+    going_on, faulted, until, make_cell, science, resumer, lives, context
+):
+    cell = make_cell.cell
+    job = faulted(ADAPTIVE, then=lambda _: choose_line(cell, lives[-1], 70.0))
+    kept = context.store.read_plan(job.id)["position"]
+    assert kept[-1] == [70.0, 90.0, 90.0]
+    resumer.next_row = 4
+    closure = drive(going_on, until, cell, job)
+    assert closure.commanded.position[-1].tolist() == kept[3]
+    assert cell.begun.wait(5)
+    rest = cell.order
+    assert rest.grows
+    first_row = context.store.read_plan(job.id)["resumption"]["first_row"]
+    assert rest.commanded.position.tolist() == kept[first_row:]
+    assert lives[-1].order.earlier_files == (str(context.runs.file(job.id)),)
+    choose_line(cell, lives[-1], 110.0)
+    now = context.store.read_plan(job.id)
+    assert now["position"] == [*kept, [110.0, 90.0, 90.0]]
+    assert len(now["parts"]) == 2
+    cell.end()
+    ended = until(job, "succeeded")
+    assert science.calls[0][0] == [
+        str(context.runs.file(run_id)) for run_id in ended.run_ids
+    ]
+
+
+def test_what_acts_on_notices_goes_on_with_what_is_left_and_keeps_them(
+    going_on, faulted, until, make_cell, resumer, lives, context
+):
+    """Rows that were driven again count: the Run numbers its rows with them."""
+    cell = make_cell.cell
+    told = {
+        **{"number": 1, "kind": "something-changed", "grade": "likely", "axis": ""},
+        **{"since_row": 2, "noticed_row": 2, "noticed_s": 9.0, "size_um": 20.0},
+        **{"uncertainty_um": 1.0, "is_over": False},
+    }
+
+    def notice(_):
+        lives[-1].publish(5.0, 2)
+        lives[-1].newest["notices"] = [told]
+        (active,) = context.store.list_unfinished()
+        wait_until(lambda: context.store.get(active.id).notices, "the notice")
+        cell.say(PartRequested(2))
+        wait_until(lambda: cell.parts, "the lines that are driven again")
+
+    request = replace(OTF, on_notice=OnNotice.CHECK)
+    job = faulted(request, then=notice)
+    kept = context.store.read_plan(job.id)["position"]
+    assert len(kept) > len(PATH)
+    resumer.next_row = 5
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    assert cell.order.grows
+    assert cell.order.commanded.position[0].tolist() == kept[4]
+    lives[-1].publish(5.0, 2)
+    lives[-1].newest["notices"] = [{**told, "axis": "X"}]
+
+    def numbered():
+        now = context.store.get(job.id).notices
+        return [(n.number, n.since_row) for n in now] == [(1, 2), (2, 6)]
+
+    wait_until(numbered, "both notices")
+    cell.end()
+    until(job, "succeeded")
+
+
+def test_rows_that_are_not_those_of_the_run_are_never_gone_on_with(
+    going_on, faulted, until, context
 ):
     job = faulted()
-    context.store.change(job.id, lambda j: replace(j, on_notice=on_notice))
-    with pytest.raises(NotResumable, match=reason):
-        going_on.acknowledge(job.id)
-    assert context.store.get(job.id).state is State.FAULTED
+    plan = dict(context.store.read_plan(job.id))
+    plan["position"] = [plan["position"][-1], *plan["position"][:-1]]
+    context.store.keep_plan(job.id, plan)
+    going_on.acknowledge(job.id)
+    assert "not those that its Run was told" in until(job, "faulted").failure.detail
+
+
+def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
+    going_on, faulted, until, make_cell, verifier, context
+):
+    job = faulted(replace(OTF, kind=JobKind.MEASURE_STANDSTILL))
+    context.store.change(job.id, lambda one: replace(one, kind=JobKind.VERIFY))
+    plan = dict(context.store.read_plan(job.id))
+    context.store.keep_plan(job.id, {**plan, "request": {"result_id": "a"}})
+    found = context.results / "a" / "model.json"
+    found.parent.mkdir()
+    found.write_text("{}")
+    cell = make_cell.cell
+    drive(going_on, until, cell, job)
+    assert cell.begun.wait(5)
+    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
+    cell.end()
+    ended = until(job, "succeeded")
+    ((files, first_row, *_),) = verifier.calls
+    assert files == [str(context.runs.file(run_id)) for run_id in ended.run_ids]
+    assert first_row == [0, 4]
 
 
 @pytest.mark.parametrize(
@@ -308,16 +438,9 @@ def test_the_closure_stands_where_the_last_target_stood_and_changes_none(
     assert resumption["place_mm"] == PLACES[1:]
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        (JobKind.MEASURE_ADAPTIVE, r"live estimate.*analyse the Runs of both together"),
-        (JobKind.VERIFY, r"one Run alone.*begin a new job"),
-    ],
-)
-def test_a_kind_that_does_not_go_on_names_the_reason_and_the_way_out(kind, said):
-    job = Job(kind, id="a", state=State.FAULTED, run_id="a")
-    with pytest.raises(NotResumable, match=said):
+def test_a_job_that_only_computes_does_not_go_on():
+    job = Job(JobKind.ANALYSE, id="a", state=State.FAULTED, run_id="a")
+    with pytest.raises(NotResumable, match=r"only computes.*begin a new job"):
         require_resumable(job, {})
 
 
@@ -351,8 +474,8 @@ def test_only_a_fault_or_an_interruption_is_acknowledged(going_on, until, contex
         (Stage.MEASURING, {}, True, None),
         (Stage.ESTIMATING, {}, False, '{"kind": "analyse", "run_ids": ["a", "b"]}'),
         (Stage.ALIGNING, {"station": StationProgress(1, 2, (0.0,))}, True, None),
-        (Stage.MEASURING, {"kind": JobKind.MEASURE_ADAPTIVE}, False, None),
-        (Stage.ALIGNING, {"kind": JobKind.VERIFY}, False, None),
+        (Stage.MEASURING, {"kind": JobKind.MEASURE_ADAPTIVE}, True, None),
+        (Stage.ALIGNING, {"kind": JobKind.VERIFY}, True, None),
         (
             Stage.DISCOVERING,
             {"kind": JobKind.MEASURE_EXTRA},

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from truepath.app.alignment.align import align
 from truepath.app.errors import BadInput
 from truepath.app.files.result_file import result_from_json
 from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.motion.configurations import select_rows
 from truepath.app.results.analysis import analyse
 from truepath.app.results.measured_places import correlate_means
 from truepath.app.results.result_json import result_json
@@ -129,6 +131,44 @@ def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, reme
     assert not found.consistency.is_consistent
     assert found.consistency.fits_together  # some machine does so: not the tracker
     assert any("a machine that has changed" in s for s in state_findings(found))
+
+
+def cut(run, row, first_row):
+    """Return a Run as it is up to a row, and its rest from `first_row` on.
+
+    The rest is seen from a tracker that has settled by some micrometres since.
+    """
+    seen = align(run)
+    time_s = run.tracker.device_time_s
+    parts = []
+    for begin, end in ((0, row), (first_row, len(run.commanded))):
+        own = seen.at.time_s[(seen.row >= begin) & (seen.row < end)]
+        inside = (time_s > own.min() - 0.7) & (time_s < own.max() + 0.7)
+        tracker = run.tracker.select(np.flatnonzero(inside))
+        if begin:
+            tracker = replace(tracker, position_mm=tracker.position_mm + 0.01)
+        commanded = select_rows(run.commanded, slice(begin, None))
+        parts.append(replace(run, commanded=commanded, tracker=tracker))
+    return parts
+
+
+@pytest.mark.parametrize(("row", "first_row"), [(14, 14), (26, 23)])
+def test_a_verification_in_two_runs_says_what_the_whole_says(
+    calibrated, remeasured, row, first_row
+):
+    run, _ = remeasured(105)
+    whole = verify(calibrated, run)
+    parts = cut(run, row, first_row)
+    found = verify(calibrated, *parts, first_row=(0, first_row))
+    assert found.places.row.tolist() == whole.places.row.tolist()
+    assert found.consistency.is_consistent
+    assert found.deviation.length_um.max() < whole.deviation.length_um.max() + 1.0
+    one, other = (each.statistics["measured"]["mean"] for each in (found, whole))
+    assert one.value_um == pytest.approx(other.value_um, abs=3.0)
+    content = verification_json(found)
+    assert [one["samples_used"] > 0 for one in content["runs"]] == [True, True]
+    assert all(one["left_out"] == [] for one in content["runs"])
+    assert "of each Run" in content["gauge"]
 
 
 def test_a_change_that_the_uncertainty_hides_is_not_decided(calibrated, remeasured):

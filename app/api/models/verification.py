@@ -155,6 +155,12 @@ class VerifyingRunOut(BaseModel):
     left_out: list[LeftOutOfRunOut]
 
 
+class VerifyingPartOut(VerifyingRunOut):
+    """A Run of a verification: there are several where it was cut short and went on."""
+
+    noise: NoiseOfStatedOut
+
+
 class VerificationProvenanceOut(BaseModel):
     """By what and when it was made, and from which result."""
 
@@ -196,5 +202,9 @@ class VerificationOut(BaseModel):
     components: str
     gauge: str
     noise: NoiseOfStatedOut
-    run: VerifyingRunOut
+    run: VerifyingRunOut = Field(description="The first of `runs`.")
+    runs: list[VerifyingPartOut] = Field(
+        default_factory=list[VerifyingPartOut],
+        description="All Runs, in the order of driving; not in files of before.",
+    )
     provenance: VerificationProvenanceOut
