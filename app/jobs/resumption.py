@@ -163,7 +163,7 @@ class ResumedSteps:
         parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
         recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
         parts = [part for part in parts if part["run_id"] in recorded]
-        plan |= {"parts": parts, "resumption": None} | self._find(plan, parts)
+        plan |= {"parts": parts, "resumption": None, **self._find(plan, parts)}
         found = plan["resumption"]
         self.context.store.keep_plan(self.job.id, plan)
         log.info("the measurement can go on", row=found and found["first_row"])

@@ -45,6 +45,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
 
     Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
     """
+    first = next(iter(found.runs))
     return {
         "schema": SCHEMA,
         "machine": found.result.machine.name,
@@ -71,8 +72,8 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "gauge": "without the best-fit rigid motion over the measured places"
         f"{' of each Run' if len(found.runs) > 1 else ''}, each component counting "
         "the same",
-        "noise": _noise_json(found.runs[0]),
-        "run": _run_json(found.runs[0]),
+        "noise": _noise_json(first),
+        "run": _run_json(first),
         "runs": [{**_run_json(one), "noise": _noise_json(one)} for one in found.runs],
         "provenance": {
             "software": "truepath",
