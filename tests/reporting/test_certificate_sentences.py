@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from datetime import date
+from types import SimpleNamespace
+
 import pytest
 
 from truepath.app.reporting.certificate.closing_sections import (
+    describe_verification,
     say_decision,
     word_findings,
 )
+from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import load_language
 
 MEASURED = {
@@ -31,6 +36,18 @@ VERIFICATION = {
     "agreement": AGREEMENT,
     "map_scale": None,
 }
+
+
+@pytest.fixture
+def issued():
+    """A certificate with a verification, of which nothing else is asked."""
+
+    def make(content):
+        source = Source("v.json", content, "0" * 64)
+        found = SimpleNamespace(input_sha256="")
+        return Certificate(found, date(2026, 11, 24), verification=source)
+
+    return make
 
 
 @pytest.mark.parametrize(
@@ -66,6 +83,27 @@ def test_a_scale_as_expected_is_not_commented():
 )
 def test_a_file_that_states_less_is_quoted(language, content):
     assert word_findings(content, load_language(language)) == ["The machine fails."]
+
+
+NUMBERS = {
+    "agreement": AGREEMENT | {"chi_square": 110.04, "freedom": 84},
+    "volumetric_error_um": {
+        "measured": {
+            f"{name}{end}": 0.5
+            for name in ("mean", "p95", "largest")
+            for end in ("", "_uncertainty")
+        }
+    },
+}
+
+
+def test_numbers_of_a_verification_are_in_words_and_not_in_keys_of_its_file(issued):
+    view = describe_verification(issued(VERIFICATION | NUMBERS), load_language("de"))
+    assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
+    assert view["lengths"][0][1] == "0,5 ± 1,0"
+    rows = dict(view["rows"])
+    assert rows["Toleranz an jeder Stelle"] == "5,00 µm"
+    assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
 
 
 @pytest.mark.parametrize("decision", ["within", "outside", "undecided"])

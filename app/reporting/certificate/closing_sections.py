@@ -17,15 +17,8 @@ from truepath.app.results.verification_json import find_scale_cause
 
 Row = tuple[str, ...]
 _DECISIONS = ("within", "outside", "undecided")
-_MOST_ROWS = 40  # that a file of another kind may fill
-_SHOWN = (
-    "conformity",
-    "agreement",
-    "map_scale",
-    "volumetric_error_um",
-    "difference_um",
-)
-"""What is stated of a verification, as far as it is there; all else is in its file."""
+_LENGTHS = ("measured", "predicted", "deviation")
+_SPREAD = ("mean", "p95", "largest")
 _K = 2.0
 
 
@@ -57,7 +50,8 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         ),
         "decision": say_decision(source.content, language),
         "statements": word_findings(source.content, language),
-        "rows": list(_flatten(_pick(source.content), language))[:_MOST_ROWS],
+        "lengths": list(_list_lengths(source.content, language)),
+        "rows": list(_list_decisive(source.content, language)),
     }
 
 
@@ -236,22 +230,42 @@ def _um(value: float, language: Language) -> str:
     return f"{language.number(value, 2)} µm"
 
 
-def _pick(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: content[key] for key in _SHOWN if key in content}
+def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    """Yield what was measured, predicted and differs: mean, p95 and largest, U."""
+    lengths = as_object(content.get("volumetric_error_um"))
+    for name in _LENGTHS:
+        one = as_object(lengths.get(name))
+        if one:
+            yield (
+                language.say(f"verification_{name}"),
+                *(
+                    language.write_expanded(one[key], one[f"{key}_uncertainty"])
+                    for key in _SPREAD
+                ),
+            )
 
 
-def _flatten(
-    content: Mapping[str, Any], language: Language, name: str = ""
-) -> Iterator[tuple[str, str]]:
-    """Yield names and values of what a file states, in its order; no long lists."""
-    for key, value in content.items():
-        path = f"{name}.{key}" if name else key
-        if below := as_object(value):
-            yield from _flatten(below, language, path)
-        elif isinstance(value, bool | str):
-            yield path, str(value)
-        elif isinstance(value, int | float):
-            yield path, language.number(value, 0 if isinstance(value, int) else 3)
+def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    """Yield the numbers that decide, as far as they are there."""
+    conformity = as_object(content.get("conformity"))
+    tolerance = as_object(conformity.get("measured")).get("tolerance_um")
+    if tolerance is not None:
+        yield language.say("verification_tolerance"), _um(tolerance, language)
+    agreement = as_object(content.get("agreement"))
+    if "chi_square" in agreement:
+        chance = language.number(100.0 * agreement["chance"], 1)
+        yield (
+            language.say("verification_chi_square"),
+            language.say(
+                "verification_chi_square_is",
+                value=language.number(agreement["chi_square"], 1),
+                freedom=agreement["freedom"],
+                chance=chance,
+            ),
+        )
+    if scale := as_object(content.get("map_scale")):
+        text = language.write_expanded(scale["value"], scale["uncertainty"])
+        yield language.say("verification_map_scale"), text
 
 
 def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]:

@@ -112,7 +112,7 @@ def _state_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]
     name, _, unit = one["name"].rpartition("_")
     numbers = (one[key] for key in ("mean", "low", "high", "change"))
     return (
-        name,
+        language.own.get(f"sensor_{name}", name),
         str(_UNITS.get(unit, unit)),
         *("–" if value is None else language.number(value, 2) for value in numbers),
     )
