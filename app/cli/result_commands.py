@@ -165,12 +165,28 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
         if reason != "map"
     )
     print(f"of that, root mean squares in µm: {', '.join(reasons)}")
+    for axis, one in account["rotary"].items():
+        print(f"rotary axis {axis}: {_state_rotary(one)}")
     for statement in account["unmeasured"]:
         print(f"not measured: {statement}")
     print(f"do: {account['note']}")
     for statement in account["unobservable"]:
         print(f"not in the tables: {statement}")
     print_files(account["files"])
+
+
+def _state_rotary(one: Mapping[str, Any]) -> str:
+    """Return what tables leave of a rotary axis, and what no table has."""
+    parts: list[str] = []
+    if angle := one.get("positioning_urad"):
+        tool = one["at_tool_um"]
+        parts.append(
+            f"positioning {angle['before']:.1f} to {angle['after']:.1f} µrad, at the "
+            f"tool {tool['before']:.2f} to {tool['after']:.2f} µm (root mean squares)"
+        )
+    if one["not_in_files"]:
+        parts.append(f"not in the files: {', '.join(one['not_in_files'])}")
+    return "; ".join(parts) or "nothing is known of it"
 
 
 def _state_left(after: Mapping[str, float]) -> str:

@@ -43,13 +43,18 @@ class ErrorMap:
         position_mm: Float64[np.ndarray, "n a"],
         direction: float = 0.0,
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return δ = actual − nominal.
+        """Return δ = actual − nominal, of a machine of straight axes less rigid motion.
+
+        With rotary axes it is in the gauge of the error motions, in which the places of
+        these are stated: a turn of all straight axes would misplace them.
 
         direction : 1 or −1 of all axes, 0 for the mean
         """
-        error = self.volumetric_map.error_mm(
-            make_standstill(self.machine, position_mm), self.result.theta
-        )
+        at = make_standstill(self.machine, position_mm)
+        if self.machine.rotary_axes:
+            error = self.volumetric_map.displacement_mm(at, self.result.theta)
+        else:
+            error = self.volumetric_map.error_mm(at, self.result.theta)
         for column, axis in enumerate(self.axes):
             half = direction * self.half_difference_mm(
                 axis.name, position_mm[:, column]

@@ -21,6 +21,7 @@ from truepath.app.compensation.remaining_error import (
     evaluate_effects,
     find_remaining,
 )
+from truepath.app.compensation.rotary import describe_rotary
 from truepath.app.compensation.tabulation import (
     StatedTemperature,
     Tabulation,
@@ -151,6 +152,9 @@ def export_result(
         "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
+        "rotary": describe_rotary(
+            errors, content.rotary, kind.read_rotary(files, errors.machine)
+        ),
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
@@ -289,7 +293,10 @@ def _describe_content(
 ) -> dict[str, Any]:
     machine = errors.machine
     losses = find_interpolation_losses_mm(errors, tables)
-    rotary = [axis.name for axis in machine.rotary_axes]
+    rotary = ", ".join(axis.name for axis in machine.rotary_axes)
+    beyond = "rotary axes"
+    if kind.carries_rotary:
+        beyond = "what rotary axes do beside their positioning"
     return {
         "machine": machine.name,
         "kinematic_chain": machine.chain,
@@ -303,8 +310,7 @@ def _describe_content(
         "verdict": verdict_json(errors.result.verdict),
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},
         "carries": kind.carries,
-        "not_carried": kind.not_carried
-        + (f", rotary axes {', '.join(rotary)}" if rotary else ""),
+        "not_carried": kind.not_carried + (f", {beyond} ({rotary})" if rotary else ""),
         "unobservable": list(errors.result.unobservable),
         "tables": {
             t.axis.name: {

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.machine import LinearAxis, Machine, RotaryAxis
 from truepath.app.kinematics.symbols import LINEAR
 
 
@@ -68,6 +68,44 @@ class AxisTable:
 
 
 @dataclass(frozen=True, slots=True)
+class RotaryTable:
+    """How far a rotary axis turns beyond its command.
+
+    position_deg : (n,) equidistant, ascending, over the travel; over one turn where the
+        axis turns fully, the last row being the first again
+    error_deg : (n,) mean of both directions, 0 at the axis zero, else the lowest
+    """
+
+    axis: RotaryAxis
+    position_deg: Float64[np.ndarray, " n"]
+    error_deg: Float64[np.ndarray, " n"]
+
+    @property
+    def spacing_deg(self) -> float:
+        """Distance of neighbouring rows."""
+        return float(self.position_deg[1] - self.position_deg[0])
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryAddition:
+    """What a controller adds to a rotary axis, straight between rows.
+
+    period_deg : after which it repeats; 0 where end values hold beyond
+    """
+
+    position_deg: Float64[np.ndarray, " n"]
+    added_deg: Float64[np.ndarray, " n"]
+    period_deg: float = 0.0
+
+    def read(self, at_deg: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Return what it adds at commanded positions."""
+        if self.period_deg:
+            first = self.position_deg[0]
+            at_deg = first + np.mod(at_deg - first, self.period_deg)
+        return np.interp(at_deg, self.position_deg, self.added_deg)
+
+
+@dataclass(frozen=True, slots=True)
 class TemperatureTables:
     """How tables change with temperature.
 
@@ -89,6 +127,7 @@ class CompensationTables:
 
     stem : of file names; stamp : lines for comments, in plain ASCII
     temperature : where the tables are of a temperature model
+    rotary : of the rotary axes, for formats that carry them
     """
 
     stem: str
@@ -96,6 +135,7 @@ class CompensationTables:
     tables: tuple[AxisTable, ...]
     stamp: tuple[str, ...]
     temperature: TemperatureTables | None = None
+    rotary: tuple[RotaryTable, ...] = ()
 
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
@@ -110,6 +150,7 @@ class CompensationFormat(ABC):
     most_points : rows of a table that the controller takes
     resolution_um : of its values
     carries, not_carried : in words, for the account
+    carries_rotary : whether it has tables of the positioning of rotary axes
     temperature : what files of a temperature model have of it, in words
     sign : the rule that gives the file its sign
     sign_is_verified : whether that rule is from the maker's manual or source; else one
@@ -125,6 +166,7 @@ class CompensationFormat(ABC):
     resolution_um: ClassVar[float] = 1e-3
     carries: ClassVar[str]
     not_carried: ClassVar[str]
+    carries_rotary: ClassVar[bool] = False
     temperature: ClassVar[str] = (
         "nothing: the tables hold at the stated temperature; write them anew for others"
     )
@@ -140,6 +182,13 @@ class CompensationFormat(ABC):
     @abstractmethod
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the controller's correction from the files. Raises BadInput."""
+
+    def read_rotary(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, RotaryAddition]:
+        """Return what is added to rotary axes, by axis. Raises BadInput."""
+        del files, machine
+        return {}
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,29 +8,36 @@ three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
+    RotaryAddition,
+    RotaryTable,
     TableFormat,
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.symbols import LINEAR, TURNS
 
 
 class LinuxCnc(TableFormat):
-    """One table a straight axis, both directions."""
+    """One table a straight axis, both directions, and one a rotary axis."""
 
     control = "LinuxCNC"
     suffix = ".tbl"
     most_points = 256
-    carries = "positioning of each axis, forward and reverse"
+    carries = (
+        "positioning of each axis, forward and reverse; of rotary axes the mean of both"
+    )
     not_carried = "straightness, angular errors, squareness"
+    carries_rotary = True
     sign = "columns 2 and 3 are positions reached: nominal + error (COMP_FILE_TYPE = 0)"
     sign_is_verified = True
     note = (
@@ -39,18 +46,34 @@ class LinuxCnc(TableFormat):
     )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return a table a straight axis, `STEM-X.tbl`."""
-        return {
-            f"{content.stem}-{table.axis.name}{self.suffix}": _write_rows(table)
-            for table in content.tables
-        }
+        """Return a table an axis, `STEM-X.tbl`; of a rotary axis in deg."""
+        tables = {one.axis.name: _write_rows(one) for one in content.tables}
+        tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
+        return {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
 
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Yield the trims that the controller adds."""
         for name, text in files.items():
-            yield _read_table(name, text, self.suffix)
+            axis = _find_axis(name, self.suffix)
+            if axis in LINEAR:
+                nominal, forward, reverse = _read_rows(name, text)
+                out, up, down = LINEAR.index(axis), nominal - forward, nominal - reverse
+                yield InterpolatedTable(axis, out, nominal, up, down)
+
+    def read_rotary(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, RotaryAddition]:
+        """Return the mean trims of rotary joints; end values hold beyond."""
+        added: dict[str, RotaryAddition] = {}
+        for name, text in files.items():
+            axis = _find_axis(name, self.suffix)
+            if axis in TURNS:
+                nominal, forward, reverse = _read_rows(name, text)
+                trim = nominal - 0.5 * (forward + reverse)
+                added[axis] = RotaryAddition(nominal, trim)
+        return added
 
 
 def _write_rows(table: AxisTable) -> str:
@@ -62,17 +85,31 @@ def _write_rows(table: AxisTable) -> str:
     )
 
 
-def _read_table(name: str, text: str, suffix: str) -> InterpolatedTable:
-    """Return the trims of an axis, whose name ends that of the file."""
+def _write_turns(table: RotaryTable) -> str:
+    """Return rows over the whole travel: joints know no period."""
+    axis = table.axis
+    count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
+    at = np.linspace(axis.low, axis.high, min(count, LinuxCnc.most_points))
+    period = 360.0 if axis.turns_fully else None
+    reached = at + np.interp(at, table.position_deg, table.error_deg, period=period)
+    rows = zip(at, reached, strict=True)
+    return "".join(f"{a:.6f} {r:.6f} {r:.6f}\n" for a, r in rows)
+
+
+def _find_axis(name: str, suffix: str) -> str:
+    """Return the axis of a table, whose name ends that of the file."""
+    return name.removesuffix(suffix)[-1]
+
+
+def _read_rows(name: str, text: str) -> Float64[np.ndarray, "3 n"]:
+    """Return nominal positions, and those reached forward and in reverse."""
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
         if len(words) != 3:
             raise BadInput(f"{name}, row {number}: a row has three numbers")
         rows.append([float(word) for word in words])
-    nominal, forward, reverse = np.array(rows).T
-    if len(rows) > 256 or (np.diff(nominal) <= 0).any():
+    table = np.array(rows).T
+    if len(rows) > 256 or (np.diff(table[0]) <= 0).any():
         raise BadInput(f"{name}: 256 rows at most, ascending")
-    axis = name.removesuffix(suffix)[-1]
-    out = LINEAR.index(axis)
-    return InterpolatedTable(axis, out, nominal, nominal - forward, nominal - reverse)
+    return table

@@ -23,6 +23,7 @@ from truepath.app.compensation.format import (
     CompensationTables,
     Correction,
     InterpolatedTable,
+    RotaryAddition,
     TableFormat,
 )
 from truepath.app.compensation.siemens_cross import (
@@ -32,7 +33,11 @@ from truepath.app.compensation.siemens_cross import (
     find_factor,
     list_factors,
 )
-from truepath.app.compensation.siemens_reading import read_tables
+from truepath.app.compensation.siemens_reading import (
+    read_rotary_tables,
+    read_tables,
+)
+from truepath.app.compensation.siemens_rotary import write_turns
 from truepath.app.compensation.siemens_temperature import write_temperature_file
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
@@ -109,8 +114,12 @@ class SiemensLec(Siemens):
     """
 
     area, variable = "AX_EEC", "ENC_COMP"
-    carries = "positioning of each axis, mean of both directions"
+    carries = (
+        "positioning of each axis, mean of both directions, of rotary axes modulo "
+        "a turn"
+    )
     not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
+    carries_rotary = True
     sign = (
         "the value is the error: a positive value moves the axis in the negative "
         "direction"
@@ -142,6 +151,14 @@ class SiemensLec(Siemens):
             yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
             yield f"$AA_ENC_COMP_MAX[0,{axis}]={table.position_mm[-1]:.6f}"
             yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
+        for table in content.rotary:
+            yield from write_turns(table)
+
+    def read_rotary(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, RotaryAddition]:
+        """Return the negative of the tables of rotary axes."""
+        return read_rotary_tables(files)
 
 
 class SiemensCec(Siemens):
@@ -207,8 +224,12 @@ class SiemensOrder(CompensationFormat):
 
     suffix = ".ini"
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
-    carries = f"positioning in both directions, {SiemensCec.carries}"
+    carries = (
+        f"positioning in both directions, of rotary axes the mean of both, modulo a "
+        f"turn; {SiemensCec.carries}"
+    )
     not_carried = "what is beyond the tables of the control"
+    carries_rotary = True
     temperature = (
         "growth of each axis as linear temperature compensation, STEM-temperature.ini: "
         "MD32750, SD43910 and SD43920, with SD43910 by temperature for the PLC, which "
@@ -260,6 +281,12 @@ class SiemensOrder(CompensationFormat):
             return np.sum(added, axis=0)
 
         return correction
+
+    def read_rotary(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, RotaryAddition]:
+        """Return what the leadscrew tables add to rotary axes."""
+        return read_rotary_tables(_select(files, f"-lec{self.suffix}"))
 
 
 def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:

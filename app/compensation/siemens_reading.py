@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from jaxtyping import Float64
 
-from truepath.app.compensation.format import InterpolatedTable
+from truepath.app.compensation.format import InterpolatedTable, RotaryAddition
 from truepath.app.errors import BadInput
-from truepath.app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.symbols import LINEAR, TURNS
 
 _SETTING = re.compile(
     r"\$A[AN]_(ENC_COMP|CEC)(\w*)\[([\w,]+)\]="
@@ -24,7 +25,7 @@ def read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTab
 
     Raises BadInput naming file and row, or the table that lacks something.
     """
-    settings = _read_settings(files, kind)
+    settings = [one for one in _read_settings(files, kind) if one[0][0] not in TURNS]
     tables = {name: _make_table(name, words, v) for name, words, v in settings}
     times = {
         name: str(int(words["_MULT_BY_TABLE"]) - 1)
@@ -36,6 +37,21 @@ def read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTab
             continue
         side = int(words.get("_DIRECTION", "0"))
         yield tables[name].multiply(tables.get(times.get(name, "")), side)
+
+
+def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
+    """Return what leadscrew tables add to rotary axes: minus their values, deg.
+
+    Raises BadInput as `read_tables`.
+    """
+    added: dict[str, RotaryAddition] = {}
+    for name, words, values in _read_settings(files, "ENC_COMP"):
+        if name[0] in TURNS:
+            at, value = _list_rows(name[0], words, values)
+            is_modulo = int(words.get("_IS_MODULO", "0"))
+            period = float(at[-1] - at[0]) if is_modulo else 0.0
+            added[name[0]] = RotaryAddition(at, -value, period)
+    return added
 
 
 def _read_settings(
@@ -75,10 +91,17 @@ def _make_table(
         own, out = (int(word.removeprefix("AX")) - 1 for word in words)
     else:
         own = out = LINEAR.index(name.rstrip("0123456789"))
+    at, value = _list_rows(LINEAR[own], settings, values)
+    return InterpolatedTable(LINEAR[own], out, at, -value)
+
+
+def _list_rows(
+    axis: str, settings: Mapping[str, str], values: Mapping[int, float]
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return positions and values between MIN and MAX."""
     step, low = float(settings["_STEP"]), float(settings["_MIN"])
     count = round((float(settings["_MAX"]) - low) / step) + 1
     if sorted(values) != list(range(count)):
-        raise BadInput(f"the table of {LINEAR[own]} lacks points between MIN and MAX")
-    added = -np.array([values[index] for index in range(count)])
-    at = low + step * np.arange(count)
-    return InterpolatedTable(LINEAR[own], out, at, added)
+        raise BadInput(f"the table of {axis} lacks points between MIN and MAX")
+    value = np.array([values[index] for index in range(count)])
+    return low + step * np.arange(count), value

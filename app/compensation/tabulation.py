@@ -16,6 +16,7 @@ from truepath.app.compensation.format import (
     Correction,
     TemperatureTables,
 )
+from truepath.app.compensation.rotary import tabulate_rotary
 from truepath.app.compensation.unmeasured import MeasuredRange, find_measured_ranges
 from truepath.app.files.temperature_file import TemperatureModel
 
@@ -53,6 +54,9 @@ class Tabulation:
             self._tabulate_axes(errors),
             self.stamp,
             self.temperature and self._tabulate_change(self.temperature),
+            tabulate_rotary(errors, self.kind.most_points)
+            if self.kind.carries_rotary
+            else (),
         )
 
     def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:

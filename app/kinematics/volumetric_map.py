@@ -60,6 +60,18 @@ class VolumetricMap:
         rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, everywhere)
         return linear + added - _rigid_columns(at, self.centre_mm) @ rigid
 
+    def displacement_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return δ in the gauge of the error motions: rigid motion left where it is.
+
+        Locations of rotary axes are stated in that gauge.
+        """
+        moved = _machine_columns(self.model, at) @ theta
+        if adds_up(self.model, self.volume, theta):
+            return moved
+        return moved + compute_second_order_mm(self.model, at, theta)
+
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n 3"]:

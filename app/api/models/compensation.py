@@ -128,11 +128,32 @@ class TableFactsOut(BaseModel):
     zero: str
 
 
+class RotaryTableOut(BaseModel):
+    """The table of a rotary axis."""
+
+    points: int
+    spacing_deg: float
+    from_deg: float
+    to_deg: float
+    repeats_each_turn: bool
+
+
 class BeforeAfterOut(BaseModel):
-    """A root mean square before, and with the files, µm."""
+    """A root mean square before, and with the files."""
 
     before: float
     after: float
+
+
+class RotaryLeftOut(BaseModel):
+    """What files leave of a rotary axis, root mean squares over the travel."""
+
+    table: RotaryTableOut | None = Field(description="Null where the files have none.")
+    positioning_urad: BeforeAfterOut | None = None
+    at_tool_um: BeforeAfterOut | None = Field(
+        None, description="What that positioning does to the tool."
+    )
+    not_in_files: list[str] = Field(description="Symbols that no table can have.")
 
 
 class EffectLeftOut(EffectKeys):
@@ -170,6 +191,9 @@ class CompensationOut(BaseModel):
     sign: SignOut
     holds_for: HoldsForTargetOut
     tables: dict[str, TableFactsOut] = Field(description="By axis.")
+    rotary: dict[str, RotaryLeftOut] = Field(
+        default_factory=dict, description="By rotary axis."
+    )
     unmeasured: list[str] = Field(description="Ranges without a measurement, in words.")
     unobservable: list[str] = Field(description="What the data cannot tell.")
     volumetric_error_um: VolumetricErrorOut
