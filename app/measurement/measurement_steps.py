@@ -63,6 +63,7 @@ class MeasurementSteps(ABC):
         self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self.is_concluding = False  # the rest is to be left out
+        self._has_arrived = False  # at the end of the line under way then
         self._target = ""  # that the tracker was told to measure
         self._end: NDArray[np.float64] | None = None  # where the last motion ended
 
@@ -238,15 +239,18 @@ class MeasurementSteps(ABC):
             case _:
                 pass
 
-    def leave_out_rest(self) -> None:
-        """Record that the rest of the rows is not driven."""
-        self._progress.is_cut_short = True
+    def leave_out_rest(self, *, is_row_done: bool) -> None:
+        """Record that the rest of the rows is not driven.
+
+        is_row_done : the row under way is
+        """
+        self._progress.leave_out_rest(is_row_done=is_row_done)
         text = f"row {self._progress.row + 1}: enough is known, the rest is left out"
         self._recorder.event("concluded", text)
 
     def _end_motion(self) -> None:
         """Let the controller forget the rest of its path; wait until it stands."""
-        self.leave_out_rest()
+        self.leave_out_rest(is_row_done=self._has_arrived)
         stand_by_s = self._clock() + self.settings.confirm_s
         while True:
             with contextlib.suppress(ConnectionLost, DeviceTimeout):

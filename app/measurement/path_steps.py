@@ -132,5 +132,5 @@ class PathSteps(MeasurementSteps):
         if self._concluded_row is None:
             self._concluded_row = status.line
         row = min(status.line, len(path) - 1)
-        arrived = self._monitor.is_at(path.position[row])
-        return arrived or status.line > self._concluded_row
+        self._has_arrived = self._monitor.is_at(path.position[row])
+        return self._has_arrived or status.line > self._concluded_row

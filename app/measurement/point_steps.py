@@ -60,7 +60,7 @@ class PointSteps(MeasurementSteps):
             until_s = f"until {self._monitor.device_s:.6f} s"
             self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
             if self.is_concluding and row + 1 < len(points):
-                self.leave_out_rest()
+                self.leave_out_rest(is_row_done=True)
                 return False
         return True
 

@@ -44,12 +44,6 @@ class RowSchedule:
         """Return how many are done while the machine moves to a row or stands there."""
         return max(row - (self.unit == "lines"), 0)
 
-    def count_done_at_end(self, row: int, *, is_cut_short: bool) -> int:
-        """Return how many are done once nothing more is: a last point was dwelt at."""
-        if not is_cut_short:
-            return self.total
-        return self.count_done(row) + (self.unit == "points")
-
     def remaining_s(self, row: int, active_s: float) -> float:
         """Extrapolate: the planned rest, at the pace kept so far."""
         planned_s = float(self.row_s[:row].sum())
@@ -83,13 +77,14 @@ class ProgressEstimator:
     stage : `preparing`, `measuring`, `closing`
     row : the machine moves towards it or stands there
     is_cut_short : the rows after it are left out
+    is_row_done : it was driven before they were
     first_row : of the part that the controller drives
     """
 
     def __init__(
         self, schedule: RowSchedule, period_s: float, clock: Callable[[], float]
     ) -> None:
-        self.is_cut_short = False
+        self.is_cut_short = self.is_row_done = False
         self.first_row = 0
         self.stage = "preparing"
         self.row = 0
@@ -139,6 +134,10 @@ class ProgressEstimator:
             row = line + self.first_row
             self.row = min(max(self.row, row), self._schedule.total)
 
+    def leave_out_rest(self, *, is_row_done: bool) -> None:
+        """No row follows the one that the machine moves towards, or stands at."""
+        self.is_cut_short, self.is_row_done = True, is_row_done
+
     def end(self) -> None:
         """All rows are done; report it at once."""
         self.stage, self._reported_s = "closing", -np.inf
@@ -159,8 +158,8 @@ class ProgressEstimator:
         finished = self.stage == "closing"
         done = self._schedule.count_done(self.row)
         if finished:
-            done = self._schedule.count_done_at_end(
-                self.row, is_cut_short=self.is_cut_short
+            done = (
+                done + self.is_row_done if self.is_cut_short else self._schedule.total
             )
         left_s = self._schedule.remaining_s(self.row, self._active_s)
         return MeasurementProgress(

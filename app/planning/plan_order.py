@@ -14,6 +14,7 @@ from truepath.app.errors import PlanningError
 from truepath.app.estimation.known_effects import KnownEffects
 from truepath.app.estimation.prior_model import PriorModel
 from truepath.app.kinematics.machine import Machine, remove_rotary_axes
+from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.motion_times import Drive
 from truepath.app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 from truepath.app.motion.travel import inner_travel
@@ -125,8 +126,6 @@ class PlanOrder:
             raise PlanningError(f"mode is {self.mode!r}; it is otf or standstill")
         numbers = [("minutes", self.minutes), ("target_um", self.target_um)]
         numbers += [("dwell_s", self.dwell_s)]
-        numbers += [("max_feed_mm_min", self.max_feed_mm_min)]
-        numbers += [("feed_mm_min", feed) for feed in self.feeds_mm_min]
         for name, value in numbers:
             if value is not None and not 0.0 < value < np.inf:
                 raise PlanningError(f"{name} is {value:g}; it must be above 0")
@@ -135,12 +134,11 @@ class PlanOrder:
                 "max_feed_mm_min limits feeds that are chosen, on the fly; leave it "
                 "out where feeds are given or points are measured"
             )
-        motion = machine.motion
-        stated = "max_feed_mm_min" not in motion.assumed
-        if stated and max(self.feeds_mm_min, default=0.0) > motion.max_feed_mm_min:
-            raise PlanningError(
-                f"feed_mm_min is {max(self.feeds_mm_min):g}, but {machine.name} goes "
-                f"at most {motion.max_feed_mm_min:g}; give a lower feed"
+        for feed_mm_min in self.feeds_mm_min:
+            check_feed(machine, feed_mm_min)
+        if self.max_feed_mm_min is not None:  # above what it can it limits nothing
+            check_feed(
+                machine, min(self.max_feed_mm_min, machine.motion.max_feed_mm_min)
             )
         if self.corner_path and (self.minutes or self.target_um):
             raise PlanningError(

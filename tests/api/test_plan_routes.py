@@ -231,7 +231,30 @@ def test_rows_with_a_feed_of_no_machine_are_refused(client, is_problem, feed):
         {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
     ]
     answer = client.post("/api/v1/plans:validate", json={"path": rows})
-    assert "row 2: a feed of" in is_problem(answer, 422, "plan")["detail"]
+    (said,) = is_problem(answer, 422, "validation")["errors"]
+    assert said["location"] == ["body", "path", "1", "feed_mm_min"]
+
+
+@pytest.mark.parametrize("feed", [5e-324, 0.99, 100_000.0])
+@pytest.mark.parametrize(
+    ("route", "order", "where"),
+    [
+        ("plans", lambda feed: {"feeds_mm_min": [6000, feed]}, "feeds_mm_min"),
+        ("plans", lambda feed: {"max_feed_mm_min": feed}, "max_feed_mm_min"),
+        (
+            "jobs",
+            lambda feed: {"kind": "measure-otf", "feed_mm_min": feed},
+            "feed_mm_min",
+        ),
+    ],
+)
+def test_every_order_takes_the_feeds_that_some_control_drives(
+    client, is_problem, route, order, where, feed
+):
+    answer = client.post(f"/api/v1/{route}", json=order(feed))
+    (said,) = is_problem(answer, 422, "validation")["errors"]
+    assert said["location"][1] == where
+    assert ("to 1" in said["message"]) == (feed < 1)
 
 
 @pytest.mark.parametrize("feed", [1.0, 6000.0, 99_999.0])

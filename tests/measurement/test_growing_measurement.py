@@ -199,3 +199,16 @@ def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
     slow = replace(square, position=rows, dwell_s=np.full(len(rows), 60.0))
     progress.extend(schedule_rows(append_part(square, slow), 6000.0))
     assert before_s < 60.0 < progress.longest_row_s
+
+
+@pytest.mark.parametrize("is_row_done", [True, False])
+def test_a_line_that_was_driven_to_its_end_counts_when_the_rest_is_left_out(
+    square, is_row_done
+):
+    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0, time.monotonic)
+    progress.begin()
+    progress.follow(1)
+    assert progress.next_report().done == 0
+    progress.leave_out_rest(is_row_done=is_row_done)
+    progress.end()
+    assert progress.next_report().done == is_row_done

@@ -22,6 +22,8 @@ from pydantic_core import CoreSchema
 from pydantic_core.core_schema import any_schema
 
 from truepath.app.machine_settings import MACHINE_ID
+from truepath.app.motion.feeds import LEAST_FEED_MM_MIN
+from truepath.app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 
 PREFIX = "/api/v1"
 JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
@@ -30,7 +32,9 @@ OTHER_ID = "019a3f6b-0c52-7e41-8a3d-5f7e9b1c2d34"
 
 Mm = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Deg = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
-Feed = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+Feed = Annotated[
+    float, Field(ge=LEAST_FEED_MM_MIN, le=LARGEST_FEED_MM_MIN, allow_inf_nan=False)
+]
 TargetUm = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
 Hours = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 HoursAhead = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
