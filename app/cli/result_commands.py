@@ -184,6 +184,10 @@ def _state_rotary(one: Mapping[str, Any]) -> str:
             f"positioning {angle['before']:.1f} to {angle['after']:.1f} µrad, at the "
             f"tool {tool['before']:.2f} to {tool['after']:.2f} µm (root mean squares)"
         )
+    if place := one.get("location_at_tool_um"):
+        parts.append(
+            f"its place, at the tool {place['before']:.2f} to {place['after']:.2f} µm"
+        )
     if one["not_in_files"]:
         parts.append(f"not in the files: {', '.join(one['not_in_files'])}")
     return "; ".join(parts) or "nothing is known of it"

@@ -17,6 +17,7 @@ files that make the error larger are refused.
                           effect of a model: the account of the files
     linuxcnc, siemens, heidenhain, fanuc, isg_csv, etalon_exchange
                           one maker a file
+    rotary, axis_places   positioning of rotary axes as tables; where their axes are
     tool_length           of the tool in use, where a control follows it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.

@@ -153,7 +153,10 @@ def export_result(
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
         "rotary": describe_rotary(
-            errors, content.rotary, kind.read_rotary(files, errors.machine)
+            errors,
+            content.rotary,
+            kind.read_rotary(files, errors.machine),
+            kind.read_locations(files, errors.machine),
         ),
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),

@@ -10,8 +10,13 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.kinematics.machine import LinearAxis, Machine, RotaryAxis
-from truepath.app.kinematics.symbols import LINEAR
+from truepath.app.kinematics.machine import (
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    find_local_directions,
+)
+from truepath.app.kinematics.symbols import LINEAR, TURNS
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +111,34 @@ class RotaryAddition:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisPlace:
+    """Where the axis of a rotary axis is.
+
+    location : its location errors by symbol, mm and rad, as far as they are known
+    """
+
+    axis: RotaryAxis
+    location: Mapping[str, float]
+
+    @property
+    def origin_mm(self) -> Float64[np.ndarray, "3"]:
+        """The point of the nominal place, shifted as the axis is."""
+        return np.array(self.axis.origin_mm) + self._turn(LINEAR)
+
+    @property
+    def direction(self) -> Float64[np.ndarray, "3"]:
+        """The nominal direction, tilted as the axis is."""
+        nominal = np.array(self.axis.direction)
+        tilted = nominal + np.cross(self._turn(TURNS), nominal)
+        return tilted / np.linalg.norm(tilted)
+
+    def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
+        """Return shifts or tilts in the directions of the machine."""
+        own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
+        return find_local_directions(self.axis) @ np.array(own)
+
+
+@dataclass(frozen=True, slots=True)
 class TemperatureTables:
     """How tables change with temperature.
 
@@ -128,6 +161,7 @@ class CompensationTables:
     stem : of file names; stamp : lines for comments, in plain ASCII
     temperature : where the tables are of a temperature model
     rotary : of the rotary axes, for formats that carry them
+    places : of the rotary axes
     """
 
     stem: str
@@ -136,6 +170,7 @@ class CompensationTables:
     stamp: tuple[str, ...]
     temperature: TemperatureTables | None = None
     rotary: tuple[RotaryTable, ...] = ()
+    places: tuple[AxisPlace, ...] = ()
 
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
@@ -187,6 +222,16 @@ class CompensationFormat(ABC):
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
         """Return what is added to rotary axes, by axis. Raises BadInput."""
+        del files, machine
+        return {}
+
+    def read_locations(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, float]:
+        """Return locations of rotary axes that the control knows, mm and rad.
+
+        By symbol, beside the nominal place. Raises BadInput.
+        """
         del files, machine
         return {}
 

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
+    AxisPlace,
     AxisTable,
     CompensationFormat,
     CompensationTables,
@@ -35,6 +36,7 @@ from truepath.app.compensation.motion_correction import (
 from truepath.app.errors import BadInput
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import find_unit
 
 _MOTIONS = ("x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad")
 _COLUMNS = ("axis", "direction", "position_mm", *_MOTIONS)
@@ -137,6 +139,7 @@ class GenericJson(GenericTables):
             "schema": "compensation-tables/1",
             "stamp": list(content.stamp),
             "kinematic_chain": content.machine.chain,
+            **_describe_places(content.places),
             "columns": list(_list_columns(content)),
             "rows": [[axis, side, at, *motions] for axis, side, at, motions in rows],
         }
@@ -148,6 +151,39 @@ class GenericJson(GenericTables):
         _require_columns(name, document.get("columns") or [])
         for axis, side, at_mm, *motions in document["rows"]:
             yield axis, side, at_mm, motions
+
+    def read_locations(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, float]:
+        """Return the locations that the document states."""
+        (text,) = files.values()
+        stated = json.loads(text).get("rotary_axes", {}).values()
+        units = {"um": 1e-3, "urad": 1e-6}
+        return {
+            symbol: units[find_unit(symbol)] * number
+            for one in stated
+            for symbol, number in one["location"].items()
+        }
+
+
+def _describe_places(places: Sequence[AxisPlace]) -> dict[str, Any]:
+    """Return where rotary axes are, at the zero of all axes; nothing without any."""
+    scale = {"um": 1e3, "urad": 1e6}
+    found = {
+        place.axis.name: {
+            "nominal_origin_mm": list(place.axis.origin_mm),
+            "nominal_direction": list(place.axis.direction),
+            "origin_mm": [round(float(v), 6) for v in place.origin_mm],
+            "direction": [round(float(v), 9) for v in place.direction],
+            "location": {
+                symbol: round(scale[find_unit(symbol)] * value, 4)
+                for symbol, value in place.location.items()
+            },
+            "location_unit": "um for shifts, urad for tilts",
+        }
+        for place in places
+    }
+    return {"rotary_axes": found} if found else {}
 
 
 def _list_columns(content: CompensationTables) -> tuple[str, ...]:

@@ -22,9 +22,22 @@ from truepath.app.compensation.format import (
     RotaryTable,
     TableFormat,
 )
+from truepath.app.compensation.linuxcnc_kinematics import (
+    read_kinematics,
+    write_kinematics,
+)
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR, TURNS
+
+_KINEMATICS = "-kinematics.hal"
+_ABOUT_PINS = (
+    "mm, in machine coordinates; conventional-directions off, tool-offset connected to",
+    "motion.tooloffset.z, whose length counts along -Z from the point the joints move",
+    "sign: the axes stand where these points are; tilts of the axes have no pins",
+    "trial: probe the centre of a ball on the table at C 0 and C 180 and at two tilts:",
+    "with these pins its four centres differ less than with those of the drawing",
+)
 
 
 class LinuxCnc(TableFormat):
@@ -42,14 +55,21 @@ class LinuxCnc(TableFormat):
     sign_is_verified = True
     note = (
         "name each file as COMP_FILE of its [JOINT_n], with COMP_FILE_TYPE = 0; the "
-        "tables are read when LinuxCNC starts, and replace BACKLASH"
+        "tables are read when LinuxCNC starts, and replace BACKLASH. Of a C table on a "
+        "trunnion STEM-kinematics.hal sets where the axes are: a HALFILE after the one "
+        "that loads xyzac-trt-kins or xyzbc-trt-kins; the trial is in it"
     )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return a table an axis, `STEM-X.tbl`; of a rotary axis in deg."""
         tables = {one.axis.name: _write_rows(one) for one in content.tables}
         tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
-        return {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
+        files = {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
+        if pins := list(write_kinematics(content.machine, content.places)):
+            comments = (f"# {line}" for line in (*content.stamp, *_ABOUT_PINS))
+            text = "\n".join([*comments, *pins, ""])
+            files[f"{content.stem}{_KINEMATICS}"] = text
+        return files
 
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
@@ -75,6 +95,15 @@ class LinuxCnc(TableFormat):
                 added[axis] = RotaryAddition(nominal, trim)
         return added
 
+    def read_locations(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, float]:
+        """Return where the pins of the kinematics say that the axes are."""
+        for name, text in files.items():
+            if name.endswith(_KINEMATICS):
+                return read_kinematics(name, text, machine)
+        return {}
+
 
 def _write_rows(table: AxisTable) -> str:
     at, own = table.position_mm, table.own
@@ -97,8 +126,8 @@ def _write_turns(table: RotaryTable) -> str:
 
 
 def _find_axis(name: str, suffix: str) -> str:
-    """Return the axis of a table, whose name ends that of the file."""
-    return name.removesuffix(suffix)[-1]
+    """Return the axis of a table, whose name ends that of the file; else nothing."""
+    return name.removesuffix(suffix)[-1] if name.endswith(suffix) else ""
 
 
 def _read_rows(name: str, text: str) -> Float64[np.ndarray, "3 n"]:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import qmc
 
+from truepath.app.compensation.axis_places import describe_locations
 from truepath.app.compensation.error_map import ErrorMap
 from truepath.app.compensation.format import RotaryAddition, RotaryTable
 from truepath.app.files.units import UM_PER_MM
@@ -44,21 +45,27 @@ def describe_rotary(
     errors: ErrorMap,
     tables: tuple[RotaryTable, ...],
     added: Mapping[str, RotaryAddition],
+    located: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return by axis what files leave of its positioning, and what no file has.
 
     added : what the controller adds, read back from the files
+    located : location by symbol that it then knows, mm and rad
 
     Root mean squares: of the angle over the travel, and of what it does to the tool
     over the travel of all axes. Where nothing is known of the positioning, both are
     left out.
     """
     rows = {table.axis.name: table for table in tables}
+    position = _sample_positions(errors)
     return {
         axis.name: {
             "table": _describe_table(rows.get(axis.name)),
-            **dict(_measure_left(errors, axis, added.get(axis.name))),
-            "not_in_files": list(_list_unwritten(errors, axis)),
+            **dict(_measure_left(errors, axis, position, added.get(axis.name))),
+            **dict(describe_locations(errors, axis, position, located)),
+            "not_in_files": [
+                one for one in _list_unwritten(errors, axis) if one not in located
+            ],
         }
         for axis in errors.machine.rotary_axes
     }
@@ -110,12 +117,14 @@ def _describe_table(table: RotaryTable | None) -> dict[str, Any] | None:
 
 
 def _measure_left(
-    errors: ErrorMap, axis: RotaryAxis, added: RotaryAddition | None
+    errors: ErrorMap,
+    axis: RotaryAxis,
+    position: Float64[np.ndarray, "n a"],
+    added: RotaryAddition | None,
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield root mean squares of the angle and of what it does at the tool."""
     if not _has_positioning(errors, axis):
         return
-    position = _sample_positions(errors)
     at_deg = position[:, errors.machine.axis_names.index(axis.name)]
     before = _find_positioning_rad(errors, axis, at_deg)
     after = before

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.app.compensation.axis_places import find_places
 from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
 from truepath.app.compensation.format import (
     AxisTable,
@@ -57,6 +58,7 @@ class Tabulation:
             tabulate_rotary(errors, self.kind.most_points)
             if self.kind.carries_rotary
             else (),
+            find_places(errors),
         )
 
     def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:

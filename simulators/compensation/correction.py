@@ -87,6 +87,19 @@ class TableCorrection(Correction):
 
 
 @dataclass(frozen=True, slots=True)
+class ChainedCorrection(Correction):
+    """What one adds, and another one where the first has sent the axes."""
+
+    first: Correction
+    then: Correction
+
+    def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return what both add."""
+        once = self.first.added(position, heading)
+        return once + self.then.added(position + once, heading)
+
+
+@dataclass(frozen=True, slots=True)
 class ReversedCorrection(Correction):
     """Tables that were entered with the wrong sign."""
 

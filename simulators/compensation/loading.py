@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from truepath.simulators.compensation.correction import (
+    ChainedCorrection,
     Correction,
     ReversedCorrection,
     TableCorrection,
@@ -18,6 +19,10 @@ from truepath.simulators.compensation.etalon_tables import read_etalon
 from truepath.simulators.compensation.fanuc_tables import read_fanuc
 from truepath.simulators.compensation.heidenhain_tables import read_heidenhain
 from truepath.simulators.compensation.isg_tables import read_isg
+from truepath.simulators.compensation.linuxcnc_kinematics import (
+    is_kinematics,
+    read_kinematics,
+)
 from truepath.simulators.compensation.linuxcnc_tables import read_linuxcnc
 from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath.simulators.compensation.siemens_tables import read_siemens
@@ -30,7 +35,9 @@ _SIGNS = {
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
     "etalon": re.compile(r"^\s*\[\w+\]\s*\n\s*(?:VALUE|Gridpoints)\s*=", re.M),
     "isg": re.compile(r"^\s*(?:[XYZABC]\s+)?[XYZABC]\s+E[XYZABC][XYZABC]\b", re.M),
-    "linuxcnc": re.compile(r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$", re.M),
+    "linuxcnc": re.compile(
+        r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$|^setp xyz[ab]c-trt-kins", re.M
+    ),
 }
 _OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon}
 
@@ -86,9 +93,23 @@ class LoadedTables:
             read = _OF_THE_VOLUME[form]
             right: Correction = read(name, text, machine, self.rules)
         else:
-            terms = tuple(_read_terms(form, self.files, machine, self.rules))
-            right = TableCorrection(terms)
+            right = _read_tables(form, self.files, machine, self.rules)
         return ReversedCorrection(right) if self.rules.reversed_sign else right
+
+
+def _read_tables(
+    form: str, files: Mapping[str, str], machine: MachineFile, rules: Rules
+) -> Correction:
+    """Return what tables add, after the kinematics where files set their pins."""
+    pins = {name: text for name, text in files.items() if is_kinematics(text)}
+    tables = {name: text for name, text in files.items() if name not in pins}
+    added = TableCorrection(tuple(_read_terms(form, tables, machine, rules)))
+    if not pins:
+        return added
+    if len(pins) > 1:
+        raise SimulatorError(f"one file sets the kinematics, not {', '.join(pins)}")
+    ((name, text),) = pins.items()
+    return ChainedCorrection(read_kinematics(name, text, machine), added)
 
 
 def _find_form(files: Mapping[str, str]) -> str:

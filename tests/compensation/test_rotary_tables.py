@@ -122,8 +122,8 @@ def test_the_account_states_the_angle_and_what_it_does_at_the_tool(turning):
     content = tabulate(errors, "linuxcnc").tabulate(errors)
     kind = load_format("linuxcnc")
     added = kind.read_rotary(kind.write(content), errors.machine)
-    carried = describe_rotary(errors, content.rotary, added)
-    left = describe_rotary(errors, (), {})  # of a format without such tables
+    carried = describe_rotary(errors, content.rotary, added, {})
+    left = describe_rotary(errors, (), {}, {})  # of a format without such tables
     assert not load_format("fanuc").carries_rotary
     for axis in errors.machine.rotary_axes:
         one, other = carried[axis.name], left[axis.name]

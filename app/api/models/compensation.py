@@ -153,6 +153,9 @@ class RotaryLeftOut(BaseModel):
     at_tool_um: BeforeAfterOut | None = Field(
         None, description="What that positioning does to the tool."
     )
+    location_at_tool_um: BeforeAfterOut | None = Field(
+        None, description="What the place of the axis does to the tool."
+    )
     not_in_files: list[str] = Field(description="Symbols that no table can have.")
 
 
