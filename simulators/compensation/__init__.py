@@ -9,10 +9,11 @@ command plus that, and the machine does what it does there.
     rules          readings that no public text settles, as options
     linuxcnc_tables, siemens_tables, heidenhain_tables, fanuc_tables, isg_tables,
     etalon_tables
-    linuxcnc_kinematics    the joints of a table on a trunnion, by the pins of its module
+    linuxcnc_kinematics    joints of a table on a trunnion, by the pins of its module
     loading        files of any of these forms
 
-References: LinuxCNC `usrmotintf.cc`, `control.c`, `trtfuncs.c`; SINUMERIK Function Manual Extended
-Functions 03/2013, K3, pages 225 to 264; MANUALplus 620 Technical Manual, pages 716 to
-718; FANUC A-77810E and B-63980EN, page 100; ISG kernel, volumetric compensation.
+References: LinuxCNC `usrmotintf.cc`, `control.c`, `trtfuncs.c`; SINUMERIK Function
+Manual Extended Functions 03/2013, K3, pages 225 to 264; MANUALplus 620 Technical
+Manual, pages 716 to 718; FANUC A-77810E and B-63980EN, page 100; ISG kernel, volumetric
+compensation.
 """
