@@ -191,12 +191,8 @@ def keep_bundle(folder: Path) -> Path:
     file = folder / "bundle.zip"
     with service(folder, 500) as (client, _):
         job_id = measure(client, FAST_FEED_MM_MIN)
-        job = client.wait_for(job_id, lambda j: j["state"] in ENDED, 300.0)
-        host = client.address.removeprefix("http://")
-        connection = http.client.HTTPConnection(host, timeout=60.0)
-        connection.request("GET", f"/api/v1/runs/{job['run_id']}/bundle")
-        file.write_bytes(connection.getresponse().read())
-        connection.close()
+        job = client.wait_for(job_id, timeout_s=300.0)
+        file.write_bytes(client.download(f"/api/v1/runs/{job['run_id']}/bundle"))
     return file
 
 

@@ -608,6 +608,6 @@ def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
         "issued_at": "2026-03-14T09:00:00Z",
         "issued_by": "anna",
         "language": language,
-        "files": {f"{name}.html": "0", f"{name}.pdf": "0"},
+        "files": {"certificate.html": "0", "certificate.pdf": "0"},
         "links": {"html": f"{address}.html", "pdf": f"{address}.pdf"},
     }

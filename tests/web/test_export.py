@@ -6,6 +6,7 @@ import json
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
+from scripted_data import volumetric_error
 from scripted_service import ScriptedService
 
 from truepath.app.files.verdict import Reason, Verdict, verdict_json
@@ -26,12 +27,14 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
 
 
 def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
+    service.result["volumetric_error"] = volumetric_error()
     page, card = show(panel, service)
     expect(card.get_by_role("radio")).to_have_count(2)
     expect(card.get_by_role("link")).to_have_count(0)
     card.get_by_text("LinuxCNC").click()
     expect(card).to_contain_text("15.32 µm")
     expect(card).to_contain_text("3.21 µm ± 0.09 µm (k = 2)")
+    expect(card).to_contain_text("The 15.3 µm of the result is the mean over a regular")
     expect(card).to_contain_text("straightness, angular errors, squareness")
     expect(card).not_to_contain_text("sign is not settled")
     with page.expect_download() as taken:

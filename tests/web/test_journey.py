@@ -202,6 +202,25 @@ def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
     assert order["identity"]["machine_serial"] == "4711"
 
 
+def test_the_tolerance_of_a_machine_is_set_changed_and_taken_away(panel, service):
+    page = panel.open("#/machine", language="de-DE", size=PHONE)
+    card = page.locator("[data-card=who]")
+    tolerance = card.get_by_label("Toleranz des volumetrischen Fehlers")
+    save = card.get_by_role("button", name="Speichern")
+    tolerance.fill("-3")
+    save.click()
+    expect(card.get_by_role("alert")).to_contain_text("über 0")
+    assert not service.requests
+    for text, kept in (("12,5", 12.5), ("", None)):
+        tolerance.fill(text)
+        save.click()
+        expect(card.get_by_role("status")).to_have_text("Gespeichert")
+        (_, _, sent) = service.requests[-1]
+        assert sent["tolerance_um"] == kept
+        expect(tolerance).to_have_value(text)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
+
+
 def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
     panel, service
 ):

@@ -146,7 +146,7 @@ function issuedList(items, show) {
 }
 
 /** The PDF; where none could be printed the page. */
-const hasPdf = ({ number, files }) => `${number}.pdf` in files;
+const hasPdf = ({ files }) => "certificate.pdf" in files;
 const download = (one) => (hasPdf(one) ? linkButton(one.links.pdf, "download", "PDF", { download: `${one.number}.pdf` })
   : linkButton(one.links.html, "download", "HTML", { download: `${one.number}.html` }));
 

@@ -5,13 +5,13 @@ import { card, linkButton, notice, pairs, segments, wordFormat } from "../parts.
 import { COVERAGE } from "../plots/error-chart.js";
 import { sayUnmeasured } from "../statements.js";
 import { known, t } from "../texts.js";
-import { quantity } from "../units.js";
+import { decimalsOf, quantity } from "../units.js";
 
 /** A card with a choice of controllers; null where the result is not to be used.
  *
- * onFiles(): hears that files were made
+ * stated_um: mean volumetric error that the result states, where it states one; onFiles(): hears that files were made
  */
-export function exportCard(job, { verdict }, onFiles) {
+export function exportCard(job, { verdict, stated_um }, onFiles) {
   if (verdict?.state === "not-usable" || verdict === "not-usable") return null;
   const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.choose") });
   const ways = h("div");
@@ -30,7 +30,7 @@ export function exportCard(job, { verdict }, onFiles) {
 
   function take(made) {
     onFiles();
-    return account(made, order);
+    return account(made, order, stated_um);
   }
 
   /** Choose a format as its control usually has it, and show what else may be chosen of it. */
@@ -81,7 +81,7 @@ function noteOf({ format, note }, choices) {
 }
 
 /** What the files leave, what they lack, what to do with them, and the way to take them. */
-function account(made, { choices, unmeasured }) {
+function account(made, { choices, unmeasured }, stated_um) {
   const { before, after, after_where_measured: inside } = made.volumetric_error_um;
   const rows = [
     [t("export.before"), quantity(before.mean, "gap")],
@@ -91,6 +91,7 @@ function account(made, { choices, unmeasured }) {
   ].filter(Boolean);
   return [
     pairs(rows),
+    h("p", { class: "quiet" }, [t("export.on_places"), stated_um !== undefined && t("export.on_grid", { value: quantity(stated_um, "gap", decimalsOf("error")) })].filter(Boolean).join(" ")),
     !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
     made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, sayUnmeasured(text, unmeasured)))),
     h("p", { class: "quiet" }, noteOf(made, choices)),

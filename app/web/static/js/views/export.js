@@ -25,7 +25,7 @@ export function mount(root) {
   let shown = null;
   root.append(head(t("export.title"), t("export.text")), body);
 
-  function show(job, verdict, state) {
+  function show(job, { verdict, volumetric_error: stated }, state) {
     const kept = h("div");
     const loader = simulatedLoader(job, state, () => relist());
     const list = async () => {
@@ -33,7 +33,7 @@ export function mount(root) {
       kept.replaceChildren(...keptFiles(found, loader && ((made) => loader.button(made, loaded)), loader?.said));
     };
     const relist = () => list().catch(() => {});
-    const making = exportCard(job, { verdict }, relist);
+    const making = exportCard(job, { verdict, stated_um: stated?.before?.mean.value_um }, relist);
     body.replaceChildren(making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
       h("div", { "data-only": "without-metrologist" }, notice(null, t("session.metrologist_only"))), kept);
     relist();
@@ -45,7 +45,7 @@ export function mount(root) {
       const found = job && (statesTables(job) ? result : isDiscovery(job) && discovery);
       if (!found || shown === found) return;
       shown = found;
-      show(job, found.verdict, state);
+      show(job, found, state);
     },
     close() {},
   };

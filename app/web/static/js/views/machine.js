@@ -1,11 +1,11 @@
 /* The step Machine: which machines there are, how each stands, and who it is. */
 import * as api from "../api.js";
-import { h, icon } from "../dom.js";
+import { h, icon, mark, write } from "../dom.js";
 import { addressOf, isActive } from "../flow.js";
 import { card, head, notice } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { dateTime, number, t } from "../texts.js";
-import { decimalsOf, figure, quantity } from "../units.js";
+import { dateTime, number, plain, t, typed } from "../texts.js";
+import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
 import { deviceCard } from "./device-card.js";
 import { machineForm, mayDescribe } from "./machine-form.js";
 
@@ -149,18 +149,21 @@ const addCard = (save) => h("details", { class: "card", "data-card": "add" }, h(
 const describeCard = (content, save) => h("details", { class: "card", "data-card": "describe" }, h("summary", {}, t("machine.describe")),
   h("p", { class: "quiet" }, t("machine.describe_text")), machineForm({ name: "describe", content, label: t("machine.save"), save }));
 
-/** Who the machine is; asked once, stated on every certificate. */
+/** Who the machine is, which every certificate states, and what it may err by. */
 function identityCard(entry, save) {
   const inputs = IDENTITY.map((name) => h("input", { id: `machine-${name}`, name, maxlength: 200, autocomplete: "off", value: entry[name] ?? "" }));
+  const tolerance = toleranceField(entry.tolerance_um);
   const said = h("p", { class: "quiet", role: "status" });
   const button = h("button", { class: "button", type: "submit" }, t("machine.save"));
-  const fields = h("fieldset", { class: "text-fields" }, inputs.map((input) =>
-    h("div", { class: "text-field" }, h("label", { for: input.id }, t(`machine.of_${input.name}`)), input)));
+  const fields = h("fieldset", { class: "stack" }, h("div", { class: "text-fields" }, inputs.map((input) =>
+    h("div", { class: "text-field" }, h("label", { for: input.id }, t(`machine.of_${input.name}`)), input))), tolerance.element);
   const form = h("form", { class: "stack" }, fields, h("div", { class: "downloads" }, button, said));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
+    const tolerance_um = tolerance.read();
+    if (Number.isNaN(tolerance_um)) return;
     button.disabled = true;
-    const isKept = await save(Object.fromEntries(inputs.map((input) => [input.name, input.value.trim()])));
+    const isKept = await save({ ...Object.fromEntries(inputs.map((input) => [input.name, input.value.trim()])), tolerance_um });
     button.disabled = false;
     if (isKept) document.querySelector("[data-card=who] [role=status]").textContent = t("machine.saved");
   });
@@ -172,4 +175,27 @@ function identityCard(entry, save) {
     said.textContent = t("session.metrologist_only");
   }
   return element;
+}
+
+/** What 95 % of the places may err by; `read()` is in µm, null where none is stated, NaN where it is no number above 0. */
+function toleranceField(kept) {
+  const text = typeof kept === "number" ? plain(shown(kept, "gap"), decimalsOf("gap")) : "";
+  const error = h("p", { class: "field-error", id: "machine-tolerance-error", role: "alert" });
+  const input = h("input", { id: "machine-tolerance", inputmode: "decimal", autocomplete: "off", placeholder: t("headline.none"),
+    "aria-describedby": "machine-tolerance-note machine-tolerance-error", value: text });
+
+  function read() {
+    if (input.value === text) return kept ?? null; // no digit is lost where nothing was typed
+    const wanted = typed(input.value);
+    const isGood = wanted === null || wanted > 0;
+    mark(input, "aria-invalid", isGood ? null : "true");
+    write(error, isGood ? "" : t("headline.tolerance_refused"));
+    if (!isGood) return NaN;
+    return wanted === null ? null : stored(wanted, "gap");
+  }
+
+  const element = h("div", { class: "field" }, h("div", { class: "text-fields" }, h("div", { class: "text-field" },
+    h("label", { for: input.id }, t("machine.tolerance"), h("span", { class: "unit" }, unitOf("gap"))), input)),
+  h("p", { class: "field-note", id: "machine-tolerance-note" }, t("machine.tolerance_note")), error);
+  return { element, read };
 }
