@@ -326,7 +326,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def temperature(machine_id: str) -> Any:
         service.looks.append(("temperature", machine_id))
         if not service.temperature:
-            said = "2 of 3 temperatures"
+            said = service.temperature_refusal
             return problem(422, "bad-input", "The input cannot be used", said, "")
         return service.temperature
 

@@ -84,7 +84,17 @@ VERSIONS = [
                 "kind": "added",
                 "what": "backlash Y",
                 "text": "backlash Y: width 6.39 ± 0.15 µm",
-            }
+            },
+            {
+                "kind": "changed",
+                "what": "EXX",
+                "text": "EXX at X 250 mm: from −1.2 to 3.4 ± 0.5 µm",
+            },
+            {
+                "kind": "changed",
+                "what": "C0Y",
+                "text": "C0Y: from 12.0 to 18.5 ± 1.1 µrad",
+            },
         ],
     },
     {

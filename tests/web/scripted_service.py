@@ -77,6 +77,7 @@ class ScriptedService:
         self.standings: dict[str, dict[str, Any]] = {}
         self.comparison: dict[str, Any] = {}
         self.temperature: dict[str, Any] = {}
+        self.temperature_refusal = "2 of 3 temperatures"
         self.compensations: dict[str, list[dict[str, Any]]] = {}
         self.loaded_tables: dict[str, Any] = {}
         self.certificates: dict[str, list[dict[str, Any]]] = {}

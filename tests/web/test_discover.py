@@ -142,7 +142,13 @@ def test_versions_of_the_model_stand_with_what_they_added(panel, service):
     page = panel.open(f"#/discover/{discovered(service)}", language="de")
     versions = page.locator("[data-versions] .versions > li")
     expect(versions).to_have_count(2)
-    expect(versions.first).to_contain_text("neu Umkehrspiel Y: width 6.39")
+    expect(versions.first.locator("ul li")).to_have_text(
+        [
+            "neu Umkehrspiel Y: Breite 6,39 ± 0,15 µm",
+            "geändert EXX bei X 250 mm: von −1,2 auf 3,4 ± 0,5 µm",
+            "geändert C0Y: von 12,0 auf 18,5 ± 1,1 µrad",
+        ]
+    )
     expect(versions.last).to_contain_text("Kein Unterschied")
 
 

@@ -45,3 +45,18 @@ def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
     card.get_by_role("button", name="Work it out").click()
     expect(card.locator(".notice")).to_contain_text("The calibrations do not tell")
     expect(card.locator(".notice")).to_contain_text("2 of 3 temperatures")
+
+
+def test_temperatures_too_close_together_are_refused_in_german(panel, service, witness):
+    witness.expect("422")
+    service.temperature_refusal = (
+        "the results are at 2 different temperatures (20.1, 20.3, 24.0 °C; less than "
+        "0.5 K apart counts as one): measure at three or more"
+    )
+    page = panel.open("#/records", language="de-DE")
+    card = page.locator("[data-card=dependence]")
+    card.get_by_role("button", name="Berechnen").click()
+    said = card.locator(".notice")
+    expect(said).to_contain_text("bei 2 verschiedenen Temperaturen")
+    expect(said).to_contain_text("(20,1; 20,3; 24,0 °C; weniger als 0,5 K")
+    expect(said).not_to_contain_text("measure")

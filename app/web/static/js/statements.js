@@ -1,9 +1,24 @@
 /* Statements that the service makes in English, in the language of the page. */
 import { nameOf } from "./tables.js";
-import { currentLanguage, number, t } from "./texts.js";
+import { currentLanguage, known, number, t } from "./texts.js";
 
 const MERGED = /^(E[XYZABC]{2}) \(.*?\) cannot be told from (.+?) with /;
 const REMEDIES = { by_tool: /at least (\d+) mm longer or shorter/, by_side: /at least (\d+) mm to the side/ };
+const NUMBER = "−?[\\d.]+";
+const MOVED = new RegExp(`^(?:(.+): )?from (${NUMBER}) to (${NUMBER}) ± (${NUMBER}) (.+)$`);
+const STATED = new RegExp(`^(.+?) (${NUMBER}) ± (${NUMBER}) ?(.*)$`);
+const ALONE = new RegExp(`^(${NUMBER}) ± (${NUMBER}) ?(.*)$`);
+const AT = /^(\S+) at (\S+) (\S+) (\S+)$/;
+const UNIT = /_(um|urad|rad|mm|ms|hz|s|ppm)(_per_\w+)?$/;
+const MANY = /^(\d+) parameters$/;
+/** What the service says of calibrations that do not tell how a machine depends on its temperature, by key. */
+const TEMPERATURE_REFUSALS = {
+  few: /^(?<count>\d+) results: a line in temperature needs three/,
+  targets: /^(?<one>.+) holds for other targets than (?<other>.+), or another tool/,
+  shared: /^(?<one>.+) and (?<other>.+) share a Run/,
+  close: /^the results are at (?<count>\d+) different temperatures \((?<shown>.+) °C; less than (?<apart>[\d.]+) K apart/,
+  vague: /^temperatures from (?<low>[\d.−-]+) to (?<high>[\d.−-]+) °C tell .+ to (?<u>[\d.]+) µm\/K only .+ the (?<matters>[\d.]+) µm\/K that matter/,
+};
 const UNMEASURED = /^(\S+) not measured from (.+) mm: /;
 
 /** What an error motion cannot be told from, and what would; a statement of another form stands as it is. */
@@ -29,3 +44,52 @@ export function sayUnmeasured(text, choice) {
   });
   return t("export.axis_unmeasured", { axis: found[1], parts: parts.join(` ${t("statement.and")} `), choice: t(`export.unmeasured_${choice}`) });
 }
+
+/** A difference of two versions of a model without the name of what differs; null where its form is unknown. */
+export function sayDifference(text) {
+  const moved = MOVED.exec(text);
+  if (moved) {
+    const [, what, before, value, half, unit] = moved;
+    return (what ? `${placed(what)}: ` : "") + t("model.moved", { before: local(before), now: withU(value, half, unit) });
+  }
+  const said = text.split(", ").map((part) => {
+    const many = MANY.exec(part);
+    if (many) return t("model.parameters", { count: number(many[1]) });
+    const alone = ALONE.exec(part);
+    if (alone) return withU(...alone.slice(1));
+    const stated = STATED.exec(part);
+    return stated && `${parameter(stated[1])} ${withU(...stated.slice(2))}`;
+  });
+  return said.every(Boolean) ? said.join(", ") : null;
+}
+
+const parameter = (stem) => {
+  const [, name, way = ""] = /^(.*?)( [+−-])?$/.exec(stem);
+  return known(`parameter.${name.replaceAll(" ", "_").replace(UNIT, "")}`, name) + way;
+};
+
+/** "EXX at X 250 mm", or the name of a parameter. */
+function placed(what) {
+  const found = AT.exec(what);
+  if (!found) return parameter(what);
+  const [, symbol, axis, position, unit] = found;
+  return t("model.at", { symbol, axis, position: local(position), unit });
+}
+
+/** A number of the service as the language writes it. */
+const local = (text) => number(text.replace("−", "-"), (text.split(".")[1] ?? "").length);
+
+const withU = (value, half, unit) => `${local(value)} ± ${local(half)} ${unit}`.trim();
+
+/** Why the temperatures of calibrations do not tell; null where the service's sentence has to stand. */
+export function sayTemperatureRefusal(text) {
+  if (currentLanguage() === "en") return null;
+  for (const [key, pattern] of Object.entries(TEMPERATURE_REFUSALS)) {
+    const found = pattern.exec(text);
+    if (found) return t(`dependence.refused_${key}`, Object.fromEntries(Object.entries(found.groups).map(([name, value]) => [name, localAll(value)])));
+  }
+  return null;
+}
+
+/** Numbers, several of them apart by semicolons; names as they are. */
+const localAll = (text) => (/^[\d.,\s−-]+$/.test(text) ? text.split(", ").map(local).join("; ") : text);

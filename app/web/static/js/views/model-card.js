@@ -3,6 +3,7 @@ import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { modelInUse, useModel } from "../model-choice.js";
 import { card, linkButton, notice } from "../parts.js";
+import { sayDifference } from "../statements.js";
 import { currentLanguage, dateTime, known, number, t } from "../texts.js";
 import { extraLead } from "./extra-card.js";
 
@@ -63,10 +64,11 @@ function version({ id, version: count, created, difference }) {
 /** A change names its effect: "backlash Y: width 6.39 ± 0.15 µm". */
 function changeOf({ what, text }) {
   const [name, ...where] = what.split(" ");
-  const numbers = text.startsWith(`${what}: `) ? text.slice(what.length + 2) : "";
-  const word = known(`effect.${name}`, "");
-  if (!word) return h("span", { lang: "en" }, text);
-  return [[word, ...where].join(" "), numbers && ": ", numbers && h("span", currentLanguage() === "en" ? {} : { lang: "en" }, numbers)];
+  const word = [known(`effect.${name}`, name), ...where].join(" ");
+  const isNamed = text.startsWith(`${what}: `);
+  const said = sayDifference(isNamed ? text.slice(what.length + 2) : text);
+  if (said === null || currentLanguage() === "en") return h("span", { lang: "en" }, text);
+  return isNamed || !text.startsWith(what) ? `${word}: ${said}` : said;
 }
 
 /** That the next plan or analysis uses a model, and the way out; nothing where none is in use. */

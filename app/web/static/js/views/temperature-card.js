@@ -4,6 +4,7 @@ import { h, icon } from "../dom.js";
 import { notice, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { wordProblem } from "../problems.js";
+import { sayTemperatureRefusal } from "../statements.js";
 import { nameOfAny } from "../tables.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -25,7 +26,7 @@ export function temperatureDependenceCard(store) {
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
       const { text, action } = wordProblem(error);
-      answer.replaceChildren(notice("held", t("dependence.cannot"), text, action));
+      answer.replaceChildren(notice("held", t("dependence.cannot"), sayTemperatureRefusal(error.detail ?? "") ?? text, action));
     } finally {
       button.disabled = false;
     }
