@@ -128,7 +128,7 @@ def test_what_the_tracker_has_lost_is_counted_and_lines_are_planned_anew(
     expect(page.locator(".notice")).to_contain_text("bis jetzt 1")
 
 
-def test_a_lost_beam_is_said(panel, service):
+def test_a_lost_beam_is_said_and_that_it_is_back(panel, service):
     job = measuring(service)
     page = panel.open()
     service.advance(job, 2.5)
@@ -136,3 +136,10 @@ def test_a_lost_beam_is_said(panel, service):
     beam = page.locator(".stream .tile", has_text="Beam")
     expect(beam).to_contain_text("lost")
     expect(beam).to_have_attribute("data-tone", "fault")
+    for second in range(100):
+        service.show_points(job, 5.0 + second, [[1000.0, 200.0, 50.0]])
+        page.wait_for_timeout(100)
+        if "lost" not in beam.inner_text():
+            break
+    expect(beam).to_contain_text("on the target")
+    expect(page.locator("#state")).to_have_text("Paused")

@@ -9,6 +9,7 @@ import { decimalsOf, quantity, unitOf } from "../units.js";
 
 const SPACING_S = 0.1; // of the points of an event
 const SILENT_MS = 1500;
+const UNDER_WAY_MS = 1000; // points from before a loss may come so much later
 const OF_CONTROL = /^(motion-|held-at-machine|feed-override|not-moving|hold-|stop-|resume-|ended-early|runs-on)/;
 
 /** What the tracker's link counts: its key in the job's health, and whether any is too many. */
@@ -35,6 +36,7 @@ export function healthCard() {
   let chart = null;
   let live = null;
   let heard_ms = null;
+  let lost_ms = null;
   let turned = null;
 
   function take(next, { machine, plan }) {
@@ -46,7 +48,8 @@ export function healthCard() {
   }
 
   function showNow(job) {
-    const state = beamOf(job, heard_ms);
+    lost_ms = job.error?.code === "beam-lost" ? lost_ms ?? performance.now() : null;
+    const state = beamOf(job, heard_ms, lost_ms);
     write(beam.number, t(`beam.${state}`));
     mark(beam.element, "data-tone", state === "lost" || state === "silent" ? "fault" : null);
     const point = live?.tracker_mm?.at(-1);
@@ -81,11 +84,15 @@ function addPoints(chart, { tracker_mm: points = [], device_time_s: end_s = 0 },
   points.forEach((point, i) => chart.add(end_s - (points.length - 1 - i) * SPACING_S, point, isCurved));
 }
 
-/** Whether the tracker sees its target: `seen`, `lost`, `silent` (no point for a while) or `unknown`. */
-function beamOf(job, heard_ms) {
-  if (job.error?.code === "beam-lost") return "lost";
+/** Whether the tracker sees its target: `seen`, `lost`, `silent` (no point for a while) or `unknown`.
+ *
+ * Only points that the tracker has seen are told: those that come after a loss say that it sees again.
+ */
+function beamOf(job, heard_ms, lost_ms) {
+  const isSilent = heard_ms === null || performance.now() - heard_ms > SILENT_MS;
+  if (lost_ms !== null) return isSilent || heard_ms - lost_ms < UNDER_WAY_MS ? "lost" : "seen";
   if (!isMoving(job) || heard_ms === null) return "unknown";
-  return performance.now() - heard_ms > SILENT_MS ? "silent" : "seen";
+  return isSilent ? "silent" : "seen";
 }
 
 const UNITS = { degC: ["°C", 2], hPa: ["hPa", 1], percent: ["%", 0] };
