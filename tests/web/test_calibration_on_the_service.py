@@ -16,7 +16,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, Response, expect
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import arm, create, follow, process, wait_for
@@ -31,7 +31,7 @@ pytestmark = [
     pytest.mark.xdist_group("browser"),
 ]
 
-SPEED = 6.0
+SPEED = 3.0
 PATIENCE_MS = 120_000.0
 DESK, PHONE = (1280, 800), (390, 844)
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
@@ -136,6 +136,8 @@ def worn(rig, tmp_path_factory) -> Iterator[httpx2.Client]:
         "TRUEPATH_MACHINE_FILE": str(file),
         "TRUEPATH_TRACKER_OPTIONS": json.dumps(rig.tracker_options),
         "TRUEPATH_MOTION_OPTIONS": json.dumps(rig.motion_options),
+        # Nobody but the operator brings the beam back.
+        "TRUEPATH_TRACKER_PATIENCE_S": '{"search": 0}',
     }
     with process(folder, **environment) as (_, client):
         yield client
@@ -317,12 +319,19 @@ def test_on_a_german_phone_faults_are_survived_and_a_hidden_effect_is_found_and_
     operator.tap("Neue Messung", where="#aside button")
     operator.tap("Lauf planen")
     expect(page.locator(f"[data-model='{found}']")).to_be_visible(timeout=PATIENCE_MS)
-    operator.tap("Lauf vorbereiten")
-    page.wait_for_url("**/#/check/*")
-    assert worn.get(f"/api/v1/jobs/{operator.job}").json()["model_id"] == found
+    with page.expect_response(is_order) as ordered:
+        operator.tap("Lauf vorbereiten")
+    assert ordered.value.status == 202
+    assert ordered.value.request.post_data_json["model_id"] == found
     operator.hold("Zum Starten halten", "**/#/run/*")
     stop_without_stream(page, rig, witness)
     assert worn.get(f"/api/v1/jobs/{operator.job}").json()["state"] == "aborted"
+
+
+def is_order(answer: Response) -> bool:
+    """Whether the page has ordered a job."""
+    is_posted = answer.request.method == "POST"
+    return is_posted and answer.url.endswith("/api/v1/jobs")
 
 
 def lose_beam(page: Page, rig: Rig) -> None:
@@ -355,7 +364,7 @@ def hold_feed(page: Page, rig: Rig) -> None:
 def discover(operator: Operator) -> str:
     """Ask what the model lacks and use what was found; return the job that found it."""
     page = operator.page
-    operator.tap("Nach Ursachen suchen")
+    operator.tap("Entdecken", where=".step a")
     operator.tap("Nach fehlenden Effekten suchen")
     page.wait_for_url("**/#/discover/*", timeout=2 * PATIENCE_MS)
     finding = page.locator("[data-effect=backlash]")
