@@ -85,7 +85,7 @@ class BoardReader:
 
 
 def _columns(axes: int) -> int:
-    return 5 + 2 * axes
+    return 6 + 3 * axes
 
 
 def _pack(timeline: Timeline) -> bytes:
@@ -95,19 +95,24 @@ def _pack(timeline: Timeline) -> bytes:
         timeline.acceleration,
         timeline.jerk,
         timeline.row,
+        timeline.gone,
     ]
-    return np.column_stack([*scalars, timeline.origin, timeline.direction]).tobytes()
+    vectors = timeline.origin, timeline.direction, timeline.curvature
+    return np.column_stack([*scalars, *vectors]).tobytes()
 
 
 def _unpack(body: bytes, pieces: int, axes: int) -> Timeline:
     table = np.frombuffer(body, float).reshape(pieces, _columns(axes))
-    start, speed, acceleration, jerk, row = (table[:, k].copy() for k in range(5))
+    start, speed, acceleration, jerk, row, gone = (table[:, k].copy() for k in range(6))
+    origin, direction, curvature = np.split(table[:, 6:], 3, axis=1)
     return Timeline(
         start,
-        table[:, 5 : 5 + axes],
-        table[:, 5 + axes :],
+        origin,
+        direction,
         speed,
         acceleration,
         jerk,
         row.astype(np.int64),
+        curvature,
+        gone,
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.randomness import generator
 from truepath.simulators.recording import Recording, Temperatures
@@ -58,6 +59,8 @@ def _grid(machine: MachineFile) -> np.ndarray:
 
 def _write_program(folder: Path, recording: Recording) -> None:
     machine, program = recording.truth.machine, recording.program
+    if any(program.arc):
+        raise SimulatorError("a program with arcs is not written as a bundle")
     names = [f"{axis.name.lower()}_mm" for axis in machine.linear_axes]
     names += [f"{axis.name.lower()}_deg" for axis in machine.rotary_axes]
     columns = [program.position]

@@ -124,4 +124,6 @@ def _join(rows: np.ndarray) -> Timeline:
         still,
         still,
         np.zeros(n, np.int64),
+        np.zeros_like(direction),
+        still,
     )

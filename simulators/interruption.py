@@ -42,8 +42,8 @@ def resume_motion(
 ) -> Timeline:
     """Return a held motion that goes on at `time_s` with the row it was held in."""
     state = stopped.state(time_s)
-    future = follow(program, state.position, time_s, limits, state.row)
-    return stopped.cut(time_s).then(future)
+    begin = state.position, time_s, limits, state.row, state.gone
+    return stopped.cut(time_s).then(follow(program, *begin))
 
 
 def with_feed(
@@ -56,13 +56,12 @@ def with_feed(
     state = timeline.state(time_s)
     if state.speed == 0.0 and state.acceleration == 0.0:
         rest = find_rest(timeline, program, time_s)
-        future = follow(rest, state.position, time_s, limits, state.row)
-        return timeline.cut(time_s).then(future)
+        begin = state.position, time_s, limits, state.row, state.gone
+        return timeline.cut(time_s).then(follow(rest, *begin))
     line = _rest_of_line(timeline, program, state, time_s, limits)
     target = program.position[state.row]
-    return line.cut(line.end_s).then(
-        follow(program, target, line.end_s, limits, state.row)
-    )
+    end = target, line.end_s, limits, state.row, line.state(line.end_s).gone
+    return line.cut(line.end_s).then(follow(program, *end))
 
 
 def _rest_of_line(
@@ -71,6 +70,9 @@ def _rest_of_line(
     """Return the motion up to the end of the line under way, standing there."""
     target = program.position[state.row]
     length = float(path_length((target - state.position)[None])[0])
+    arc = program.arc[state.row] if program.arc else None
+    if arc is not None:
+        length = arc.length_mm(state.position) - state.gone
     feed = float(program.feed_mm_s[state.row])
     way = ride(length, feed, state.speed, state.acceleration, limits)
     if way is not None:

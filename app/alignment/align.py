@@ -32,10 +32,14 @@ from truepath.app.alignment.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from truepath.app.alignment.observations import Observations, Pass
+from truepath.app.alignment.observations import ArcDrive, Observations, Pass
 from truepath.app.alignment.reduction import CELL_MM
 from truepath.app.alignment.seating import find_seating, seat_targets
-from truepath.app.alignment.segmentation import Stream, cut_into_passes
+from truepath.app.alignment.segmentation import (
+    Stream,
+    cut_into_passes,
+    find_arc_drives,
+)
 from truepath.app.alignment.sequence import Matching, match_stops, require_targets
 from truepath.app.alignment.stops import StopSequence, find_stops
 from truepath.app.alignment.surroundings import add_surroundings
@@ -106,10 +110,13 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         parts += reduce_pass(run, line, each, stream, curve, cell_mm)
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
+    arcs = find_arc_drives(stream, stops, matching, nominal)
     left_out += _list_lines_without_pass(nominal, passes)
+    left_out += _list_broken_arcs(nominal, arcs)
     seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
     driving = describe_driving(stream, stops, matching, nominal, passes)
-    return replace(seen, driving=driving)
+    driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
+    return replace(seen, driving=driving, arcs=tuple(driven))
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:
@@ -193,7 +200,14 @@ def _list_lines_without_pass(
     seen = {each.row for each in passes}
     takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
     rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
-    missing = [int(row) for row in rows if row and int(row) not in seen]
+    known = seen | nominal.arcs | {0}
+    missing = [int(row) for row in rows if int(row) not in known]
+    return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
+
+
+def _list_broken_arcs(nominal: NominalPath, arcs: Sequence[ArcDrive]) -> list[LeftOut]:
+    """Return the arcs that were not driven, or not without a stop."""
+    missing = sorted(nominal.arcs - {each.row for each in arcs})
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
 

@@ -13,7 +13,10 @@ from truepath.app.alignment.observations import Observations, Pass
 from truepath.app.alignment.seating import Seats, refer_to_first
 from truepath.app.files.run import Run
 from truepath.app.kinematics.conditions import Conditions
+from truepath.app.motion.arcs import trace
+from truepath.app.motion.configurations import Commanded
 from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.records import Path
 
 
 def join_blocks(
@@ -77,7 +80,7 @@ def _collect_conditions(
         np.array([p.line for p in parts])[own],
         np.concatenate([p.line_time_s for p in parts]),
         velocity,
-        approach_signs(run.commanded.position)[row],
+        _find_approach(run.commanded)[row],
         machine.tracker.stands_on,
         np.array([target.on == "workpiece" for target in targets], bool),
         mean_speed if machine.rotary_axes else None,
@@ -106,6 +109,14 @@ def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
     freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
     # Single shots do not scatter: then the tracker's own figures stand.
     return np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), 1.0)
+
+
+def _find_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:
+    if not isinstance(commanded, Path):
+        return approach_signs(commanded.position)
+    position, owner = trace(commanded)
+    last = np.searchsorted(owner, np.arange(len(commanded)), "right") - 1
+    return approach_signs(position)[last]
 
 
 def approach_signs(

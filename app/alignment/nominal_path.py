@@ -162,6 +162,7 @@ class NominalPath:
     speed_mm_s : (w,) mean speed to each row; infinite where the target hardly moves
     first, last : (p,) rows at each place, in order: on rows between them the target
         hardly moves, so that one standstill is seen
+    arcs : rows that are driven to on an arc; of them the ends alone are told here
     """
 
     begin_mm: Float64[np.ndarray, "w 3"]
@@ -172,6 +173,7 @@ class NominalPath:
     speed_mm_s: Float64[np.ndarray, " w"]
     first: Int64[np.ndarray, " p"]
     last: Int64[np.ndarray, " p"]
+    arcs: frozenset[int] = frozenset()
 
     @property
     def slowest_mm_s(self) -> float:
@@ -240,9 +242,13 @@ def compute_nominal_path(
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
+    arcs = frozenset(row for row, arc in enumerate(commanded.arc) if arc is not None)
+    moved[list(arcs)] = True
     first = np.flatnonzero(moved) if first is None else first
     last = np.append(first[1:], n) - 1
-    return NominalPath(begin_mm, end_mm, length_mm, turn_deg, bends, speed, first, last)
+    return NominalPath(
+        begin_mm, end_mm, length_mm, turn_deg, bends, speed, first, last, arcs
+    )
 
 
 def _compute_target_mm(

@@ -51,6 +51,18 @@ class Pass:
 
 
 @dataclass(frozen=True, slots=True)
+class ArcDrive:
+    """One uninterrupted drive along an arc, from standstill to standstill.
+
+    row : of the path; first, last : indices of its samples in the Run
+    """
+
+    row: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
 class Driving:
     """What was driven of a path, and how.
 
@@ -89,6 +101,7 @@ class Observations:
     ramp : (n,) cells on ramps: their place on the line is the measured one, so they
         tell only what is across it; none where left out
     driving : what was driven of the path, and how; none of points
+    arcs : in no cells
     """
 
     at: Conditions
@@ -104,6 +117,7 @@ class Observations:
     left_out: tuple[LeftOut, ...] = ()
     ramp: Bool[np.ndarray, " n"] | None = None
     driving: Driving | None = None
+    arcs: tuple[ArcDrive, ...] = ()
 
     def __len__(self) -> int:
         return len(self.tracker_mm)

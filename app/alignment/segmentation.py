@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
-from truepath.app.alignment.observations import Pass
+from truepath.app.alignment.observations import ArcDrive, Pass
 from truepath.app.alignment.sequence import TOLERANCE_MM, Matching
 from truepath.app.alignment.stops import StopSequence, speed_mm_s
 from truepath.app.numerics.rigid import RigidTransform
@@ -70,9 +70,23 @@ def cut_into_passes(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[Pass, ...]:
     """Return the passes in the order of time; `first` and `last` index `stream`."""
-    parts = _parts(stream, stops, matching, nominal)
-    passes = (_recognise_pass(stream, part, nominal.curve(part.row)) for part in parts)
+    passes = (
+        _recognise_pass(stream, part, nominal.curve(part.row))
+        for part in _parts(stream, stops, matching, nominal)
+        if part.row not in nominal.arcs
+    )
     return tuple(p for p in passes if p is not None)
+
+
+def find_arc_drives(
+    stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
+) -> tuple[ArcDrive, ...]:
+    """Return the arcs that were driven without a stop, in the order of time."""
+    return tuple(
+        ArcDrive(part.row, part.first, part.last)
+        for part in _parts(stream, stops, matching, nominal)
+        if part.row in nominal.arcs and part.is_whole
+    )
 
 
 def _parts(

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from truepath.app.alignment.observations import Observations
 from truepath.app.files.environment import interpolate, is_usable
 from truepath.app.kinematics.conditions import RecordedState
+from truepath.app.motion.arcs import trace
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import Path, TemperatureSamples
 
@@ -27,7 +28,7 @@ def add_surroundings(
     recorded = RecordedState(
         _rates(observations),
         observations.count / observations.at.machine.tracker.rate_hz,
-        _since_reversal(_in_order(commanded, observations), observations),
+        _since_reversal(commanded, observations),
         observations.tracker_mm,
         observations.pose.rotation,
         *_temperatures(temperature, observations.at.time_s),
@@ -35,16 +36,6 @@ def add_surroundings(
     return replace(
         observations, at=replace(observations.at, run=number, recorded=recorded)
     )
-
-
-def _in_order(
-    commanded: Path | Configurations, observations: Observations
-) -> Float64[np.ndarray, "w a"]:
-    """Return the commanded positions in the columns of the cells."""
-    columns = [
-        commanded.axes.index(name) for name in observations.at.machine.axis_names
-    ]
-    return commanded.position[:, columns]
 
 
 def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
@@ -66,8 +57,15 @@ def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
 
 
 def _since_reversal(
-    position: Float64[np.ndarray, "w a"], observations: Observations
+    commanded: Path | Configurations, observations: Observations
 ) -> Float64[np.ndarray, "n a"]:
+    columns = [
+        commanded.axes.index(name) for name in observations.at.machine.axis_names
+    ]
+    position, owner = commanded.position, np.arange(len(commanded))
+    if isinstance(commanded, Path):
+        position, owner = trace(commanded)
+    position = position[:, columns]
     step = np.diff(position, axis=0, prepend=position[:1])
     travelled = np.full_like(position, np.inf)  # when the move to a row begins
     sign, gone = np.zeros(position.shape[1]), np.full(position.shape[1], np.inf)
@@ -77,8 +75,9 @@ def _since_reversal(
         travelled[row] = gone
         gone = gone + np.abs(move)
         sign = np.where(now != 0, now, sign)
-    before = position[np.maximum(observations.row - 1, 0)]
-    return travelled[observations.row] + np.abs(observations.at.position_mm - before)
+    first = np.searchsorted(owner, observations.row)  # of its way
+    before = position[np.maximum(first - 1, 0)]
+    return travelled[first] + np.abs(observations.at.position_mm - before)
 
 
 def _temperatures(

@@ -134,6 +134,24 @@ def _print_figures(content: Mapping[str, Any]) -> None:
     ]
     if rows:
         print_table("Circles, µm", ("circle", "G", "F max", "F min"), rows)
+    names = ("H", "G", "F_max", "F_min")
+    rows = [
+        (
+            f"{one['plane']} d {one['diameter_mm']:.0f} mm, "
+            f"{one['feed_mm_min']:.0f} mm/min",
+            *(_state_figure(one, name) for name in names),
+        )
+        for one in content["circles_in_motion"]
+    ]
+    if rows:
+        print_table("Circles in motion, µm (k = 2)", ("circle", *names), rows)
+
+
+def _state_figure(one: Mapping[str, Any], name: str) -> str:
+    if name not in one["figures_um"]:
+        return "—"
+    expanded = 2.0 * one["uncertainty_um"][name]
+    return f"{one['figures_um'][name]:.1f} ± {expanded:.1f}"
 
 
 def _one_digit(value: float) -> str:

@@ -15,11 +15,13 @@ from truepath.app.files.machine_file import read_machine
 from truepath.app.files.tables import Table, encode_csv, read_csv
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.arcs import describe_bad_arc
 from truepath.app.motion.configurations import Commanded, Configurations, name_columns
 from truepath.app.motion.travel import first_breach
-from truepath.drivers.interfaces.records import Path
+from truepath.drivers.interfaces.records import Arc, Path
 
 MAX_ROWS = 100_000
+ARC_COLUMNS = ("arc", "arc_u_mm", "arc_v_mm", "arc_turn_deg")
 _MM_PER_M = 1e3
 _LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans
 _SLACK = 0.05  # of the travel
@@ -53,8 +55,9 @@ def decode_commanded(
     if is_path:
         feed = _read_feed(table)
         rest = _read_dwell(table), _read_targets(table, machine)
-        commanded = Path(axes, position, feed, *rest)
+        commanded = Path(axes, position, feed, *rest, _read_arcs(table))
         _refuse_standing_lines(table, commanded)
+        _refuse_bad_arcs(table, commanded)
     else:
         rest = _read_dwell(table), _read_targets(table, machine)
         commanded = Configurations(axes, position, *rest)
@@ -78,7 +81,18 @@ def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
     columns["dwell_s"] = commanded.dwell_s
     if commanded.target:
         columns["target"] = commanded.target
+    if isinstance(commanded, Path) and any(commanded.arc):
+        columns |= dict(zip(ARC_COLUMNS, _list_arcs(commanded.arc), strict=True))
     return columns
+
+
+def _list_arcs(arcs: Iterable[Arc | None]) -> Iterable[tuple[object, ...]]:
+    """Return the columns of arcs, empty cells on straight lines."""
+    rows = [
+        ("", "", "", "") if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
+        for arc in arcs
+    ]
+    return zip(*rows, strict=True)
 
 
 def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
@@ -91,6 +105,19 @@ def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
         "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
         "dwell_s": commanded.dwell_s.tolist(),
         "target": list(commanded.target),
+        **(_encode_arcs(commanded.arc) if is_path else {}),
+    }
+
+
+def _encode_arcs(arcs: tuple[Arc | None, ...]) -> dict[str, Any]:
+    """Return `arc`, a list a row, null on a straight line; nothing without arcs."""
+    if not any(arcs):
+        return {}
+    return {
+        "arc": [
+            None if arc is None else [arc.axes, *arc.centre_mm, arc.turn_deg]
+            for arc in arcs
+        ]
     }
 
 
@@ -101,9 +128,12 @@ def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
     dwell_s = np.array(content["dwell_s"], float)
     if content["kind"] == "points":
         return Configurations(axes, position, dwell_s, target)
-    return Path(
-        axes, position, np.array(content["feed_mm_min"], float), dwell_s, target
+    feed_mm_min = np.array(content["feed_mm_min"], float)
+    arcs = tuple(
+        None if arc is None else Arc(str(arc[0]), (arc[1], arc[2]), arc[3])
+        for arc in content.get("arc", ())
     )
+    return Path(axes, position, feed_mm_min, dwell_s, target, arcs)
 
 
 def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
@@ -143,6 +173,32 @@ def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
     return tuple(table.choices("target", known, f"machine.json has {named}"))
 
 
+def _read_arcs(table: Table) -> tuple[Arc | None, ...]:
+    if ARC_COLUMNS[0] not in table.names:
+        return ()
+    axes = [cell.strip() for cell in table.cells(ARC_COLUMNS[0])]
+    numbers = [table.numbers(name, nan=True) for name in ARC_COLUMNS[1:]]
+    for name, column in zip(ARC_COLUMNS[1:], numbers, strict=True):
+        stated = np.array([text != "" for text in axes])
+        table.refuse(stated & np.isnan(column), name, lambda _: "is empty on an arc")
+    return tuple(
+        Arc(name, (float(u), float(v)), float(turn)) if name else None
+        for name, u, v, turn in zip(axes, *numbers, strict=True)
+    )
+
+
+def _refuse_bad_arcs(table: Table, path: Path) -> None:
+    for row, arc in enumerate(path.arc):
+        if arc is None:
+            continue
+        problem = "begins at no row before it" if row == 0 else ""
+        ends = path.position[max(row - 1, 0)], path.position[row]
+        problem = problem or describe_bad_arc(path.axes, *ends, arc)
+        if problem:
+            remedy = "correct row, centre or turn"
+            raise table.error(problem, row, ARC_COLUMNS[0], remedy)
+
+
 def _refuse_standing_lines(table: Table, path: Path) -> None:
     """Refuse a row that repeats the one before, unless it changes the target."""
     if len(path) < 2:
@@ -151,6 +207,8 @@ def _refuse_standing_lines(table: Table, path: Path) -> None:
         )
     repeated = (np.diff(path.position, axis=0) == 0).all(axis=1)
     for index in np.flatnonzero(repeated) + 1:
+        if path.arc and path.arc[index] is not None:
+            continue
         if not path.target or path.target[index] == path.target[index - 1]:
             raise table.error(
                 "the line starts where it ends: the row repeats the one before",

@@ -246,6 +246,8 @@ def _encode_commanded(run: Run) -> Iterator[bytes]:
     blocks = [run.commanded.position, run.commanded.dwell_s]
     if isinstance(run.commanded, Path):
         blocks.append(run.commanded.feed_mm_min)
+        if any(run.commanded.arc):
+            yield repr(run.commanded.arc).encode()
     yield from _encode_blocks(blocks)
 
 

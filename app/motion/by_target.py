@@ -37,5 +37,6 @@ def _cut_out(path: Path, begin: int, end: int, name: tuple[str, ...]) -> Stretch
         feed_mm_min=path.feed_mm_min[rows],
         dwell_s=path.dwell_s[rows],
         target=name * (end - begin),
+        arc=path.arc[rows],
     )
     return Stretch(begin, stretch)

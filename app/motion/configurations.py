@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.errors import PlanningError
-from truepath.drivers.interfaces.records import Path
+from truepath.drivers.interfaces.records import Arc, Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,8 @@ def select_rows(commanded: Commanded, rows: slice) -> Commanded:
         target=commanded.target[rows],
     )
     if isinstance(chosen, Path):
-        return replace(chosen, feed_mm_min=chosen.feed_mm_min[rows])
+        feed_mm_min, arc = chosen.feed_mm_min[rows], chosen.arc[rows]
+        return replace(chosen, feed_mm_min=feed_mm_min, arc=arc)
     return chosen
 
 
@@ -69,9 +70,16 @@ def join_rows(blocks: Sequence[Commanded]) -> Commanded:
         target=tuple(name for block in blocks for name in block.target),
     )
     if isinstance(joined, Path):
-        feeds = [block.feed_mm_min for block in blocks if isinstance(block, Path)]
-        return replace(joined, feed_mm_min=np.concatenate(feeds))
+        paths = [block for block in blocks if isinstance(block, Path)]
+        feeds = np.concatenate([path.feed_mm_min for path in paths])
+        return replace(joined, feed_mm_min=feeds, arc=_join_arcs(paths))
     return joined
+
+
+def _join_arcs(paths: Sequence[Path]) -> tuple[Arc | None, ...]:
+    if not any(path.arc for path in paths):
+        return ()
+    return tuple(arc for path in paths for arc in path.arc or (None,) * len(path))
 
 
 def append_part(before: Commanded, part: Commanded) -> Commanded:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from truepath.app.motion.configurations import Commanded, join_rows, select_rows
-from truepath.drivers.interfaces.records import Path
+from truepath.drivers.interfaces.records import Arc, Path
 
 
 def drive_again(driven: Commanded, first: int) -> Commanded:
@@ -24,5 +24,10 @@ def drive_again(driven: Commanded, first: int) -> Commanded:
     back = replace(
         select_rows(way, slice(None, None, -1)),
         feed_mm_min=again.feed_mm_min[[-1, *range(len(again))[::-1]]],
+        arc=(None, *map(_turn_back, again.arc[::-1])) if again.arc else (),
     )
     return join_rows([back, again])
+
+
+def _turn_back(arc: Arc | None) -> Arc | None:
+    return None if arc is None else replace(arc, turn_deg=-arc.turn_deg)

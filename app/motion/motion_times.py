@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from truepath.app.kinematics.machine import Machine, MotionLimits
+from truepath.app.motion.arcs import measure_length_mm
 from truepath.app.motion.configurations import Commanded
 from truepath.drivers.interfaces.records import Path
 
@@ -193,8 +194,22 @@ def row_times_s(
     if isinstance(commanded, Path):
         feed = commanded.feed_mm_min
     legs = Stops(commanded.position, feed).legs
+    if isinstance(commanded, Path) and any(commanded.arc):
+        legs = _unroll_arcs(commanded, legs)
     moving_s = Drive.of(commanded.axes, 0.0, limits).times_s(legs)
     return np.concatenate([[0.0], moving_s]) + commanded.dwell_s
+
+
+def _unroll_arcs(path: Path, legs: Legs) -> Legs:
+    """Return legs that are as long as the arcs are, straight along their first axis."""
+    end = legs.end.copy()
+    for row, arc in enumerate(path.arc[1:]):
+        if arc is not None:
+            begin = path.position[row]
+            end[row] = begin
+            length_mm = measure_length_mm(path.axes, begin, arc)
+            end[row, path.axes.index(arc.axes[0])] += length_mm
+    return replace(legs, end=end)
 
 
 def travel_time_s(path: Path, limits: MotionLimits = USUAL_MOTION) -> float:

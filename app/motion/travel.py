@@ -1,7 +1,7 @@
 """Keeps commanded positions inside the travel of the axes.
 
 Straight lines in axis positions never leave a box that holds both of their ends, so
-checking the rows checks the whole swept path.
+checking the rows checks the whole swept path; arcs are checked where they reach.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from jaxtyping import Float64
 
 from truepath.app.errors import OutOfTravel
 from truepath.app.kinematics.machine import Axis, Machine, RotaryAxis, position_unit
+from truepath.app.motion.arcs import find_reach
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.records import Path
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.
 ROUNDING = 1e-3
@@ -44,12 +46,14 @@ def first_breach(machine: Machine, commanded: Commanded) -> Breach | None:
     by_name = {axis.name: axis for axis in machine.axes}
     axes = [by_name[name] for name in commanded.axes]
     low, high = np.array([(axis.low, axis.high) for axis in axes]).T
-    position = commanded.position
+    position, rows = commanded.position, np.arange(len(commanded))
+    if isinstance(commanded, Path):
+        position, rows = find_reach(commanded)
     outside = (position < low - ROUNDING) | (position > high + ROUNDING)
     if not outside.any():
         return None
-    row, column = (int(i) for i in np.argwhere(outside)[0])
-    return Breach(row, axes[column], float(position[row, column]))
+    place, column = (int(i) for i in np.argwhere(outside)[0])
+    return Breach(int(rows[place]), axes[column], float(position[place, column]))
 
 
 def inner_travel(

@@ -17,6 +17,7 @@ from truepath.app.errors import PlanningError
 from truepath.app.kinematics.conditions import Conditions, observe_targets
 from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 from truepath.app.kinematics.machine import Machine, Target
+from truepath.app.motion.arcs import trace
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.line_of_sight import (
     Box,
@@ -27,6 +28,7 @@ from truepath.app.motion.line_of_sight import (
     measure_distances,
     touch_beam,
 )
+from truepath.drivers.interfaces.records import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,9 @@ class Workspace:
 
         Rows are counted from 1; a single row is a place to stand at.
         """
-        position = commanded.position
+        position, row = commanded.position, np.arange(len(commanded))
+        if isinstance(commanded, Path):
+            position, row = trace(commanded)
         begin = position[:-1] if len(position) > 1 else position
         end = position[1:] if len(position) > 1 else position
         bad = ~self.allows(machine, begin, end)
@@ -101,7 +105,7 @@ class Workspace:
             rules = self._check_rules(machine, begin[index, None], end[index, None])
             reason = next(reason for breaks, reason in rules if breaks[0])
             raise PlanningError(
-                f"the way to row {index + 1 + (len(position) > 1)} {reason}; plan "
+                f"the way to row {row[index + (len(position) > 1)] + 1} {reason}; plan "
                 "other lines, or correct the workspace"
             )
 

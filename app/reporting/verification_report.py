@@ -12,6 +12,7 @@ from markupsafe import Markup
 from truepath.app.files.file_model import encode_json
 from truepath.app.files.whole_files import write_files
 from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame
+from truepath.app.reporting.circle_figures import draw_circle, state_moving_circle
 from truepath.app.reporting.error_figures import draw_legend
 from truepath.app.reporting.svg import (
     WIDTH,
@@ -23,6 +24,7 @@ from truepath.app.reporting.svg import (
     join_shapes,
 )
 from truepath.app.reporting.templating import View, render_page
+from truepath.app.results.circle_figures import FIGURES as MOVING_FIGURES
 from truepath.app.results.driven_figures import (
     CIRCLE_FIGURES,
     LINE_FIGURES,
@@ -86,6 +88,11 @@ def render_verification_report(found: Verification) -> str:
             "circles": [
                 row for one in found.driven.circles for row in _state_circle(one)
             ],
+            "moving_head": ("Plane", "diameter mm", "feed mm/min", *MOVING_FIGURES),
+            "moving_circles": [
+                row for one in found.circles.circles for row in state_moving_circle(one)
+            ],
+            "round_figures": [draw_circle(one) for one in found.circles.circles],
             "runs": [_draw_line(one) for one in found.driven.lines],
             "components": "in all three components"
             if found.places.is_whole

@@ -50,6 +50,11 @@ from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.model import MachineModel
 from truepath.app.kinematics.second_order import compute_second_order_mm
 from truepath.app.progress import Progress, ignore_progress
+from truepath.app.results.circles_in_motion import (
+    CirclesInMotion,
+    evaluate_circles,
+    join_circles,
+)
 from truepath.app.results.driven_figures import DrivenFigures, evaluate_driven
 from truepath.app.results.length_statistics import (
     DRAWS,
@@ -165,6 +170,7 @@ class Verification:
     statistics : of lengths: `measured`, `predicted`, `deviation`
     conformity : of `measured` and `deviation` where there is a tolerance
     driven : figures of ISO 230-2, -4 and -6 where lines and circles were measured
+    circles : that were driven on the fly
     """
 
     result: CalibrationResult
@@ -181,6 +187,7 @@ class Verification:
     tolerance_um: float | None
     is_compensated: bool
     driven: DrivenFigures
+    circles: CirclesInMotion
 
 
 def verify(
@@ -223,7 +230,22 @@ def verify(
         )
         for summary, part, one in zip(summaries, parts, found, strict=True)
     )
-    return _state(held, verified, tolerance_um, correction)
+    circles = join_circles(
+        [
+            evaluate_circles(
+                run,
+                part.seen,
+                one,
+                result,
+                lambda at: predict_displacement(result, at, correction),
+                first,
+            )
+            for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
+        ]
+    )
+    return replace(
+        _state(held, verified, tolerance_um, correction), circles=circles
+    )
 
 
 def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
@@ -478,6 +500,7 @@ def _state(
         tolerance_um,
         correction is not None,
         evaluate_driven(places, measured.vector_mm, predicted.vector_mm, drawn),
+        CirclesInMotion(),
     )
 
 

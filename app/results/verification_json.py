@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.files.verdict import verdict_json
+from truepath.app.results.circles_json import circles_json, state_circles
 from truepath.app.results.conformity import Conformity
 from truepath.app.results.driven_figures import CircleFigures, LineFigures
 from truepath.app.results.length_statistics import LengthStatistics
@@ -65,6 +66,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "worst": _worst_json(found),
         "lines": [_line_json(one) for one in found.driven.lines],
         "circles": [_circle_json(one) for one in found.driven.circles],
+        **circles_json(found.circles),
         "places": _places_json(found),
         "components": "all three"
         if found.places.is_whole
@@ -160,6 +162,7 @@ def state_findings(found: Verification) -> Iterator[str]:
         )
     yield _state_agreement(found)
     yield from _state_scale(found)
+    yield from state_circles(found.circles)
     measured, predicted = (
         found.statistics[name]["mean"] for name in ("measured", "predicted")
     )

@@ -15,8 +15,17 @@ from truepath.drivers.interfaces.records import Path
 _HALF_STEP = 0.5e-4
 
 
-def arrange_path(path: Path, axes: tuple[str, ...]) -> Path:
-    """Return a path in the axis order of a machine. Raises Refused for other axes."""
+def arrange_path(path: Path, axes: tuple[str, ...], *, drives_arcs: bool) -> Path:
+    """Return a path in the axis order of a machine.
+
+    drives_arcs : whether the control does
+    Raises Refused for other axes, and for arcs where it does not.
+    """
+    if any(path.arc) and not drives_arcs:
+        raise Refused(
+            "the path has arcs, which this control does not offer; measure circles at "
+            "standstills"
+        )
     if sorted(path.axes) != sorted(axes):
         raise Refused(
             f"the path has the axes {' '.join(path.axes)}, the machine {' '.join(axes)}"

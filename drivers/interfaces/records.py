@@ -18,6 +18,7 @@ class Identity:
     serial_number : empty where the device tells none
     has_watchdog : a motion controller that holds the feed by itself when heartbeats
         stay away; a driver claims it only where it has seen a sign of it at `connect`
+    drives_arcs : a motion controller whose paths may have arcs
     """
 
     maker: str
@@ -25,6 +26,7 @@ class Identity:
     serial_number: str
     firmware: str
     has_watchdog: bool = False
+    drives_arcs: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +128,33 @@ class AirSamples:
 
 
 @dataclass(frozen=True, slots=True)
+class Arc:
+    """A circular motion towards a row, in the plane of two linear axes.
+
+    axes : XY, YZ or ZX; other axes stand
+    centre_mm : in both axes
+    turn_deg : positive from the first axis towards the second, G3; whole turns as well
+    """
+
+    axes: str
+    centre_mm: tuple[float, float]
+    turn_deg: float
+
+
+ARC_PLANES = ("XY", "YZ", "ZX")
+
+
+@dataclass(frozen=True, slots=True)
 class Path:
-    """Commanded straight lines between waypoints, an exact stop and a dwell at each.
+    """Commanded motions between waypoints, an exact stop and a dwell at each.
+
+    Straight lines, but where there is an arc.
 
     position : (n, axes) axis positions, mm for linear and deg for rotary axes
     feed_mm_min : (n,) feed towards that row; the first row is approached at its feed
     dwell_s : (n,) dwell at that row
     target : name of the target measured on the way to each row; none for a single one
+    arc : on which each row is come to, None on a straight line; empty where all are
     """
 
     axes: tuple[str, ...]
@@ -140,6 +162,7 @@ class Path:
     feed_mm_min: NDArray[np.float64]
     dwell_s: NDArray[np.float64]
     target: tuple[str, ...] = ()
+    arc: tuple[Arc | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.position)

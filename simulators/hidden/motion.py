@@ -64,11 +64,13 @@ class Motion:
         self, axis: str, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return velocity, acceleration and jerk of an axis, (n,) each."""
-        piece = self._piece(time_s)
-        heading = self.timeline.direction[piece, self.column(axis)]
+        piece, column = self._piece(time_s), self.column(axis)
+        heading = self.timeline.directions(time_s)[:, column]
+        speed = self.timeline.speeds(time_s)
+        inwards = speed**2 * self.timeline.curvatures(time_s)[:, column]
         return (
-            self.timeline.speeds(time_s) * heading,
-            self.timeline.accelerations(time_s) * heading,
+            speed * heading,
+            self.timeline.accelerations(time_s) * heading + inwards,
             self.timeline.jerk[piece] * heading,
         )
 
@@ -105,8 +107,9 @@ class Motion:
 
     def _find_headings(self) -> np.ndarray:
         """Return the heading of each axis in each piece, kept while it stands."""
-        heading = self.timeline.direction
-        sign = np.where(np.abs(heading) > _STANDS_MM, np.sign(heading), 0.0)
+        step = np.diff(self.timeline.origin, axis=0)
+        step = np.vstack([step, np.zeros((1, step.shape[1]))])
+        sign = np.where(np.abs(step) > _STANDS_MM, np.sign(step), 0.0)
         moved = np.arange(len(sign))[:, None] * (sign != 0.0)
         last = np.maximum.accumulate(moved, axis=0)
         return np.take_along_axis(sign, last, axis=0)

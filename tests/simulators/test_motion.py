@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truepath.simulators import interruption
+from truepath.simulators.arc import Arc
 from truepath.simulators.profile import Limits, brake, rest_to_rest
 from truepath.simulators.timeline import Program, Timeline, along, follow, standing
 
@@ -199,3 +200,45 @@ def test_braking_from_standstill_is_nothing() -> None:
     assert brake(0.0, 0.0, JERKY) == []
     state = standing([1.0, 2.0, 3.0], 0.0, 4).state(2.0)
     assert len(along([], state, 2.0, None)) == 1
+
+
+def two_turns() -> Program:
+    """Stand beside a circle, go round it a little more than twice, and back."""
+    end = np.radians(10.0)
+    places = [[250.0, 100.0, 50.0], [0.0, 0.0, 50.0], [250.0, 100.0, 50.0]]
+    places[1][:2] = 100.0 + 150.0 * np.cos(end), 100.0 + 150.0 * np.sin(end)
+    turn = np.radians(730.0)
+    arcs = Arc((0, 1), (100.0, 100.0), turn), Arc((0, 1), (100.0, 100.0), -turn)
+    feeds, dwells = np.full(3, 50.0), np.full(3, 0.5)
+    return Program(np.array(places), feeds, dwells, arc=(None, *arcs))
+
+
+@pytest.mark.parametrize("held_at_s", [None, 5.0, 20.3, 39.0])
+def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(
+    held_at_s: float | None,
+) -> None:
+    program = two_turns()
+    motion = follow(program, program.position[0], 0.0, JERKY)
+    whole_s = motion.end_s
+    if held_at_s is not None:
+        held = interruption.hold_motion(motion, held_at_s, JERKY)
+        motion = interruption.resume_motion(held, program, held.end_s + 1.0, JERKY)
+        assert 1.0 < motion.end_s - whole_s < 1.5
+    t = np.linspace(0.0, motion.end_s, 4000)
+    out = motion.positions(t)[:, :2] - 100.0
+    assert np.abs(np.linalg.norm(out, axis=1) - 150.0).max() < 1e-4
+    assert_smooth(motion, JERKY, 50.0)
+    turned = np.degrees(np.unwrap(np.arctan2(out[:, 1], out[:, 0])))
+    assert turned.max() == pytest.approx(730.0, abs=0.1)
+    assert motion.positions(np.array([motion.end_s]))[0] == pytest.approx(
+        [250, 100, 50]
+    )
+
+
+def test_no_axis_turns_back_within_a_piece_of_a_circle() -> None:
+    program = two_turns()
+    motion = follow(program, program.position[0], 0.0, JERKY)
+    for begin_s, end_s in zip(motion.start_s, motion.start_s[1:], strict=False):
+        inside = np.linspace(begin_s, end_s - 1e-9, 30)
+        step = np.diff(motion.positions(inside), axis=0)
+        assert ((step > -1e-7).all(axis=0) | (step < 1e-7).all(axis=0)).all()

@@ -92,6 +92,33 @@ class CircleOut(BaseModel):
     driven: str = Field(description="How it was, in words.")
 
 
+class CircleInMotionOut(BaseModel):
+    """A circle driven on the fly (ISO 230-4), µm, by its senses."""
+
+    plane: str
+    standard: str
+    diameter_mm: float
+    feed_mm_min: float = Field(description="As commanded.")
+    driven_feed_mm_min: Numbers = Field(description="As measured.")
+    row: dict[str, int]
+    samples: dict[str, int]
+    sector_deg: float = Field(description="Over which the radius is averaged.")
+    angle_deg: list[float]
+    radial_um: dict[str, list[float]] = Field(
+        description="Radius less the commanded one, about the commanded centre."
+    )
+    predicted_radial_um: dict[str, list[float]]
+    figures_um: Numbers = Field(
+        description="H, G of both senses and of each, F_max and F_min, less what the "
+        "noise adds to them. H where both senses were driven."
+    )
+    uncertainty_um: Numbers
+    by_the_noise_alone_um: Numbers
+    predicted_um: Numbers
+    predicted_uncertainty_um: Numbers
+    difference_um: dict[str, DifferenceOut]
+
+
 class PlacesOut(BaseModel):
     """Errors at each place, µm."""
 
@@ -198,6 +225,12 @@ class VerificationOut(BaseModel):
     worst: dict[Literal["measured", "deviation"], WorstPlaceOut]
     lines: list[LineOut]
     circles: list[CircleOut]
+    circles_in_motion: list[CircleInMotionOut] = Field(
+        [], description="Circles driven on the fly. Earlier versions have none."
+    )
+    circles_missing: list[int] = Field(
+        [], description="Rows of circles that were not driven whole."
+    )
     places: PlacesOut
     components: str
     gauge: str

@@ -119,6 +119,11 @@ def _compose(
 
 def _check_limits(kind: Dialect, path: Path) -> None:
     """Refuse a path that no program of this control can state."""
+    if any(path.arc):
+        raise PlanningError(
+            "the path has arcs, and measuring programs have straight lines; let the "
+            "service drive it"
+        )
     if len(path) > kind.most_rows:
         raise PlanningError(
             f"the path has {len(path)} rows; a {kind.control} program numbers "

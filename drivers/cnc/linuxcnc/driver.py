@@ -151,7 +151,7 @@ class LinuxCncController(MotionController):
     def load(self, path: Path) -> None:
         """Write a path as a program, open it, and see that it is open."""
         machine = self._require_machine()
-        path = arrange_path(path, machine.axes)
+        path = arrange_path(path, machine.axes, drives_arcs=False)
         if not len(path):
             raise Refused("the path has no rows")
         check_positions(machine.axes, machine.travel, path.position)

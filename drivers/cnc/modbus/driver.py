@@ -206,7 +206,7 @@ class ModbusController(MotionController):
 
     def _encode_checked(self, path: Path) -> NDArray[np.uint16]:
         controller = self._require_controller()
-        path = arrange_path(path, controller.axes)
+        path = arrange_path(path, controller.axes, drives_arcs=False)
         if not 1 <= len(path) <= controller.max_waypoints:
             raise Refused(
                 f"the path has {len(path)} rows, 1 to {controller.max_waypoints} fit"

@@ -1,0 +1,52 @@
+"""An arc of a program: about a centre in the plane of two straight axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """How a row is driven to on a circle.
+
+    columns : of both axes; turn_rad : positive from the first towards the second
+    centre_mm : in both axes
+    """
+
+    columns: tuple[int, int]
+    centre_mm: tuple[float, float]
+    turn_rad: float
+
+    def radius_mm(self, place: np.ndarray) -> float:
+        """Return how far a position is from the centre."""
+        return math.hypot(*self._out(place))
+
+    def length_mm(self, place: np.ndarray) -> float:
+        """Return the length of the whole arc through a position."""
+        return self.radius_mm(place) * abs(self.turn_rad)
+
+    def direction(self, place: np.ndarray) -> np.ndarray:
+        """Return the step per mm of way at a position."""
+        x, y = self._out(place)
+        sign = math.copysign(1.0 / math.hypot(x, y), self.turn_rad)
+        direction = np.zeros(len(place))
+        direction[list(self.columns)] = -sign * y, sign * x
+        return direction
+
+    def curvature(self, place: np.ndarray) -> np.ndarray:
+        """Return the change of the direction per mm of way at a position."""
+        x, y = self._out(place)
+        square = x * x + y * y
+        curvature = np.zeros(len(place))
+        curvature[list(self.columns)] = -x / square, -y / square
+        return curvature
+
+    def _out(self, place: np.ndarray) -> tuple[float, float]:
+        first, second = self.columns
+        return (
+            float(place[first]) - self.centre_mm[0],
+            float(place[second]) - self.centre_mm[1],
+        )

@@ -1,0 +1,97 @@
+"""Arcs of a path: where they reach, how long they take, as files, and driven again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.errors import BundleError, OutOfTravel, PlanningError
+from truepath.app.files.commanded_file import (
+    decode_commanded,
+    decode_commanded_json,
+    encode_commanded,
+    encode_commanded_json,
+)
+from truepath.app.motion.arcs import trace
+from truepath.app.motion.circle_path import TURN_DEG, make_circle_path
+from truepath.app.motion.configurations import append_part
+from truepath.app.motion.driven_again import drive_again
+from truepath.app.motion.line_of_sight import Box
+from truepath.app.motion.motion_times import row_times_s
+from truepath.app.motion.nc_programs.programs import write_program
+from truepath.app.motion.travel import check_travel
+from truepath.app.motion.workspace import Workspace
+from truepath.drivers.cnc.travel import arrange_path
+from truepath.drivers.interfaces.errors import Refused
+from truepath.drivers.interfaces.records import Arc, Path
+
+
+@pytest.fixture(scope="module")
+def circles(mill):
+    return make_circle_path(mill)
+
+
+@pytest.fixture
+def half_turn():
+    """Half a turn of 100 mm radius, far beyond what its ends span."""
+    position = np.array([[100.0, 50.0, -50.0], [300.0, 50.0, -50.0]])
+    arc = Arc("XY", (200.0, 50.0), 180.0)
+    two = np.full(2, 3000.0)
+    return Path(("X", "Y", "Z"), position, two, np.ones(2), arc=(None, arc))
+
+
+def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles):
+    check_travel(mill, circles)
+    turning = row_times_s(circles)[[arc is not None for arc in circles.arc]]
+    radius_mm = 0.4 * 384.0  # of the travel of Y less its margins
+    one_s = np.radians(TURN_DEG) * radius_mm / 50.0
+    assert turning[:2] == pytest.approx([one_s + 1.0] * 2, abs=0.2)
+
+
+def test_an_arc_that_leaves_the_travel_between_its_ends_is_refused(mill, half_turn):
+    with pytest.raises(OutOfTravel, match="row 2: Y = -50 mm is below 0 mm"):
+        check_travel(mill, half_turn)
+    turned = replace(half_turn, arc=(None, replace(half_turn.arc[1], turn_deg=-180.0)))
+    check_travel(mill, turned)
+
+
+def test_an_arc_through_a_keep_out_box_is_refused_by_its_row(mill, half_turn):
+    box = Box((195.0, -60.0, -60.0), (205.0, -40.0, -40.0))
+    with pytest.raises(PlanningError, match="the way to row 2 enters the keep-out box"):
+        Workspace(keep_out=(box,)).refuse(mill, half_turn)
+    places, row = trace(half_turn)
+    assert np.array_equal(places[-1], half_turn.position[-1])
+    assert set(row.tolist()) == {0, 1}
+
+
+def test_arcs_survive_their_files(mill, circles):
+    data = encode_commanded(circles)
+    for again in (
+        decode_commanded(data, mill, "path.csv", is_path=True),
+        decode_commanded_json(encode_commanded_json(circles)),
+    ):
+        assert isinstance(again, Path)
+        assert again.arc == circles.arc
+        assert np.array_equal(again.position, circles.position)
+
+
+def test_an_arc_that_does_not_lead_to_its_row_is_refused_by_row(mill, circles):
+    text = encode_commanded(circles).decode().replace(",732.0", ",720.0", 1)
+    with pytest.raises(BundleError, match="row 4.*from where its arc leads to"):
+        decode_commanded(text.encode(), mill, "path.csv", is_path=True)
+
+
+def test_a_circle_is_driven_back_and_forth_when_it_is_driven_again(circles):
+    whole = append_part(circles, drive_again(circles, 3))
+    added = whole.arc[len(circles) :]
+    back = [None if a is None else replace(a, turn_deg=-a.turn_deg) for a in added]
+    half = len(added) // 2
+    assert list(added[half:]) == back[:half][::-1]
+    assert list(added[half:]) == list(circles.arc[3:])
+
+
+def test_what_drives_no_arcs_says_so(mill, circles):
+    with pytest.raises(Refused, match="arcs, which this control does not offer"):
+        arrange_path(circles, circles.axes, drives_arcs=False)
+    with pytest.raises(PlanningError, match="arcs"):
+        write_program(circles, mill, "linuxcnc")

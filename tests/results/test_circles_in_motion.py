@@ -1,0 +1,195 @@
+"""Circles driven on the fly, on simulated machines whose effects are known."""
+
+import numpy as np
+import pytest
+
+from truepath.app.alignment.align import align
+from truepath.app.alignment.observations import ArcDrive
+from truepath.app.estimation.noise import NoiseModel
+from truepath.app.files.run import Run
+from truepath.app.motion.circle_path import make_circle_path
+from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.results.circle_figures import (
+    FIGURES,
+    SECTORS,
+    CommandedCircle,
+    compute_figures,
+    list_sector_angles,
+    reduce_to_sectors,
+    state_figures,
+)
+from truepath.app.results.circles_in_motion import read_commanded
+from truepath.app.results.measured_places import correlate_means
+from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.simulators import synthetic
+from truepath.simulators.arc import Arc
+from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
+
+BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
+HIDDEN = (
+    Backlash("X", BACKLASH_UM),
+    ServoMismatch("Z", LAG_MS),
+    Squareness("A0Z", LEAN_URAD),
+)
+ANGLE = np.radians(list_sector_angles())
+
+
+def drive(machine, *, hidden=(), holds=(), seed=7):
+    """Return the Run of the circle path on a machine that errs by these effects."""
+    path = make_circle_path(machine)
+    arcs = tuple(
+        arc
+        and Arc(
+            tuple("XYZ".index(name) for name in arc.axes),
+            arc.centre_mm,
+            float(np.radians(arc.turn_deg)),
+        )
+        for arc in path.arc
+    )
+    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs)
+    setting = synthetic.Setting(
+        error_scale=0.0, hidden=hidden, defects=synthetic.Defects(holds=holds)
+    )
+    recording = synthetic.record(load_machine("demo"), program, seed, "otf", setting)
+    samples = TrackerSamples(
+        np.arange(len(recording)),
+        recording.time_s,
+        recording.position_mm,
+        recording.status,
+    )
+    return Run("circles", machine, path, samples)
+
+
+def evaluate(run):
+    """Return the figures of each plane, and the rows whose circle is not whole."""
+    seen = align(run)
+    noise = NoiseModel((1.0, 1.0), (0.15, 0.15), 1.0, 0.0)
+    planes, whole = {}, set()
+    for arc in seen.arcs:
+        commanded = read_commanded(run, run.commanded, arc.row)
+        inside = slice(arc.first, arc.last)
+        stream = run.tracker.device_time_s[inside], run.tracker.position_mm[inside]
+        driven = reduce_to_sectors(
+            commanded, arc, *stream, seen.pose, noise, run.machine.tracker
+        )
+        if driven is not None:
+            whole.add(arc.row)
+            planes.setdefault(commanded.plane, {})[commanded.sense] = driven
+    stated = {
+        plane: state_figures(
+            {sense: one.radial_mm for sense, one in senses.items()},
+            {sense: one.covariance_mm2 for sense, one in senses.items()},
+        )
+        for plane, senses in planes.items()
+    }
+    arcs = {row for row, arc in enumerate(run.commanded.arc) if arc}
+    return planes, stated, arcs - whole
+
+
+@pytest.fixture(scope="module")
+def demo(record):
+    """The machine of the recordings."""
+    return record(1, rows=24)[0].machine
+
+
+def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo):
+    planes, stated, broken = evaluate(drive(demo, hidden=HIDDEN))
+    assert not broken
+    assert set(planes) == {"XY", "YZ", "ZX"}
+
+    def check(plane, name, expected_um):
+        error_um = abs(stated[plane].value_um[name] - expected_um)
+        assert error_um <= 2.0 * stated[plane].uncertainty_um[name], (plane, name)
+
+    one = planes["YZ"]["counterclockwise"]
+    assert one.feed_mm_min == pytest.approx(one.commanded.feed_mm_min, rel=1e-3)
+    lag_um = LAG_MS * one.commanded.feed_mm_min / 60.0
+    lean_um = 1e-3 * LEAN_URAD * one.commanded.radius_mm
+    # Radii by the angle t: lean r sin t cos t, and lag v sin t cos t by the sense.
+    check("XY", "H", BACKLASH_UM)
+    check("YZ", "H", lag_um)
+    senses = sorted(
+        stated["YZ"].value_um[f"G_{s}"] for s in ("clockwise", "counterclockwise")
+    )
+    assert senses[0] == pytest.approx(abs(lean_um - lag_um), abs=2.0)
+    assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
+
+
+def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
+    _, stated, _ = evaluate(drive(demo))
+    for one in stated.values():
+        assert one.own_um["H"] > 1.0
+        assert one.value_um["H"] <= 2.0 * one.uncertainty_um["H"]
+        assert one.value_um["G"] <= 2.0 * one.uncertainty_um["G"]
+
+
+def test_a_circle_with_a_stop_in_it_is_missing_and_the_others_stand(demo):
+    run = drive(demo, holds=((30.0, 2.0),))
+    planes, _, broken = evaluate(run)
+    (row,) = broken
+    plane = run.commanded.arc[row].axes
+    assert len(planes[plane]) == 1
+    assert sum(len(senses) for senses in planes.values()) == 5
+
+
+def _noise():
+    time_s = 0.16 * np.arange(SECTORS)
+    shared = correlate_means(time_s, np.full(SECTORS, 0.16), 0.6)
+    return 1e-6 * (0.25 * np.eye(SECTORS) + 0.36 * shared)
+
+
+@pytest.mark.parametrize(
+    ("there_um", "back_um"),
+    [
+        (0.0 * ANGLE, 0.0 * ANGLE),
+        (2.0 * np.cos(2 * ANGLE), 2.0 * np.cos(2 * ANGLE)),
+        (
+            5.0 * np.cos(2 * ANGLE) + np.sign(np.sin(ANGLE)),
+            5.0 * np.cos(2 * ANGLE) - np.sign(np.sin(ANGLE)),
+        ),
+        (
+            6.0 * np.exp(-(ANGLE % np.pi) / 0.2),
+            -6.0 * np.exp(-((np.pi - ANGLE) % np.pi) / 0.2),
+        ),
+    ],
+    ids=["exact", "ellipse", "lost-motion", "spikes-at-reversals"],
+)
+def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
+    true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
+    exact = compute_figures({name: one[:, None] for name, one in true.items()})
+    covariance = _noise()
+    factor = np.linalg.cholesky(covariance)
+    inside, trials = 0, 12
+    for _ in range(trials):
+        seen = {
+            name: one + factor @ rng.standard_normal(SECTORS)
+            for name, one in true.items()
+        }
+        found = state_figures(seen, dict.fromkeys(true, covariance))
+        inside += sum(
+            abs(found.value_um[name] - 1e3 * exact[name][0])
+            <= 2.0 * found.uncertainty_um[name]
+            for name in FIGURES
+        )
+    assert inside >= 0.92 * trials * len(FIGURES)
+
+
+def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
+    commanded = CommandedCircle(
+        "XY", np.zeros(3), np.eye(2, 3), 50.0, 0.0, 732.0, 3000.0
+    )
+    time_s = np.arange(0.0, 12.0, 2e-3)
+    turned = -np.linspace(0.0, np.radians(732.0), len(time_s))
+    still = np.zeros(len(time_s))
+    points = np.column_stack([50.0 * np.cos(turned), 50.0 * np.sin(turned), still])
+    pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
+    noise = NoiseModel((1.0, 1.0), (0.1, 0.1), 1.0, 0.0)
+    arc = ArcDrive(2, 0, len(time_s))
+    stream = time_s, pose.apply(points)
+    assert not reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
+    stream = time_s, pose.apply(points * [1.0, -1.0, 1.0])
+    assert reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
