@@ -77,7 +77,7 @@ def test_arcs_survive_their_files(mill, circles):
 
 def test_an_arc_that_does_not_lead_to_its_row_is_refused_by_row(mill, circles):
     text = encode_commanded(circles).decode().replace(",732.0", ",720.0", 1)
-    with pytest.raises(BundleError, match="row 4.*from where its arc leads to"):
+    with pytest.raises(BundleError, match=r"row 4.*from where its arc leads to"):
         decode_commanded(text.encode(), mill, "path.csv", is_path=True)
 
 

@@ -1,14 +1,20 @@
 """Circles driven on the fly, on simulated machines whose effects are known."""
 
+import json
+
 import numpy as np
 import pytest
 
 from truepath.app.alignment.align import align
 from truepath.app.alignment.observations import ArcDrive
+from truepath.app.api.models.verification import VerificationOut
 from truepath.app.estimation.noise import NoiseModel
+from truepath.app.files.result_file import result_from_json
 from truepath.app.files.run import Run
 from truepath.app.motion.circle_path import make_circle_path
 from truepath.app.numerics.rigid import RigidTransform
+from truepath.app.reporting.verification_report import write_verification
+from truepath.app.results.analysis import analyse
 from truepath.app.results.circle_figures import (
     FIGURES,
     SECTORS,
@@ -20,6 +26,8 @@ from truepath.app.results.circle_figures import (
 )
 from truepath.app.results.circles_in_motion import read_commanded
 from truepath.app.results.measured_places import correlate_means
+from truepath.app.results.result_json import result_json
+from truepath.app.results.verification import verify
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic
 from truepath.simulators.arc import Arc
@@ -38,7 +46,7 @@ HIDDEN = (
 ANGLE = np.radians(list_sector_angles())
 
 
-def drive(machine, *, hidden=(), holds=(), seed=7):
+def drive(machine, *, hidden=(), holds=(), seed=7, setting=None):
     """Return the Run of the circle path on a machine that errs by these effects."""
     path = make_circle_path(machine)
     arcs = tuple(
@@ -51,7 +59,7 @@ def drive(machine, *, hidden=(), holds=(), seed=7):
         for arc in path.arc
     )
     program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs)
-    setting = synthetic.Setting(
+    setting = setting or synthetic.Setting(
         error_scale=0.0, hidden=hidden, defects=synthetic.Defects(holds=holds)
     )
     recording = synthetic.record(load_machine("demo"), program, seed, "otf", setting)
@@ -67,7 +75,7 @@ def drive(machine, *, hidden=(), holds=(), seed=7):
 def evaluate(run):
     """Return the figures of each plane, and the rows whose circle is not whole."""
     seen = align(run)
-    noise = NoiseModel((1.0, 1.0), (0.15, 0.15), 1.0, 0.0)
+    noise = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 0.0)  # of the simulated air
     planes, whole = {}, set()
     for arc in seen.arcs:
         commanded = read_commanded(run, run.commanded, arc.row)
@@ -117,6 +125,26 @@ def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo)
     )
     assert senses[0] == pytest.approx(abs(lean_um - lag_um), abs=2.0)
     assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
+
+
+def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(record, tmp_path):
+    run, _ = record(1, rows=24)
+    result = result_from_json(json.loads(json.dumps(result_json(analyse(run)))))
+    setting = synthetic.Setting(machine_seed=1)
+    found = verify(result, drive(run.machine, seed=12, setting=setting))
+    assert found.consistency.is_consistent
+    document = VerificationOut.model_validate(write_verification(found, tmp_path))
+    assert [one.plane for one in document.circles_in_motion] == ["XY", "YZ", "ZX"]
+    assert document.circles_missing == []
+    within = [
+        difference.within
+        for one in document.circles_in_motion
+        for difference in one.difference_um.values()
+    ]
+    assert sum(within) >= len(within) - 1
+    sizes = [one.figures_um["G"] for one in document.circles_in_motion]
+    assert max(sizes) > 10.0
+    assert "Circles in motion" in (tmp_path / "report.html").read_text()
 
 
 def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
