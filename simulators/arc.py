@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+_LEAST_MM, _ROUNDED_MM = 0.1, 0.005  # radius; of ends in counts of 0.1 µm
+
 
 @dataclass(frozen=True, slots=True)
 class Arc:
@@ -43,6 +45,30 @@ class Arc:
         curvature = np.zeros(len(place))
         curvature[list(self.columns)] = -x / square, -y / square
         return curvature
+
+    def fits(self, begin: np.ndarray, end: np.ndarray) -> bool:
+        """Tell whether the arc leads from one position to the other."""
+        x, y = self._out(begin)
+        if math.hypot(x, y) < _LEAST_MM or not self.turn_rad:
+            return False
+        cosine, sine = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        led = begin.copy()
+        led[list(self.columns)] = (
+            self.centre_mm[0] + cosine * x - sine * y,
+            self.centre_mm[1] + sine * x + cosine * y,
+        )
+        return bool(np.abs(led - end).max() < _ROUNDED_MM)
+
+    def reach(self, begin: np.ndarray) -> np.ndarray:
+        """Return positions (n, axes) on the way, a degree apart or less."""
+        x, y = self._out(begin)
+        count = 1 + int(np.ceil(abs(np.degrees(self.turn_rad))))
+        angle = math.atan2(y, x) + np.linspace(0.0, self.turn_rad, count)
+        places = np.tile(begin, (count, 1))
+        radius = math.hypot(x, y)
+        places[:, self.columns[0]] = self.centre_mm[0] + radius * np.cos(angle)
+        places[:, self.columns[1]] = self.centre_mm[1] + radius * np.sin(angle)
+        return places
 
     def _out(self, place: np.ndarray) -> tuple[float, float]:
         first, second = self.columns

@@ -13,6 +13,7 @@ import numpy as np
 
 from truepath.drivers.cnc.modbus.registers import (
     ALLOWED,
+    DRIVES_ARCS,
     MAX_WAYPOINTS,
     TELLS_COMPENSATION,
     TELLS_OVERRIDE,
@@ -43,7 +44,7 @@ class Controller:
     """
 
     model = "Simulated CNC"
-    features = TELLS_OVERRIDE | TELLS_REFERENCED | TELLS_COMPENSATION
+    features = TELLS_OVERRIDE | TELLS_REFERENCED | TELLS_COMPENSATION | DRIVES_ARCS
 
     def __init__(
         self,
@@ -119,10 +120,19 @@ class Controller:
             return Result.BAD_ARGUMENT
         if not 0 < len(program) <= MAX_WAYPOINTS or np.any(program.dwell_s < 0.0):
             return Result.BAD_ARGUMENT
-        inside = (program.position >= self.machine.low - 1e-9) & (
-            program.position <= self.machine.high + 1e-9
-        )
-        return None if inside.all() else Result.OUT_OF_TRAVEL
+        places = [program.position]
+        for row, arc in enumerate(program.arc):
+            if arc is None:
+                continue
+            begin, end = program.position[max(row - 1, 0)], program.position[row]
+            if row == 0 or not arc.fits(begin, end):
+                return Result.BAD_ARGUMENT
+            places.append(arc.reach(begin))
+        inside = [
+            ((at >= self.machine.low - 1e-9) & (at <= self.machine.high + 1e-9)).all()
+            for at in places
+        ]
+        return None if all(inside) else Result.OUT_OF_TRAVEL
 
     def commit(self, program: Program) -> None:
         """Take a path that `fault_of` has passed."""

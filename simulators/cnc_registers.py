@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +18,7 @@ from truepath.drivers.cnc.modbus.registers import (
     Result,
 )
 from truepath.drivers.interfaces.records import MotionState
+from truepath.simulators.arc import Arc
 from truepath.simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
 from truepath.simulators.machine_file import Axis, RotaryAxis
 from truepath.simulators.modbus_wire import (
@@ -69,6 +70,7 @@ class CncRegisters(Registers):
         self._clocks = clocks
         self._words = [0] * (max(_EXISTING) + 1)
         self._staged = np.zeros((regmap.MAX_WAYPOINTS, regmap.ROW_WORDS), np.uint16)
+        self._arcs: dict[int, np.ndarray] = {}
         self._path_crc = 0
         self._last_beat_s = clocks.wall_s()
         self._watchdog_ms = round(1000 * regmap.DEFAULT_WATCHDOG_S)
@@ -200,7 +202,22 @@ class CncRegisters(Registers):
             return fault
         if first == 0:
             self._controller.forget_path()
+            self._arcs = {}
+        for row in range(first, first + count):
+            self._arcs.pop(row, None)  # it is a straight line now
         self._staged[first : first + count] = rows
+        return Result.DONE
+
+    def _put_arc(self, _now_s: float) -> Result:
+        row, words = self._value("first_row"), self._rows_sent(1)[0]
+        if not self._controller.features & regmap.DRIVES_ARCS:
+            return Result.UNKNOWN_COMMAND
+        axes = self._controller.machine.linear_axes
+        columns = divmod(int(words[-2]) << 16 | int(words[-1]), 1 << 16)
+        linear = max(columns) < len(axes) and columns[0] != columns[1]
+        if not (1 <= row < regmap.MAX_WAYPOINTS and linear):
+            return Result.BAD_ARGUMENT
+        self._arcs[row] = words
         return Result.DONE
 
     def _commit(self, _now_s: float) -> Result:
@@ -208,11 +225,19 @@ class CncRegisters(Registers):
         if not 1 <= count <= regmap.MAX_WAYPOINTS:
             return Result.BAD_ARGUMENT
         rows = self._staged[:count]
-        crc = regmap.path_crc(rows)
+        arcs = {row: arc for row, arc in self._arcs.items() if row < count}
+        crc = regmap.path_crc(rows, arcs)
         if crc != self._value("crc"):
             return Result.CRC_MISMATCH
+        program = self._program(rows)
+        if arcs:
+            turns = [self._arc(arcs[k]) if k in arcs else None for k in range(count)]
+            program = replace(program, arc=tuple(turns))
+        fault = self._controller.fault_of(program)
+        if fault is not None:
+            return fault
         self._path_crc = crc
-        self._controller.commit(self._program(rows))
+        self._controller.commit(program)
         return Result.DONE
 
     def _start(self, now_s: float) -> Result:
@@ -259,6 +284,7 @@ class CncRegisters(Registers):
         Command.ABORT: _abort,
         Command.RESET: _reset,
         Command.HOME: _home,
+        Command.PUT_ARC: _put_arc,
     }
 
     def _rows_sent(self, count: int) -> np.ndarray:
@@ -274,6 +300,19 @@ class CncRegisters(Registers):
             values[:, :axes] / regmap.POSITION_COUNTS,
             values[:, regmap.MAX_AXES] / regmap.FEED_COUNTS / 60.0,
             values[:, regmap.MAX_AXES + 1] / regmap.DWELL_COUNTS,
+        )
+
+    def _arc(self, words: np.ndarray) -> Arc:
+        """Return the registers of an arc as an arc of this machine's axes."""
+        *centre, turn, _ = words.astype(">u2").view(">i4").astype(float)
+        first, second = int(words[-2]), int(words[-1])
+        return Arc(
+            (first, second),
+            (
+                centre[first] / regmap.POSITION_COUNTS,
+                centre[second] / regmap.POSITION_COUNTS,
+            ),
+            float(np.radians(turn / regmap.POSITION_COUNTS)),
         )
 
     def _beat(self) -> None:

@@ -13,9 +13,9 @@ from truepath.app.alignment.observations import Observations, Pass
 from truepath.app.alignment.seating import Seats, refer_to_first
 from truepath.app.files.run import Run
 from truepath.app.kinematics.conditions import Conditions
-from truepath.app.motion.arcs import trace
 from truepath.app.motion.configurations import Commanded
 from truepath.app.numerics.rigid import RigidTransform
+from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.records import Path
 
 

@@ -10,8 +10,8 @@ from jaxtyping import Float64
 from truepath.app.alignment.observations import Observations
 from truepath.app.files.environment import interpolate, is_usable
 from truepath.app.kinematics.conditions import RecordedState
-from truepath.app.motion.arcs import trace
 from truepath.app.motion.configurations import Configurations
+from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.records import Path, TemperatureSamples
 
 

@@ -42,6 +42,9 @@ class DeviceIdentity(BaseModel):
     has_watchdog: bool = Field(
         description="A controller that holds the feed when the service dies."
     )
+    drives_arcs: bool = Field(
+        False, description="A controller whose paths may have arcs."
+    )
 
 
 class Connection(BaseModel):

@@ -118,7 +118,7 @@ def plan(
         list[VerificationKind] | None,
         typer.Option(
             help="Points that prove a result instead, of this kind; several times for "
-            "several kinds.",
+            "several kinds; circles-in-motion by itself.",
         ),
     ] = None,
     json: Json = False,
@@ -183,7 +183,7 @@ def _plan_verification(
         print_json({**document, "files": files})
         return
     print(
-        f"{document['rows']} points, {document['duration_s'] / 60.0:.1f} min, drawn "
+        f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, drawn "
         f"from seed {seed}: measure them, then `truepath verify RESULT.json BUNDLE`"
     )
     print_files(files)

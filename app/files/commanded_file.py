@@ -15,9 +15,9 @@ from truepath.app.files.machine_file import read_machine
 from truepath.app.files.tables import Table, encode_csv, read_csv
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.arcs import describe_bad_arc
 from truepath.app.motion.configurations import Commanded, Configurations, name_columns
 from truepath.app.motion.travel import first_breach
+from truepath.drivers.interfaces.arcs import describe_bad_arc
 from truepath.drivers.interfaces.records import Arc, Path
 
 MAX_ROWS = 100_000

@@ -25,6 +25,7 @@ from truepath.app.jobs.plan_orders import (
 )
 from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
 from truepath.app.jobs.verification_orders import (
+    require_arcs,
     require_compensation,
     require_machine_of_result,
 )
@@ -33,7 +34,7 @@ from truepath.app.motion.default_points import default_points
 from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.verification_points import make_verification_points
+from truepath.app.motion.verification_points import make_verification_rows
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.app.results.model_history import find_model_file
 
@@ -287,10 +288,11 @@ def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job
         wish = request.control_compensation
         require_compensation(order["compensation_id"], job, wish, context)
     kinds = [VerificationKind(kind) for kind in order["what"]]
-    points = make_verification_points(machine, kinds, order["seed"])
-    check_travel(machine, points)
+    rows = make_verification_rows(machine, kinds, order["seed"])
+    check_travel(machine, rows)
+    require_arcs(rows, context)
     new = Job(JobKind.VERIFY)
-    return new, {**encode_commanded_json(points), "request": order}
+    return new, {**encode_commanded_json(rows), "request": order}
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:

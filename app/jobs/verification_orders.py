@@ -7,7 +7,9 @@ from truepath.app.files.one_machine import one_machine
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job
 from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.configurations import Commanded
 from truepath.app.results.model_history import find_model_file
+from truepath.drivers.interfaces.records import Path
 
 
 def require_compensation(
@@ -36,6 +38,20 @@ def require_compensation(
             f"the simulated control of machine {machine.id} has the files "
             f"{loaded.compensation_id} of job {loaded.job_id}, not {name} of job "
             f"{job.id}; load those first, or name the ones that it has"
+        )
+
+
+def require_arcs(rows: Commanded, context: JobContext) -> None:
+    """Raise BadInput for arcs where the control that answers does not drive them.
+
+    One that has not answered yet refuses them itself, before it moves along the path.
+    """
+    motion = context.require_cell().status.devices.get("motion")
+    has_arcs = isinstance(rows, Path) and any(rows.arc)
+    if has_arcs and motion is not None and not motion.get("drives_arcs"):
+        raise BadInput(
+            "this control does not drive arcs, which circles-in-motion are; ask for "
+            "circles, which are measured at standstills"
         )
 
 

@@ -12,9 +12,9 @@ from jaxtyping import Float64
 
 from truepath.app.errors import PlanningError
 from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.arcs import turn_about
 from truepath.app.motion.travel import DECIMALS, add_resting_axes, inner_travel
 from truepath.app.motion.workspace import moving_targets
+from truepath.drivers.interfaces.arcs import turn_about
 from truepath.drivers.interfaces.records import ARC_PLANES, Arc, Path
 
 TURN_DEG = 732.0  # 186 to run in, 360, 186 to run out

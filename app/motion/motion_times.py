@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from truepath.app.kinematics.machine import Machine, MotionLimits
-from truepath.app.motion.arcs import measure_length_mm
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.arcs import measure_length_mm
 from truepath.drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0

@@ -13,8 +13,8 @@ from jaxtyping import Float64
 
 from truepath.app.errors import OutOfTravel
 from truepath.app.kinematics.machine import Axis, Machine, RotaryAxis, position_unit
-from truepath.app.motion.arcs import find_reach
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.arcs import find_reach
 from truepath.drivers.interfaces.records import Path
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.

@@ -12,3 +12,4 @@ class VerificationKind(StrEnum):
     RANDOM_POINTS = "random-points"
     BIDIRECTIONAL = "bidirectional"
     CIRCLES = "circles"
+    CIRCLES_IN_MOTION = "circles-in-motion"

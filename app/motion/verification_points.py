@@ -13,8 +13,10 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.app.errors import PlanningError
 from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.circle_path import make_circle_path
+from truepath.app.motion.configurations import Commanded, Configurations
 from truepath.app.motion.motion_times import find_short_order
 from truepath.app.motion.travel import DECIMALS, add_resting_axes, inner_travel
 from truepath.app.motion.verification_kinds import VerificationKind
@@ -31,6 +33,23 @@ _RADIUS = 0.4  # of the shorter travel of a plane
 
 Limits = Float64[np.ndarray, " a"]
 Rows = Float64[np.ndarray, "n a"]
+
+
+def make_verification_rows(
+    machine: Machine, kinds: Sequence[VerificationKind], seed: int
+) -> Commanded:
+    """Return the points of the kinds, or the path of circles in motion.
+
+    Raises PlanningError where a path is asked for together with points.
+    """
+    if VerificationKind.CIRCLES_IN_MOTION not in kinds:
+        return make_verification_points(machine, kinds, seed)
+    if len(set(kinds)) > 1:
+        raise PlanningError(
+            "circles-in-motion are a path and the other kinds are standstills, which "
+            "are two measurements; ask for each by itself"
+        )
+    return make_circle_path(machine)
 
 
 def make_verification_points(
@@ -51,7 +70,7 @@ def make_verification_points(
     }
     parts = [
         makers[kind](machine, low, high, rng)
-        for kind in VerificationKind  # always in this order: one seed, one plan
+        for kind in makers  # always in this order: one seed, one plan
         if kind in kinds
     ]
     position = np.round(np.concatenate(parts), DECIMALS)

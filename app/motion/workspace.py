@@ -17,7 +17,6 @@ from truepath.app.errors import PlanningError
 from truepath.app.kinematics.conditions import Conditions, observe_targets
 from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 from truepath.app.kinematics.machine import Machine, Target
-from truepath.app.motion.arcs import trace
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.line_of_sight import (
     Box,
@@ -28,6 +27,7 @@ from truepath.app.motion.line_of_sight import (
     measure_distances,
     touch_beam,
 )
+from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.records import Path
 
 

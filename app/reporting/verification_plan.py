@@ -12,16 +12,21 @@ from truepath.app.files.whole_files import write_files
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.verification_points import make_verification_points
+from truepath.app.motion.verification_points import make_verification_rows
+from truepath.drivers.interfaces.records import Path as MotionPath
 
-POINTS, PLAN = "points.csv", "plan.json"
+POINTS, PATH, PLAN = "points.csv", "path.csv", "plan.json"
 
 
 def write_verification_plan(
     machine: Machine, kinds: Sequence[VerificationKind], seed: int, folder: Path
 ) -> dict[str, Any]:
-    """Write `points.csv` and `plan.json`; return the content of the second."""
-    points = make_verification_points(machine, kinds, seed)
+    """Write the rows and `plan.json`; return the content of the second.
+
+    The rows are `points.csv`, of circles in motion `path.csv`.
+    """
+    points = make_verification_rows(machine, kinds, seed)
+    rows = PATH if isinstance(points, MotionPath) else POINTS
     row_s = row_times_s(points, DEFAULT_FEED_MM_MIN, machine.motion)
     document = {
         "schema": "verification-plan/1",
@@ -30,8 +35,8 @@ def write_verification_plan(
         "seed": seed,
         "rows": len(points),
         "duration_s": float(row_s.sum()),
-        "files": [POINTS, PLAN],
+        "files": [rows, PLAN],
     }
-    files = {POINTS: encode_commanded(points), PLAN: encode_json(document)}
+    files = {rows: encode_commanded(points), PLAN: encode_json(document)}
     write_files(folder, files)
     return document

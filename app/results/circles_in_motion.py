@@ -20,7 +20,6 @@ from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import Run
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import Conditions, observe_targets
-from truepath.app.motion.arcs import measure_radius_mm, turn_about
 from truepath.app.numerics.rigid import RigidTransform
 from truepath.app.results.circle_figures import (
     CommandedCircle,
@@ -32,6 +31,7 @@ from truepath.app.results.circle_figures import (
     reduce_to_sectors,
     state_figures,
 )
+from truepath.drivers.interfaces.arcs import measure_radius_mm, turn_about
 from truepath.drivers.interfaces.records import Path
 
 Displace = Callable[[Conditions], Float64[np.ndarray, "n 3"]]

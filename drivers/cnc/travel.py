@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.drivers.interfaces.arcs import describe_bad_arc, find_reach
 from truepath.drivers.interfaces.errors import OutOfTravel, Refused
 from truepath.drivers.interfaces.records import Path
 
@@ -31,7 +32,30 @@ def arrange_path(path: Path, axes: tuple[str, ...], *, drives_arcs: bool) -> Pat
             f"the path has the axes {' '.join(path.axes)}, the machine {' '.join(axes)}"
         )
     order = [path.axes.index(axis) for axis in axes]
-    return replace(path, axes=axes, position=path.position[:, order])
+    arc = (None, *path.arc[1:]) if path.arc else ()
+    return replace(path, axes=axes, position=path.position[:, order], arc=arc)
+
+
+def check_arcs(path: Path, travel: Sequence[tuple[float, float]]) -> None:
+    """Raise Refused for the first arc that does not lead to its row.
+
+    Raises OutOfTravel for one that leaves the travel on its way.
+    """
+    for row, arc in enumerate(path.arc):
+        if arc is None or row == 0:
+            continue
+        problem = describe_bad_arc(path.axes, *path.position[row - 1 : row + 1], arc)
+        if problem:
+            raise Refused(f"row {row + 1} {problem}")
+    low, high = np.array(travel).T
+    position, rows = find_reach(path)
+    inside = (position >= low - _HALF_STEP) & (position <= high + _HALF_STEP)
+    if not inside.all():
+        place, axis = np.argwhere(~inside)[0]
+        raise OutOfTravel(
+            f"row {rows[place] + 1}: on its arc {path.axes[axis]} comes to "
+            f"{position[place, axis]:.4f}, outside {low[axis]:.4f} to {high[axis]:.4f}"
+        )
 
 
 def check_positions(

@@ -154,7 +154,8 @@ class Path:
     feed_mm_min : (n,) feed towards that row; the first row is approached at its feed
     dwell_s : (n,) dwell at that row
     target : name of the target measured on the way to each row; none for a single one
-    arc : on which each row is come to, None on a straight line; empty where all are
+    arc : on which each row is come to, None on a straight line; empty where all are.
+        The first row is approached straight in any case
     """
 
     axes: tuple[str, ...]

@@ -13,6 +13,7 @@ import json
 import select
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -21,13 +22,15 @@ import numpy as np
 from truepath.drivers.cnc.linuxcnc import program as nc
 from truepath.drivers.cnc.linuxcnc.watchdog import WatchdogLink
 from truepath.drivers.cnc.modbus.registers import (
+    DRIVES_ARCS,
     TELLS_OVERRIDE,
     TELLS_REFERENCED,
     HoldReason,
     Result,
 )
-from truepath.drivers.interfaces.records import UNABLE, MotionState, Path
+from truepath.drivers.interfaces.records import UNABLE, Arc, MotionState, Path
 from truepath.drivers.transport.tcp_port import TcpPort
+from truepath.simulators.arc import Arc as DrivenArc
 from truepath.simulators.cnc_controller import Controller
 from truepath.simulators.cnc_registers import Clocks, CncRegisters
 from truepath.simulators.linuxcnc.rig import GATEWAY_PORT, WATCHDOG_PORT
@@ -49,7 +52,7 @@ class LinuxCncController(Controller):
     """LinuxCNC's task as the controller behind the registers."""
 
     model = "LinuxCNC"
-    features = TELLS_OVERRIDE | TELLS_REFERENCED
+    features = TELLS_OVERRIDE | TELLS_REFERENCED | DRIVES_ARCS
 
     def __init__(self, machine: MachineFile, folder: FilePath) -> None:
         super().__init__(machine, Limits(), lambda _: None, 0.0)
@@ -110,9 +113,11 @@ class LinuxCncController(Controller):
         if self.path is None:
             return Result.NO_PATH
         feed_mm_min = 60.0 * self.path.feed_mm_s
-        rows = Path(
-            self.machine.axis_names, self.path.position, feed_mm_min, self.path.dwell_s
+        names = self.machine.axis_names
+        arcs = tuple(
+            None if one is None else _name_arc(one, names) for one in self.path.arc
         )
+        rows = Path(names, self.path.position, feed_mm_min, self.path.dwell_s, arc=arcs)
         program = nc.write_program(rows, ())
         nc.store_program(program, self._folder)
         self._runs_path, self._line = True, 0
@@ -207,6 +212,11 @@ class LinuxCncController(Controller):
         if not self._stat.enabled:
             return MotionState.NOT_READY
         return None if self.is_referenced else MotionState.UNHOMED
+
+
+def _name_arc(arc: DrivenArc, names: Sequence[str]) -> Arc:
+    plane = "".join(names[column] for column in arc.columns)
+    return Arc(plane, arc.centre_mm, float(np.degrees(arc.turn_rad)))
 
 
 def main(orders: dict[str, Any]) -> None:

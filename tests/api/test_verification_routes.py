@@ -67,6 +67,25 @@ def test_the_same_seed_drives_the_same_points(client, ask):
     assert plans[0] == plans[1]
 
 
+def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
+    client, ask, is_problem, make_cell
+):
+    made = ask(what=["circles-in-motion"])
+    assert made.status_code == 202, made.text
+    at = made.headers["Location"]
+    wait_until(lambda: client.get(at).json()["state"] == "ready")
+    plan = client.get(f"{at}/plan").json()
+    assert plan["kind"] == "path"
+    turns = [arc[3] for arc in plan["arc"] if arc]
+    assert turns == [732.0, -732.0] * 3
+    client.post(f"{at}/abort")
+    wait_until(lambda: client.get(at).json()["state"] == "aborted")
+    said = is_problem(
+        ask(what=["circles-in-motion", "diagonals"]), 422, "planning-failed"
+    )
+    assert "ask for each by itself" in said["detail"]
+
+
 @pytest.mark.parametrize(
     ("change", "status", "kind"),
     [
@@ -176,6 +195,41 @@ def test_a_verification_links_to_its_answer_and_report(
     described = client.get("/api/v1/openapi.json").json()
     schema = described["components"]["schemas"]["VerificationOut"]
     assert set(schema["properties"]) == set(content)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_circles_are_driven_on_the_fly_and_held_against_the_result(tmp_path):
+    settings = load_settings(
+        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
+    )
+    with (
+        open_service(settings) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+
+        def drive(**order):
+            made = client.post(JOBS, json=order)
+            assert made.status_code == 202, made.text
+            arm(client, follow(client, made.json()["id"], "ready"))
+            return follow(client, made.json()["id"], "succeeded")
+
+        job = drive(kind="measure-otf")["id"]
+        proved = drive(kind="verify", result_id=job, what=["circles-in-motion"])
+        found = client.get(proved["verification"]["verification"]).json()
+    assert found["circles_missing"] == []
+    assert [one["plane"] for one in found["circles_in_motion"]] == ["XY", "YZ", "ZX"]
+    for one in found["circles_in_motion"]:
+        driven = one["driven_feed_mm_min"].values()
+        assert list(driven) == pytest.approx([one["feed_mm_min"]] * 2, rel=0.01)
+        assert one["figures_um"]["H"] <= 2.0 * one["uncertainty_um"]["H"]
+    within = [
+        difference["within"]
+        for one in found["circles_in_motion"]
+        for difference in one["difference_um"].values()
+    ]
+    assert sum(within) >= len(within) - 1
+    assert found["agreement"]["consistent"]
 
 
 @pytest.mark.long

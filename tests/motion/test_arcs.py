@@ -12,7 +12,6 @@ from truepath.app.files.commanded_file import (
     encode_commanded,
     encode_commanded_json,
 )
-from truepath.app.motion.arcs import trace
 from truepath.app.motion.circle_path import TURN_DEG, make_circle_path
 from truepath.app.motion.configurations import append_part
 from truepath.app.motion.driven_again import drive_again
@@ -22,6 +21,7 @@ from truepath.app.motion.nc_programs.programs import write_program
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.workspace import Workspace
 from truepath.drivers.cnc.travel import arrange_path
+from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.errors import Refused
 from truepath.drivers.interfaces.records import Arc, Path
 

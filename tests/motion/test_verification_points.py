@@ -3,21 +3,28 @@
 import numpy as np
 import pytest
 
+from truepath.app.errors import PlanningError
 from truepath.app.motion.motion_times import row_times_s
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.verification_kinds import VerificationKind
 from truepath.app.motion.verification_points import (
     RANDOM_POINTS,
     make_verification_points,
+    make_verification_rows,
 )
 
 
 @pytest.mark.parametrize("kind", VerificationKind)
 def test_points_stay_in_the_travel(mill, kind):
-    points = make_verification_points(mill, [kind], 3)
+    points = make_verification_rows(mill, [kind], 3)
     check_travel(mill, points)
     minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
     assert minutes < 8.0
+
+
+def test_a_path_of_circles_is_not_mixed_with_points(mill):
+    with pytest.raises(PlanningError, match="ask for each by itself"):
+        make_verification_rows(mill, list(VerificationKind), 1)
 
 
 def test_a_seed_draws_the_same_points_again_and_another_one_others(mill):

@@ -194,7 +194,8 @@ class JobRequest(RequestBody):
         min_length=1,
         max_length=len(VerificationKind),
         description="Of a verification: the points to drive. Diagonals and random "
-        "points without it; each kind once.",
+        "points without it; each kind once. Circles in motion are a path, and asked "
+        "for by themselves.",
     )
     seed: int | None = Field(
         None,

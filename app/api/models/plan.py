@@ -116,6 +116,11 @@ class PlanOut(BaseModel):
     )
     dwell_s: list[float]
     target: list[str]
+    arc: list[tuple[str, float, float, float] | None] = Field(
+        [],
+        description="Of a path with arcs, a row each: plane, centre in both its axes "
+        "in mm, turn in deg; null on a straight line. Else empty.",
+    )
     target_um: float | None = Field(
         None,
         description="`volumetric_uncertainty_um` (k = 1) at which it may end early.",

@@ -22,6 +22,7 @@ from truepath.drivers.cnc.linuxcnc.watchdog import WatchdogLink
 from truepath.drivers.cnc.priority_lock import PriorityLock
 from truepath.drivers.cnc.travel import (
     arrange_path,
+    check_arcs,
     check_dwells,
     check_feeds,
     check_positions,
@@ -127,6 +128,7 @@ class LinuxCncController(MotionController):
             self._serial_number,
             self._session.version,
             has_watchdog=self._session.has_watchdog,
+            drives_arcs=True,
         )
 
     def status(self) -> MotionStatus:
@@ -151,12 +153,13 @@ class LinuxCncController(MotionController):
     def load(self, path: Path) -> None:
         """Write a path as a program, open it, and see that it is open."""
         machine = self._require_machine()
-        path = arrange_path(path, machine.axes, drives_arcs=False)
+        path = arrange_path(path, machine.axes, drives_arcs=True)
         if not len(path):
             raise Refused("the path has no rows")
         check_positions(machine.axes, machine.travel, path.position)
         check_feeds(path.feed_mm_min, _LEAST_FEED, _MOST_FEED)
         check_dwells(path.dwell_s, _LONGEST_DWELL_S)
+        check_arcs(path, machine.travel)
         program, aborts = write_program(path, self._prologue), self._motion.aborts
         store_program(program, self._folder)
         with self._lock.hold():

@@ -11,9 +11,10 @@ import numpy as np
 
 from truepath.drivers.interfaces import rs274
 from truepath.drivers.interfaces.errors import Refused
-from truepath.drivers.interfaces.records import Path
+from truepath.drivers.interfaces.records import Arc, Path
 
 _PREFIX = "truepath-"
+_PLANES = {"XY": ("G17", "IJ"), "YZ": ("G19", "JK"), "ZX": ("G18", "KI")}
 _MODES = "G21 G90 G94 G61.1 G40 G49 G80"
 
 
@@ -51,9 +52,15 @@ def write_program(path: Path, prologue: Sequence[str]) -> Program:
     blocks = [*rs274.SAFE_START, *prologue]
     lines: list[int] = []
     for row, position in enumerate(path.position):
-        feed = float(path.feed_mm_min[row])
-        blocks.append(_write_motion(path.axes, position, ProgramRow(row + 1, feed)))
+        number = ProgramRow(row + 1, float(path.feed_mm_min[row]))
+        arc = path.arc[row] if path.arc else None
+        if arc is None:
+            blocks.append(_write_motion(path.axes, position, number))
+        else:
+            blocks.append(_write_arc(path, row, arc, number))
         lines.append(len(blocks))
+        if arc is not None:
+            blocks.append(rs274.AFTER_ARC)
         if path.dwell_s[row] > 0:
             blocks.append(rs274.DWELL.format(path.dwell_s[row]))
     text = "\n".join([*blocks, rs274.END, ""])
@@ -76,6 +83,26 @@ def _write_motion(axes: Sequence[str], position: np.ndarray, row: ProgramRow) ->
     words = zip(axes, position, strict=True)
     ends = " ".join(f"{axis}{value:.{rs274.DECIMALS}f}" for axis, value in words)
     return rs274.MOTION.format(row=row, ends=ends)
+
+
+def _write_arc(path: Path, row: int, arc: Arc, number: ProgramRow) -> str:
+    """Return the block of an arc from the row before."""
+    columns = [path.axes.index(name) for name in arc.axes]
+    begin, end = path.position[row - 1][columns], path.position[row][columns]
+    plane, letters = _PLANES[arc.axes]
+
+    def write(names: str, values: np.ndarray) -> str:
+        words = zip(names, values, strict=True)
+        return " ".join(f"{name}{value:.{rs274.DECIMALS}f}" for name, value in words)
+
+    return rs274.ARC.format(
+        row=number,
+        plane=plane,
+        verb="G3" if arc.turn_deg > 0.0 else "G2",
+        ends=write(arc.axes, end - begin),
+        centre=write(letters, np.array(arc.centre_mm) - begin),
+        turns=max(int(np.ceil(abs(arc.turn_deg) / 360.0 - 1e-9)), 1),
+    )
 
 
 def store_program(program: Program, folder: FilePath | None) -> None:

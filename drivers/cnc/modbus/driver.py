@@ -14,6 +14,7 @@ from truepath.drivers.cnc.modbus.commands import CommandChannel
 from truepath.drivers.cnc.modbus.controller_map import Controller
 from truepath.drivers.cnc.travel import (
     arrange_path,
+    check_arcs,
     check_dwells,
     check_feeds,
     check_positions,
@@ -106,15 +107,20 @@ class ModbusController(MotionController):
         self._channel.command(r.Command.MOVE_TO, _rows_argument(0, r.path_words(path)))
 
     def load(self, path: Path) -> None:
-        """Send a path in blocks of seven rows, commit it and compare its CRC."""
-        words = self._encode_checked(path)
+        """Send a path in blocks of seven rows and its arcs, commit, compare the CRC."""
+        path = self._check(path)
+        words, arcs = r.path_words(path), r.arc_words(path)
         aborts = self._aborts
         for first in range(0, len(words), r.ROWS_A_BLOCK):
             block = words[first : first + r.ROWS_A_BLOCK]
             self._channel.command(r.Command.PUT_ROWS, _rows_argument(first, block))
             if self._aborts != aborts:
                 raise Refused("aborted while the path was being loaded")
-        crc = r.path_crc(words)
+        for row, arc in arcs.items():
+            self._channel.command(r.Command.PUT_ARC, _rows_argument(row, arc[None]))
+        if self._aborts != aborts:
+            raise Refused("aborted while the path was being loaded")
+        crc = r.path_crc(words, arcs)
         status = self._channel.command(
             r.Command.COMMIT, [0, len(words), *r.encode("crc", crc)]
         )
@@ -204,16 +210,19 @@ class ModbusController(MotionController):
             )
         return controller
 
-    def _encode_checked(self, path: Path) -> NDArray[np.uint16]:
+    def _check(self, path: Path) -> Path:
+        """Return a path in the axis order of the device; refuse what it cannot."""
         controller = self._require_controller()
-        path = arrange_path(path, controller.axes, drives_arcs=False)
+        drives_arcs = controller.identity.drives_arcs
+        path = arrange_path(path, controller.axes, drives_arcs=drives_arcs)
         if not 1 <= len(path) <= controller.max_waypoints:
             raise Refused(
                 f"the path has {len(path)} rows, 1 to {controller.max_waypoints} fit"
             )
         _check_motion(controller, path)
         check_dwells(path.dwell_s, r.LONGEST_DWELL_S)
-        return r.path_words(path)
+        check_arcs(path, controller.travel)
+        return path
 
 
 def _check_motion(controller: Controller, path: Path) -> None:

@@ -9,7 +9,7 @@ move). docs/modbus-register-map.md is written from this file by its script.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -94,6 +94,7 @@ class Command(IntEnum):
     ABORT = 7
     RESET = 8
     HOME = 9
+    PUT_ARC = 10
 
 
 class Result(IntEnum):
@@ -119,8 +120,8 @@ class HoldReason(IntEnum):
     COMMAND = 3
 
 
-# Bits of `features`: what a device tells beside the rest.
-TELLS_OVERRIDE, TELLS_REFERENCED, TELLS_COMPENSATION = 1, 2, 4
+# Bits of `features`: what a device tells, and can, beside the rest.
+TELLS_OVERRIDE, TELLS_REFERENCED, TELLS_COMPENSATION, DRIVES_ARCS = 1, 2, 4, 8
 # Bits of `readiness`.
 IS_REFERENCED, IS_COMPENSATING = 1, 2
 
@@ -168,6 +169,7 @@ ALLOWED: dict[Command, frozenset[MotionState]] = {
     Command.ABORT: frozenset(STATES),
     Command.RESET: frozenset(STATES),
     Command.HOME: _STANDING | {MotionState.UNHOMED},
+    Command.PUT_ARC: _STANDING,
 }
 
 _U16, _U32, _I32, _TEXT = Kind.U16, Kind.U32, Kind.I32, Kind.TEXT
@@ -187,7 +189,7 @@ REGISTERS: tuple[Register, ...] = (
         19,
         _U16,
         "sum of what is told: 1 `override`, and its 0 is a feed of nothing; 2 and 4 "
-        "the summands 1 and 2 of `readiness`",
+        "the summands 1 and 2 of `readiness`; 8 that it drives arcs (PUT_ARC)",
     ),
     Register("maker", 20, _TEXT, "maker", count=8),
     Register("model", 28, _TEXT, "model", count=8),
@@ -246,7 +248,14 @@ REGISTERS: tuple[Register, ...] = (
         Access.WRITE,
     ),
     Register("command", 201, _U16, "verb, see below", "", Access.WRITE),
-    Register("first_row", 202, _U16, "PUT_ROWS: first row, from 0", "", Access.WRITE),
+    Register(
+        "first_row",
+        202,
+        _U16,
+        "PUT_ROWS: first row, from 0; PUT_ARC: the row that the arc ends at",
+        "",
+        Access.WRITE,
+    ),
     Register(
         "row_count",
         203,
@@ -255,12 +264,19 @@ REGISTERS: tuple[Register, ...] = (
         "",
         Access.WRITE,
     ),
-    Register("crc", 204, _U32, "COMMIT, START: CRC-32 of all rows", "", Access.WRITE),
+    Register(
+        "crc",
+        204,
+        _U32,
+        "COMMIT, START: CRC-32 of all rows and arcs",
+        "",
+        Access.WRITE,
+    ),
     Register(
         "rows",
         206,
         _U16,
-        "PUT_ROWS: the rows, 16 registers each; MOVE_TO: one row",
+        "PUT_ROWS: the rows, 16 registers each; MOVE_TO: one row; PUT_ARC: one arc",
         "",
         Access.WRITE,
         count=ROWS_A_BLOCK * ROW_WORDS,
@@ -286,7 +302,7 @@ def count_command_words(command: Command, row_count: int) -> int:
     request has left there.
     """
     match command:
-        case Command.MOVE_TO:
+        case Command.MOVE_TO | Command.PUT_ARC:
             return _HEAD_WORDS + ROW_WORDS
         case Command.PUT_ROWS:
             return _HEAD_WORDS + ROW_WORDS * min(row_count, ROWS_A_BLOCK)
@@ -349,6 +365,33 @@ def path_words(path: Path) -> NDArray[np.uint16]:
     return rows.view(">u2").astype(np.uint16)
 
 
-def path_crc(words: NDArray[np.uint16]) -> int:
-    """Return the CRC-32 (zlib's) of rows, over their bytes in wire order."""
-    return zlib.crc32(words.astype(">u2").tobytes())
+def arc_words(path: Path) -> dict[int, NDArray[np.uint16]]:
+    """Return the arcs of a path as the map holds them, (16,) each, by row.
+
+    The centre stands in place of a position, 0 for other axes, the turn in 0.0001 deg
+    in place of the feed, and the numbers of both axes in place of the dwell.
+    """
+    found: dict[int, NDArray[np.uint16]] = {}
+    for row, arc in enumerate(path.arc):
+        if arc is None:
+            continue
+        first, second = (path.axes.index(name) for name in arc.axes)
+        values = np.zeros(MAX_AXES + 2, ">i4")
+        values[[first, second]] = np.rint(np.array(arc.centre_mm) * POSITION_COUNTS)
+        values[MAX_AXES] = round(arc.turn_deg * POSITION_COUNTS)
+        values[MAX_AXES + 1] = first << 16 | second
+        found[row] = values.view(">u2").astype(np.uint16)
+    return found
+
+
+def path_crc(
+    words: NDArray[np.uint16], arcs: Mapping[int, NDArray[np.uint16]] | None = None
+) -> int:
+    """Return the CRC-32 (zlib's) of rows, over their bytes in wire order.
+
+    arcs : by row; each follows, its row first, in their order
+    """
+    crc = zlib.crc32(words.astype(">u2").tobytes())
+    for row, arc in sorted((arcs or {}).items()):
+        crc = zlib.crc32(np.append(row, arc).astype(">u2").tobytes(), crc)
+    return crc

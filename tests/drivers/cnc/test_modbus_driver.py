@@ -4,6 +4,7 @@ import contextlib
 import struct
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from truepath.drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import Identity, MotionState, Path
+from truepath.drivers.interfaces.records import Arc, Identity, MotionState, Path
 from truepath.simulators.bench import Bench
 
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
@@ -793,3 +794,65 @@ def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
             controller.limit_override(1.0)
         tcp_peer.model.words[107] = 800
         controller.limit_override(1.0)
+
+
+def two_turns() -> Path:
+    """From beside a circle a little more than twice round it, and back."""
+    end = np.radians(12.0)
+    places = [[110.0, 60.0, 0.0], [0.0, 0.0, 0.0], [110.0, 60.0, 0.0]]
+    places[1][:2] = 60.0 + 50.0 * np.cos(end), 60.0 + 50.0 * np.sin(end)
+    arcs = Arc("XY", (60.0, 60.0), 732.0), Arc("XY", (60.0, 60.0), -732.0)
+    path = path_of(np.round(places, 4), feed_mm_min=6000.0)
+    return replace(path, arc=(None, *arcs))
+
+
+def test_a_circle_is_driven_whole_and_held_on_its_arc(until):
+    with (
+        Bench(speed=4.0) as bench,
+        ModbusController(**bench.motion_options) as controller,
+    ):
+        assert controller.connect().drives_arcs
+        controller.move_to((110.0, 60.0, 0.0), 20_000.0)
+        controller.wait(30.0)
+        controller.load(two_turns())
+        controller.start()
+        until(lambda: controller.status().line == 1)
+        out_mm = []
+
+        def has_turned() -> bool:
+            x, y, _ = controller.status().position
+            out_mm.append(np.hypot(x - 60.0, y - 60.0))
+            return x < 40.0
+
+        until(has_turned)
+        controller.hold()
+        held = controller.wait(10.0)
+        assert held.state is MotionState.HELD
+        controller.resume()
+        until(lambda: controller.status().line == 2)
+        until(has_turned)
+        assert controller.wait(60.0).position == (110.0, 60.0, 0.0)
+        assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
+        x, y, _ = held.position
+        assert np.hypot(x - 60.0, y - 60.0) == pytest.approx(50.0, abs=1e-3)
+
+
+def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(until):
+    with Bench() as bench, ModbusController(**bench.motion_options) as controller:
+        low, high = controller.travel[1]
+        path = two_turns()
+        shift = np.array([0.0, low - 15.0, 0.0])
+        arcs = [arc and replace(arc, centre_mm=(60.0, 45.0 + low)) for arc in path.arc]
+        moved = replace(path, position=path.position + shift, arc=tuple(arcs))
+        assert high > 100.0
+        with pytest.raises(OutOfTravel, match="row 2: on its arc Y comes to"):
+            controller.load(moved)
+        wrong = replace(path.arc[1], turn_deg=700.0)
+        with pytest.raises(Refused, match="from where its arc leads to"):
+            controller.load(replace(path, arc=(None, wrong, path.arc[2])))
+
+
+def test_a_device_that_does_not_offer_arcs_is_sent_none(controller, peer):
+    assert not controller.connect().drives_arcs
+    with pytest.raises(Refused, match="arcs, which this control does not offer"):
+        controller.load(two_turns())

@@ -9,9 +9,11 @@ import subprocess
 import numpy as np
 import pytest
 
+from truepath.app.motion.circle_path import make_circle_path
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.nc_programs.programs import write_program
 from truepath.app.planning.default_path import default_path
+from truepath.drivers.cnc.linuxcnc.program import write_program as write_path
 
 pytestmark = pytest.mark.skipif(
     shutil.which("rs274") is None,
@@ -47,12 +49,26 @@ def rs274(tmp_path):
     return interpret
 
 
+def test_the_interpreter_drives_arcs_whatever_offset_is_set(rs274, mill):
+    path = make_circle_path(mill)
+    program = write_path(path, ())
+    calls = rs274(program.text, G54 | G92)
+    arcs = [numbers(arguments) for name, arguments in calls if name == "ARC_FEED"]
+    turned = [np.sign(arc.turn_deg) * 3 for arc in path.arc if arc is not None]
+    assert [arc[4] for arc in arcs] == turned
+    position, feed, _, _ = driven(calls)
+    np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
+    np.testing.assert_allclose(feed, path.feed_mm_min)
+
+
 def numbers(arguments):
     return [float(word) for word in arguments.split(",")]
 
 
 def driven(calls):
     """Return positions in machine coordinates, feeds, dwells and modes of each row."""
+    plane = {"XY": [0, 1, 2], "YZ": [1, 2, 0], "XZ": [2, 0, 1]}
+    plane_now = plane["XY"]
     g5x, g92, feed, mode, rows = np.zeros(6), np.zeros(6), 0.0, "", []
     for name, arguments in calls:
         if name == "SET_G5X_OFFSET":
@@ -65,6 +81,12 @@ def driven(calls):
             mode = arguments
         elif name == "STRAIGHT_FEED":
             rows.append([np.array(numbers(arguments)) + g5x + g92, feed, 0.0, mode])
+        elif name == "SELECT_PLANE":
+            plane_now = plane[arguments.split("::")[-1].removeprefix("CANON_PLANE_")]
+        elif name == "ARC_FEED":
+            values, end = numbers(arguments), np.zeros(6)
+            end[plane_now] = values[0], values[1], values[5]
+            rows.append([end + g5x + g92, feed, 0.0, mode])
         elif name == "DWELL":
             rows[-1][2] += numbers(arguments)[0]
     position, feeds, dwells, modes = zip(*rows, strict=True)

@@ -9,7 +9,8 @@ import { decimalsOf, shown, stored, unitOf } from "../units.js";
 import { newMeasurement, onward } from "./onward.js";
 import { findProof, proofCards } from "./proof.js";
 
-const KINDS = ["diagonals", "random-points", "bidirectional", "circles"];
+const KINDS = ["diagonals", "random-points", "bidirectional", "circles", "circles-in-motion"];
+const ALONE = "circles-in-motion"; // a path; the others are standstills
 const choices = { what: new Set(["diagonals", "random-points"]), tolerance_um: keptTolerance(), compensation_id: "" };
 
 /** Button that leads on: to the points, or to the certificate once they have spoken. */
@@ -105,8 +106,12 @@ function nameFiles(made, kept) {
 function kindBox(kind, changed) {
   const box = h("button", { class: "choice is-box", type: "button", role: "checkbox", "data-kind": kind,
     "aria-checked": String(choices.what.has(kind)), onclick: () => {
-      if (!choices.what.delete(kind)) choices.what.add(kind);
-      mark(box, "aria-checked", String(choices.what.has(kind)));
+      if (!choices.what.delete(kind)) {
+        if (kind === ALONE) choices.what.clear();
+        else choices.what.delete(ALONE);
+        choices.what.add(kind);
+      }
+      for (const each of box.parentElement.children) mark(each, "aria-checked", String(choices.what.has(each.dataset.kind)));
       changed();
     } }, h("strong", {}, t(`verify.${kind}`)), h("span", {}, t(`verify.${kind}_text`)));
   return box;

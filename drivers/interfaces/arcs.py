@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from numpy.typing import NDArray
 
 from truepath.drivers.interfaces.records import ARC_PLANES, Arc, Path
 
@@ -19,8 +19,8 @@ _CHORD_DEG = 1.0
 
 def describe_bad_arc(
     axes: Sequence[str],
-    begin: Float64[np.ndarray, " a"],
-    end: Float64[np.ndarray, " a"],
+    begin: NDArray[np.float64],
+    end: NDArray[np.float64],
     arc: Arc,
 ) -> str:
     """Return what is wrong with the arc between two rows, "" if nothing is."""
@@ -41,7 +41,7 @@ def describe_bad_arc(
 
 
 def measure_radius_mm(
-    axes: Sequence[str], place: Float64[np.ndarray, " a"], arc: Arc
+    axes: Sequence[str], place: NDArray[np.float64], arc: Arc
 ) -> float:
     """Return how far a position is from the centre of an arc."""
     columns = [axes.index(name) for name in arc.axes]
@@ -50,10 +50,10 @@ def measure_radius_mm(
 
 def turn_about(
     axes: Sequence[str],
-    begin: Float64[np.ndarray, " a"],
+    begin: NDArray[np.float64],
     arc: Arc,
-    turned_deg: Float64[np.ndarray, " n"],
-) -> Float64[np.ndarray, "n a"]:
+    turned_deg: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Return the positions (n, axes) after turning from the begin of an arc."""
     columns = [axes.index(name) for name in arc.axes]
     centre = np.array(arc.centre_mm)
@@ -65,14 +65,14 @@ def turn_about(
     return places
 
 
-def trace(path: Path) -> tuple[Float64[np.ndarray, "n a"], Int64[np.ndarray, " n"]]:
+def trace(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the positions of a path with its arcs as chords, and the row of each.
 
     The last position of a row is that of the row itself.
     """
     if not any(path.arc):
         return path.position, np.arange(len(path))
-    places: list[Float64[np.ndarray, "k a"]] = []
+    places: list[NDArray[np.float64]] = []
     for row, end in enumerate(path.position):
         arc = path.arc[row] if row else None
         if arc is not None:
@@ -86,7 +86,7 @@ def trace(path: Path) -> tuple[Float64[np.ndarray, "n a"], Int64[np.ndarray, " n
     return np.concatenate(places), owner
 
 
-def _own_rows(path: Path) -> Int64[np.ndarray, " k"]:
+def _own_rows(path: Path) -> NDArray[np.int64]:
     rows = [
         [row, row] if row and path.arc[row] is not None else [row]
         for row in range(len(path))
@@ -95,7 +95,7 @@ def _own_rows(path: Path) -> Int64[np.ndarray, " k"]:
 
 
 def measure_length_mm(
-    axes: Sequence[str], begin: Float64[np.ndarray, " a"], arc: Arc
+    axes: Sequence[str], begin: NDArray[np.float64], arc: Arc
 ) -> float:
     """Return the length of an arc from its begin."""
     return measure_radius_mm(axes, begin, arc) * abs(float(np.radians(arc.turn_deg)))
@@ -103,7 +103,7 @@ def measure_length_mm(
 
 def find_reach(
     path: Path,
-) -> tuple[Float64[np.ndarray, "n a"], Int64[np.ndarray, " n"]]:
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the outermost positions of each row, and the row of each.
 
     Those of an arc are where an axis turns back on it, and its end.
