@@ -115,6 +115,9 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
     yield from _dwell(0, path.dwell_s[0], end_s[0])
     for k in range(len(legs)):
         row, begin_s = k + 1, end_s[k]
+        if path.arc and path.arc[row] is not None:  # which tells an estimate nothing
+            yield from _dwell(row, path.dwell_s[row], end_s[row])
+            continue
         moving_s = row_s[row] - path.dwell_s[row]
         span_s = 0.5 * (moving_s - steady_s[k])
         ramp = None  # on a curve it tells nothing

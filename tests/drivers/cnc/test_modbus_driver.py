@@ -816,10 +816,16 @@ def test_a_circle_is_driven_whole_and_held_on_its_arc(until):
         controller.wait(30.0)
         controller.load(two_turns())
         controller.start()
-        until(lambda: controller.status().line == 1)
+
+        def is_on(row: int) -> bool:
+            controller.send_heartbeat()
+            return controller.status().line == row
+
+        until(lambda: is_on(1))
         out_mm = []
 
         def has_turned() -> bool:
+            controller.send_heartbeat()
             x, y, _ = controller.status().position
             out_mm.append(np.hypot(x - 60.0, y - 60.0))
             return x < 40.0
@@ -829,7 +835,7 @@ def test_a_circle_is_driven_whole_and_held_on_its_arc(until):
         held = controller.wait(10.0)
         assert held.state is MotionState.HELD
         controller.resume()
-        until(lambda: controller.status().line == 2)
+        until(lambda: is_on(2))
         until(has_turned)
         assert controller.wait(60.0).position == (110.0, 60.0, 0.0)
         assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
