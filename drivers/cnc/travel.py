@@ -44,7 +44,8 @@ def check_arcs(path: Path, travel: Sequence[tuple[float, float]]) -> None:
     for row, arc in enumerate(path.arc):
         if arc is None or row == 0:
             continue
-        problem = describe_bad_arc(path.axes, *path.position[row - 1 : row + 1], arc)
+        begin, end = path.position[row - 1], path.position[row]
+        problem = describe_bad_arc(path.axes, begin, end, arc)
         if problem:
             raise Refused(f"row {row + 1} {problem}")
     low, high = np.array(travel).T

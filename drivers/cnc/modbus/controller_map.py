@@ -70,10 +70,15 @@ def parse_controller(words: Sequence[int]) -> Controller:
     travel = tuple(
         (low / r.POSITION_COUNTS, high / r.POSITION_COUNTS) for low, high in limits
     )
-    names = "maker", "model", "serial_number", "firmware"
     drives_arcs = bool(numbers("features")[0] & r.DRIVES_ARCS)
     return Controller(
-        Identity(*(text(name) for name in names), drives_arcs=drives_arcs),
+        Identity(
+            text("maker"),
+            text("model"),
+            text("serial_number"),
+            text("firmware"),
+            drives_arcs=drives_arcs,
+        ),
         tuple(chr(code) for code in numbers("axis_names")[:count]),
         travel[:count],
         numbers("max_feed")[0] / r.FEED_COUNTS,
