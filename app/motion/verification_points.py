@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.errors import PlanningError
+from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.circle_path import make_circle_path
 from truepath.app.motion.configurations import Commanded, Configurations
@@ -40,12 +40,12 @@ def make_verification_rows(
 ) -> Commanded:
     """Return the points of the kinds, or the path of circles in motion.
 
-    Raises PlanningError where a path is asked for together with points.
+    Raises BadInput where a path is asked for together with points.
     """
     if VerificationKind.CIRCLES_IN_MOTION not in kinds:
         return make_verification_points(machine, kinds, seed)
     if len(set(kinds)) > 1:
-        raise PlanningError(
+        raise BadInput(
             "circles-in-motion are a path and the other kinds are standstills, which "
             "are two measurements; ask for each by itself"
         )

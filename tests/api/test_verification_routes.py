@@ -68,7 +68,7 @@ def test_the_same_seed_drives_the_same_points(client, ask):
 
 
 def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
-    client, ask, is_problem, make_cell
+    client, ask, is_problem, service
 ):
     made = ask(what=["circles-in-motion"])
     assert made.status_code == 202, made.text
@@ -80,10 +80,12 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
     assert turns == [732.0, -732.0] * 3
     client.post(f"{at}/abort")
     wait_until(lambda: client.get(at).json()["state"] == "aborted")
-    said = is_problem(
-        ask(what=["circles-in-motion", "diagonals"]), 422, "planning-failed"
-    )
+    said = is_problem(ask(what=["circles-in-motion", "diagonals"]), 422, "bad-input")
     assert "ask for each by itself" in said["detail"]
+    cell = service.machines.get("default").cell
+    cell.status = replace(cell.status, devices={"motion": {"drives_arcs": False}})
+    said = is_problem(ask(what=["circles-in-motion"]), 422, "bad-input")
+    assert "this control does not drive arcs" in said["detail"]
 
 
 @pytest.mark.parametrize(

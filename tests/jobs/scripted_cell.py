@@ -34,7 +34,9 @@ from truepath.simulators.scenario import load_machine
 DEADLINE_S = 25.0  # of what comes at once unless the computer is busy
 DEVICES = {
     "tracker": Identity("Maker", "Tracker", "T-1", "1.0"),
-    "motion": Identity("Maker", "Controller", "C-1", "2.0", has_watchdog=True),
+    "motion": Identity(
+        "Maker", "Controller", "C-1", "2.0", has_watchdog=True, drives_arcs=True
+    ),
 }
 
 

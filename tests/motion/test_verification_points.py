@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
+from truepath.app.errors import BadInput
 from truepath.app.motion.motion_times import row_times_s
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.verification_kinds import VerificationKind
@@ -23,7 +23,7 @@ def test_points_stay_in_the_travel(mill, kind):
 
 
 def test_a_path_of_circles_is_not_mixed_with_points(mill):
-    with pytest.raises(PlanningError, match="ask for each by itself"):
+    with pytest.raises(BadInput, match="ask for each by itself"):
         make_verification_rows(mill, list(VerificationKind), 1)
 
 

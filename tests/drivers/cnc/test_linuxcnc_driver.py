@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -26,7 +27,7 @@ from truepath.drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.records import Arc, MotionState, Path
 from truepath.simulators.linuxcnc.files import LinuxCncMachine
 from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 
@@ -110,6 +111,28 @@ def test_an_emergency_stop_in_motion_is_told(driver):
     assert driver.status().position[0] < 30
     driver.reset()
     assert driver.status().state is MotionState.ABORTED
+
+
+@pytest.mark.long
+@needs_linuxcnc
+def test_a_circle_is_one_motion_on_its_radius(driver):
+    end = 40.0 * np.cos(np.radians(12.0)), 40.0 * np.sin(np.radians(12.0))
+    places = [(90.0, 50.0, -10.0), (50.0 + end[0], 50.0 + end[1], -10.0)]
+    path = path_to(*np.round([*places, places[0]], 4), feed=9000.0, dwell=(0.3,) * 3)
+    arcs = Arc("XY", (50.0, 50.0), 732.0), Arc("XY", (50.0, 50.0), -732.0)
+    driver.load(replace(path, arc=(None, *arcs)))
+    driver.start()
+    seen = {1: [], 2: []}
+    while (status := driver.status()).state is MotionState.RUNNING:
+        driver.send_heartbeat()
+        if status.line in seen:
+            seen[status.line].append(status.position[:2])
+    assert status.position == pytest.approx(places[0], abs=1e-3)
+    for sign, places_mm in zip((1.0, -1.0), seen.values(), strict=True):
+        out = np.array(places_mm) - 50.0
+        assert np.abs(np.hypot(*out.T) - 40.0).max() < 0.01
+        turned = np.degrees(np.unwrap(np.arctan2(out[:, 1], out[:, 0])))
+        assert sign * np.ptp(turned) * np.sign(turned[-1] - turned[0]) > 600.0
 
 
 @pytest.mark.long
