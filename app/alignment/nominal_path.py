@@ -242,7 +242,7 @@ def compute_nominal_path(
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
-    arcs = frozenset(row for row, arc in enumerate(commanded.arc) if arc is not None)
+    arcs = frozenset(row for row, arc in enumerate(commanded.arc) if arc and row)
     moved[list(arcs)] = True
     first = np.flatnonzero(moved) if first is None else first
     last = np.append(first[1:], n) - 1

@@ -189,11 +189,10 @@ def _read_arcs(table: Table) -> tuple[Arc | None, ...]:
 
 def _refuse_bad_arcs(table: Table, path: Path) -> None:
     for row, arc in enumerate(path.arc):
-        if arc is None:
+        if arc is None or row == 0:  # a part of a Run may begin where an arc ended
             continue
-        problem = "begins at no row before it" if row == 0 else ""
-        ends = path.position[max(row - 1, 0)], path.position[row]
-        problem = problem or describe_bad_arc(path.axes, *ends, arc)
+        begin, end = path.position[row - 1], path.position[row]
+        problem = describe_bad_arc(path.axes, begin, end, arc)
         if problem:
             remedy = "correct row, centre or turn"
             raise table.error(problem, row, ARC_COLUMNS[0], remedy)

@@ -7,7 +7,7 @@ and following errors are in it where the result's model has them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +15,11 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.cleaning import find_valid_samples
 from truepath.app.alignment.observations import Observations
-from truepath.app.estimation.noise import NoiseModel
+from truepath.app.estimation.runs import RunInput
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import Run
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import Conditions, observe_targets
-from truepath.app.numerics.rigid import RigidTransform
 from truepath.app.results.circle_figures import (
     CommandedCircle,
     DrivenCircle,
@@ -43,6 +42,7 @@ class CircleInMotion:
     """One circle, in the senses in which it was driven whole.
 
     driven : by sense; radial_um, expected_um : about the commanded centre
+    first_row : of the plan, that its Run begins with
     """
 
     driven: dict[str, DrivenCircle]
@@ -50,6 +50,12 @@ class CircleInMotion:
     predicted_um: dict[str, float]
     predicted_uncertainty_um: dict[str, float]
     expected_um: dict[str, Float64[np.ndarray, " s"]]
+    first_row: int = 0
+
+    @property
+    def row(self) -> dict[str, int]:
+        """Rows of the plan, by sense."""
+        return {s: self.first_row + one.drive.row for s, one in self.driven.items()}
 
     @property
     def commanded(self) -> CommandedCircle:
@@ -64,23 +70,27 @@ class CircleInMotion:
 
 @dataclass(frozen=True, slots=True)
 class CirclesInMotion:
-    """Circles of a Run; broken : rows of the arcs that tell nothing."""
+    """Circles of a Run.
+
+    whole, broken : rows of the plan whose arcs tell something, and nothing
+    """
 
     circles: tuple[CircleInMotion, ...] = ()
+    whole: tuple[int, ...] = ()
     broken: tuple[int, ...] = ()
 
 
 def evaluate_circles(
     run: Run,
     observations: Observations,
-    pose: RigidTransform,
-    noise: NoiseModel,
+    fitted: RunInput,
     result: CalibrationResult,
     displace: Displace,
+    first_row: int,
 ) -> CirclesInMotion:
     """Return the circles of a Run; the latest drive of one that was driven again.
 
-    pose, noise : as the Run tells them
+    fitted : tells pose and noise; first_row : of the plan, that the Run begins with
     """
     path = run.commanded
     if not isinstance(path, Path) or not any(path.arc):
@@ -93,17 +103,32 @@ def evaluate_circles(
         rows = drive.first + np.flatnonzero(usable[drive.first : drive.last])
         stream = run.tracker.device_time_s[rows], run.tracker.position_mm[rows]
         driven = reduce_to_sectors(
-            commanded, drive, *stream, pose, noise, run.machine.tracker
+            commanded, drive, *stream, fitted.pose, fitted.noise, run.machine.tracker
         )
         if driven is not None:
-            whole.add(drive.row)
+            whole.add(first_row + drive.row)
             groups.setdefault(_key(commanded), {})[commanded.sense] = driven
-    arcs = {row for row, arc in enumerate(path.arc) if arc is not None}
+    arcs = {first_row + row for row, arc in enumerate(path.arc) if arc and row}
     found = [
         _evaluate(senses, run, path, observations, result, displace)
         for senses in groups.values()
     ]
-    return CirclesInMotion(tuple(found), tuple(sorted(arcs - whole)))
+    return CirclesInMotion(
+        tuple(replace(one, first_row=first_row) for one in found),
+        tuple(sorted(whole)),
+        tuple(sorted(arcs - whole)),
+    )
+
+
+def join_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
+    """Return the circles of all parts of a Run, each in the frame of its own part.
+
+    Senses that were driven in different parts stand apart: the tracker may have moved.
+    """
+    whole = {row for part in parts for row in part.whole}
+    broken = {row for part in parts for row in part.broken} - whole
+    circles = tuple(one for part in parts for one in part.circles)
+    return CirclesInMotion(circles, tuple(sorted(whole)), tuple(sorted(broken)))
 
 
 def _key(one: CommandedCircle) -> tuple[object, ...]:

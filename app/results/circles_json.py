@@ -75,7 +75,7 @@ def _circle_json(one: CircleInMotion) -> dict[str, Any]:
         "diameter_mm": 2.0 * one.commanded.radius_mm,
         "feed_mm_min": one.commanded.feed_mm_min,
         "driven_feed_mm_min": {s: d.feed_mm_min for s, d in one.driven.items()},
-        "row": {sense: driven.drive.row for sense, driven in one.driven.items()},
+        "row": one.row,
         "samples": {sense: driven.samples for sense, driven in one.driven.items()},
         "sector_deg": SECTOR_DEG,
         "angle_deg": list_sector_angles().tolist(),

@@ -243,9 +243,7 @@ def verify(
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
-    return replace(
-        _state(held, verified, tolerance_um, correction), circles=circles
-    )
+    return replace(_state(held, verified, tolerance_um, correction), circles=circles)
 
 
 def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
