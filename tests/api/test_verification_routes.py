@@ -174,7 +174,7 @@ def test_a_verification_links_to_its_answer_and_report(
         setting=synthetic.Setting(machine_seed=1),
     )
     found = verify(read_result(service.results / result / "result.json"), again)
-    content = {**verification_json(found), "asked": {"seed": 4}}
+    content = {**verification_json(found), "asked": {"seed": 4}, "compensation": None}
     verifier.content = content
     at = ask(what=["random-points"], seed=4, tolerance_um=3).headers["Location"]
     wait_until(lambda: client.get(at).json()["state"] == "ready")
