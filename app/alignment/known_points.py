@@ -114,6 +114,26 @@ def compare_stations(
     return StationCheck(now.place_mm, moved_mm, residual_mm, allowed_mm, problem, text)
 
 
+def hold_against_plan(
+    now: KnownPoints, planned_mm: Float64[np.ndarray, "3"], asked_mm: float
+) -> StationCheck:
+    """Return how the first station agrees with its place in the plan.
+
+    It may be as far off as a further one, which has to go a fifth of the way at least.
+
+    asked_mm : from its place to that of the next station
+    """
+    off_mm = float(np.linalg.norm(now.place_mm - planned_mm))
+    problem = text = ""
+    if off_mm > (1.0 - _MOVED) * asked_mm:
+        problem, text = (
+            "not-moved",
+            f"the tracker has not been moved: it stands {off_mm:.0f} mm from the place "
+            f"of station 1, and the next station is {asked_mm:.0f} mm from there",
+        )
+    return StationCheck(now.place_mm, off_mm, 0.0, 0.0, problem, text)
+
+
 def _mean(seen: Observations, row: int) -> Float64[np.ndarray, "3"]:
     cells = seen.row == row
     count = seen.count[cells]

@@ -204,6 +204,7 @@ def verify_recorded(
 def check_station(
     file: str,
     before: str | None,
+    planned_mm: Sequence[float],
     asked_mm: float,
     specification: Json,
     *,
@@ -212,10 +213,16 @@ def check_station(
     """Return how a station agrees with the one before, as fields of `StationCheck`.
 
     file, before : of the Runs of the known points from here, and from the last station
-    asked_mm : how far the tracker was to go; specification : what it may be off by
+    planned_mm : its place in the plan, which the first station is held against
+    asked_mm : how far the tracker was to go, of the first station to the next
+    specification : what it may be off by
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.app.alignment.known_points import compare_stations, measure_points
+    from truepath.app.alignment.known_points import (
+        compare_stations,
+        hold_against_plan,
+        measure_points,
+    )
     from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 
     within = TrackerSpecification(**specification)
@@ -227,7 +234,8 @@ def check_station(
         on_progress(1.0, "aligning")
     place_mm = tuple(now.place_mm.round(1).tolist())
     if before is None:
-        return {"place_mm": place_mm}
+        at = hold_against_plan(now, np.array(planned_mm), asked_mm)
+        return {"place_mm": place_mm, "problem": at.problem, "text": at.text}
     last = measure_points(open_recorded(Path(before)), within)
     found = compare_stations(last, now, asked_mm)
     return {

@@ -171,11 +171,9 @@ class StationSteps:
         here = plan["stations"][number - 1]
         if here.get("resumption") is not None:
             return self._compare_with_itself(number, here)
-        before, asked_mm = None, 0.0
-        if number > 1:
-            last = plan["stations"][number - 2]
-            before = str(runs.file(last["points_id"]))
-            asked_mm = math.dist(last["position_mm"], here["position_mm"])
+        other = plan["stations"][number - 2 if number > 1 else 1]
+        before = str(runs.file(other["points_id"])) if number > 1 else None
+        asked_mm = math.dist(other["position_mm"], here["position_mm"])
         return self._check(number, before, asked_mm)
 
     def _compare_with_itself(self, number: int, here: Json) -> StationCheck:
@@ -202,12 +200,14 @@ class StationSteps:
 
     def _check(self, number: int, before: str | None, asked_mm: float) -> StationCheck:
         plan = self._read_plan()
+        here = plan["stations"][number - 1]
         found = self.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.checker,
-            str(self.context.runs.file(plan["stations"][number - 1]["points_id"])),
+            str(self.context.runs.file(here["points_id"])),
             before,
+            here["position_mm"],
             asked_mm,
             plan["specification"],
         )

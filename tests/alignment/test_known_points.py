@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.known_points import compare_stations, measure_points
+from truepath.app.alignment.known_points import (
+    compare_stations,
+    hold_against_plan,
+    measure_points,
+)
 from truepath.app.errors import AlignmentError
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.run import Run
@@ -90,3 +94,12 @@ def test_a_specification_of_larger_errors_allows_more(before):
     now = measured(SECOND, 4)
     few = compare_stations(before, now, ASKED_MM).allowed_mm
     assert compare_stations(larger, now, ASKED_MM).allowed_mm > few
+
+
+@pytest.mark.parametrize(("planned", "problem"), [(FIRST, ""), (SECOND, "not-moved")])
+def test_the_first_station_is_held_against_its_place_in_the_plan(
+    before, planned, problem
+):
+    found = hold_against_plan(before, np.array(planned), ASKED_MM)
+    assert found.problem == problem
+    assert ("of station 1" in found.text) == bool(problem)

@@ -36,8 +36,10 @@ class Checker:
     def __init__(self):
         self.calls, self.answers = [], []
 
-    def __call__(self, file, before, asked_mm, specification, *, on_progress):
-        self.calls.append((file, before, asked_mm))
+    def __call__(
+        self, file, before, planned_mm, asked_mm, specification, *, on_progress
+    ):
+        self.calls.append((file, before, asked_mm, planned_mm))
         return self.answers.pop(0) if self.answers else GOOD
 
 
@@ -151,6 +153,7 @@ def test_stations_are_asked_for_one_after_another(
     assert len(set(job.run_ids)) == 3
     assert science.calls[-1][0] == [str(context.runs.file(i)) for i in job.run_ids]
     assert checker.calls[0][1] is None
+    assert checker.calls[0][2:] == (pytest.approx(1500.8, abs=0.1), PLACES[0])
     assert checker.calls[1][1] == checker.calls[0][0]
     assert checker.calls[1][2] == pytest.approx(1500.8, abs=0.1)
 
@@ -275,7 +278,7 @@ def test_a_station_that_was_moved_meanwhile_is_said_and_measured_on_as_a_new_one
     again = measure(asked, POINTS)
     assert again.station.checks[-1].problem == "residual"
     assert measure(again, POINTS, LINES).station.number == 3
-    _, itself, asked_mm = checker.calls[-1]
+    _, itself, asked_mm, _ = checker.calls[-1]
     assert itself == checker.calls[before - 1][0], "its own known points before"
     assert asked_mm == 0.0
 
