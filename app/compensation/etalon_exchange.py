@@ -50,6 +50,7 @@ class EtalonExchange(CompensationFormat):
         "backlash and what depends on direction; what an axis does with another one, "
         "as sag: public texts show tables over one axis alone"
     )
+    units = "mm and rad, positions mm"
     sign = "the file has the errors; the controller takes them away"
     sign_is_verified = False
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = ToolLength.choices

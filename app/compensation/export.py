@@ -242,9 +242,12 @@ def _write_stamp(
     if temperature:
         celsius = _describe_stated(temperature)
     offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
-    ranges = (
-        f"{one.axis.name} {one.low:g} to {one.high:g}" for one in measured.values()
-    )
+    ranges = [
+        f"{one.axis.name} {one.low:g} to {one.high:g} mm" for one in measured.values()
+    ]
+    for axis in machine.rotary_axes:
+        low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))
+        ranges.append(f"{axis.name} {low:g} to {high:g} deg")
     lines = (
         f"truepath compensation, format {name}",
         f"machine {machine.name}, chain {machine.chain}",
@@ -252,7 +255,8 @@ def _write_stamp(
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
         celsius,
-        f"valid over {', '.join(ranges)} mm",
+        f"valid over {', '.join(ranges)}",
+        f"units {kind.units}; directions of travel: {kind.directions}",
         f"carries {kind.carries}",
         f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
         *gaps,
@@ -312,6 +316,8 @@ def _describe_content(
         "provenance": errors.result.provenance,
         "verdict": verdict_json(errors.result.verdict),
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},
+        "units": kind.units,
+        "directions": kind.directions,
         "carries": kind.carries,
         "not_carried": kind.not_carried + (f", {beyond} ({rotary})" if rotary else ""),
         "unobservable": list(errors.result.unobservable),

@@ -51,12 +51,15 @@ class Fanuc(TableFormat):
     resolution_um = 1.0
     carries = "positioning of each axis, in both directions where it loses motion"
     not_carried = "straightness, angular errors, squareness"
+    units = "detection units of 1 um, positions mm"
     sign = "the sum of the increments is added to the command"
     sign_is_verified = False
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"directions": _DIRECTIONS}
 
     def __init__(self, directions: str = _DIRECTIONS[0]) -> None:
         self._directions = directions
+        if directions == "both":
+            self.directions = "each by itself where an axis loses motion"
         self.note = (
             "A1, A2, A3 are X, Y, Z, detection unit 1 µm; parameters first, then the "
             "data; switch power off and on and return to the reference point, in + "

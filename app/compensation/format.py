@@ -186,6 +186,8 @@ class CompensationFormat(ABC):
     resolution_um : of its values
     carries, not_carried : in words, for the account
     carries_rotary : whether it has tables of the positioning of rotary axes
+    units : of the values and positions of its files
+    directions : which directions of travel a value is for
     temperature : what files of a temperature model have of it, in words
     sign : the rule that gives the file its sign
     sign_is_verified : whether that rule is from the maker's manual or source; else one
@@ -202,6 +204,8 @@ class CompensationFormat(ABC):
     carries: ClassVar[str]
     not_carried: ClassVar[str]
     carries_rotary: ClassVar[bool] = False
+    units: ClassVar[str] = "mm"
+    directions: str = "mean of both"
     temperature: ClassVar[str] = (
         "nothing: the tables hold at the stated temperature; write them anew for others"
     )

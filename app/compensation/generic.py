@@ -62,6 +62,8 @@ class GenericTables(CompensationFormat):
         "the change of each row per kelvin, in columns of its own: at a temperature T "
         "a row is its value + (T - the stated temperature) times its change"
     )
+    units = "um and urad, positions mm"
+    directions = "each by itself"
     sign = "the rows are the errors: actual less nominal; the correction is minus that"
     sign_is_verified = True
     note = (

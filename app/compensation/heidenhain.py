@@ -52,6 +52,7 @@ class Heidenhain(TableFormat):
         "the travel"
     )
     not_carried = "angular errors away from the middle (KinematicsComp has them)"
+    directions = "each by itself"
     sign = "the value is added to the commanded position: minus the error"
     sign_is_verified = False
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"backlash_reading": _READINGS}

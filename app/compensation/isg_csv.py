@@ -45,6 +45,7 @@ class IsgCsv(CompensationFormat):
         "of each axis what it does with one other one, as sag"
     )
     not_carried = "backlash and what depends on direction"
+    units = "mm and rad, positions mm"
     sign = "the file has the errors; the controller takes them away"
     sign_is_verified = False
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = ToolLength.choices

@@ -51,6 +51,8 @@ class LinuxCnc(TableFormat):
     )
     not_carried = "straightness, angular errors, squareness"
     carries_rotary = True
+    units = "mm, of rotary axes deg"
+    directions = "each by itself"
     sign = "columns 2 and 3 are positions reached: nominal + error (COMP_FILE_TYPE = 0)"
     sign_is_verified = True
     note = (

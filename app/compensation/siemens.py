@@ -120,6 +120,7 @@ class SiemensLec(Siemens):
     )
     not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
     carries_rotary = True
+    units = "mm, of rotary axes deg"
     sign = (
         "the value is the error: a positive value moves the axis in the negative "
         "direction"
@@ -230,6 +231,8 @@ class SiemensOrder(CompensationFormat):
     )
     not_carried = "what is beyond the tables of the control"
     carries_rotary = True
+    units = "mm, of rotary axes deg"
+    directions = "each by itself"
     temperature = (
         "growth of each axis as linear temperature compensation, STEM-temperature.ini: "
         "MD32750, SD43910 and SD43920, with SD43910 by temperature for the PLC, which "

@@ -15,7 +15,7 @@ from truepath.app.compensation.export import export_result
 from truepath.app.compensation.fanuc import Fanuc
 from truepath.app.compensation.generic import GenericCsv, GenericJson
 from truepath.app.compensation.heidenhain import Heidenhain
-from truepath.app.compensation.installed import list_formats
+from truepath.app.compensation.installed import list_formats, load_format
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
 from truepath.app.compensation.siemens import SiemensCec, SiemensLec, SiemensOrder
@@ -219,6 +219,11 @@ def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
     commented = name in ("isg-csv", "etalon-exchange", *SIEMENS, *PLAIN)
     said = all("target offset" in text for text in files.values())
     assert said == commented
+    if commented:
+        (text, *_) = files.values()
+        kind = load_format(name)
+        assert f"units {kind.units}; directions of travel: {kind.directions}" in text
+        assert "mm" in export_result(source, name, "comp").account["units"]
 
 
 @every_format
