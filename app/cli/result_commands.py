@@ -165,6 +165,11 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
         if reason != "map"
     )
     print(f"of that, root mean squares in µm: {', '.join(reasons)}")
+    if over := account["over_all_axes_um"]:
+        print(
+            f"over the travel of all axes {over['before']:.2f} µm, with these files "
+            f"{over['after']:.2f} µm"
+        )
     for axis, one in account["rotary"].items():
         print(f"rotary axis {axis}: {_state_rotary(one)}")
     for statement in account["unmeasured"]:

@@ -24,7 +24,7 @@ from truepath.app.compensation.format import (
     CompensationTables,
     Correction,
 )
-from truepath.app.compensation.isg_csv import format_motion
+from truepath.app.compensation.isg_blocks import format_motion
 from truepath.app.compensation.motion_correction import correct_by_motions
 from truepath.app.compensation.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
 from truepath.app.errors import BadInput

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from truepath.app.compensation.error_map import ErrorMap, map_errors
+from truepath.app.compensation.error_over_axes import measure_over_axes
 from truepath.app.compensation.format import AxisTable, CompensationFormat
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.remaining_error import (
@@ -141,6 +142,8 @@ def export_result(
     content = made.tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
+    turned = kind.read_rotary(files, errors.machine)
+    located = kind.read_locations(files, errors.machine)
     before = find_remaining(errors, measured)
     after = find_remaining(errors, measured, correction)
     _require_gain(kind, before, after)
@@ -152,11 +155,15 @@ def export_result(
         "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
+        "over_all_axes_um": measure_over_axes(
+            errors, correction, turned, {} if kind.composes_rotary else located
+        ),
         "rotary": describe_rotary(
             errors,
             content.rotary,
-            kind.read_rotary(files, errors.machine),
-            kind.read_locations(files, errors.machine),
+            turned,
+            located,
+            is_composed=kind.composes_rotary,
         ),
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
@@ -304,6 +311,8 @@ def _describe_content(
     beyond = "rotary axes"
     if kind.carries_rotary:
         beyond = "what rotary axes do beside their positioning"
+    if kind.composes_rotary:
+        beyond = "the orientation of the tool by rotary axes"
     return {
         "machine": machine.name,
         "kinematic_chain": machine.chain,

@@ -79,11 +79,14 @@ class RotaryTable:
     position_deg : (n,) equidistant, ascending, over the travel; over one turn where the
         axis turns fully, the last row being the first again
     error_deg : (n,) mean of both directions, 0 at the axis zero, else the lowest
+    motions : (n, 6) E and ω in the directions of the axis, mm and rad, of the tool
+        relative to the workpiece
     """
 
     axis: RotaryAxis
     position_deg: Float64[np.ndarray, " n"]
     error_deg: Float64[np.ndarray, " n"]
+    motions: Float64[np.ndarray, "n 6"]
 
     @property
     def spacing_deg(self) -> float:
@@ -186,6 +189,8 @@ class CompensationFormat(ABC):
     resolution_um : of its values
     carries, not_carried : in words, for the account
     carries_rotary : whether it has tables of the positioning of rotary axes
+    composes_rotary : whether it has all motions and locations of rotary axes, which its
+        control composes with the others
     units : of the values and positions of its files
     directions : which directions of travel a value is for
     temperature : what files of a temperature model have of it, in words
@@ -204,6 +209,7 @@ class CompensationFormat(ABC):
     carries: ClassVar[str]
     not_carried: ClassVar[str]
     carries_rotary: ClassVar[bool] = False
+    composes_rotary: ClassVar[bool] = False
     units: ClassVar[str] = "mm"
     directions: str = "mean of both"
     temperature: ClassVar[str] = (

@@ -46,29 +46,51 @@ def describe_rotary(
     tables: tuple[RotaryTable, ...],
     added: Mapping[str, RotaryAddition],
     located: Mapping[str, float],
+    *,
+    is_composed: bool = False,
 ) -> dict[str, Any]:
     """Return by axis what files leave of its positioning, and what no file has.
 
     added : what the controller adds, read back from the files
     located : location by symbol that it then knows, mm and rad
+    is_composed : it takes what the tables say away by its straight axes: the angle
+        stays, the tool is right
 
     Root mean squares: of the angle over the travel, and of what it does to the tool
     over the travel of all axes. Where nothing is known of the positioning, both are
     left out.
     """
     rows = {table.axis.name: table for table in tables}
-    position = _sample_positions(errors)
+    position = sample_positions(errors)
     return {
         axis.name: {
             "table": _describe_table(rows.get(axis.name)),
-            **dict(_measure_left(errors, axis, position, added.get(axis.name))),
+            **dict(
+                _measure_left(
+                    errors,
+                    axis,
+                    position,
+                    added.get(axis.name),
+                    rows.get(axis.name) if is_composed else None,
+                )
+            ),
             **dict(describe_locations(errors, axis, position, located)),
             "not_in_files": [
-                one for one in _list_unwritten(errors, axis) if one not in located
+                one
+                for one in _list_unwritten(errors, axis)
+                if one not in located and not (is_composed and one[0] == "E")
             ],
         }
         for axis in errors.machine.rotary_axes
     }
+
+
+def sample_positions(errors: ErrorMap) -> Float64[np.ndarray, "n a"]:
+    """Return positions that fill the travel of all axes evenly."""
+    axes = errors.machine.axes
+    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
+    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(_PLACES)
+    return low + unit * (high - low)
 
 
 def find_sense(errors: ErrorMap, axis: RotaryAxis) -> float:
@@ -99,9 +121,26 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
     zero = np.array([reference_position_mm(axis)])
     value, at_zero = (_find_positioning_rad(errors, axis, at) for at in (at_deg, zero))
     error_deg = find_sense(errors, axis) * np.degrees(value - at_zero)
+    motions = _find_motions(errors, axis, at_deg)
     if axis.turns_fully:
-        error_deg[-1] = error_deg[0]
-    return RotaryTable(axis, at_deg, error_deg)
+        error_deg[-1], motions[-1] = error_deg[0], motions[0]
+    return RotaryTable(axis, at_deg, error_deg, motions)
+
+
+def _find_motions(
+    errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 6"]:
+    """Return E and ω as the result has them; 0 where it does not know one."""
+    measured = errors.result.measured.get(axis.name)
+    if measured is not None and not axis.turns_fully:
+        at_deg = np.clip(at_deg, *measured)
+    symbols, model = list_error_motions(axis.name), errors.result.model
+    motions = np.zeros((len(at_deg), len(symbols)))
+    for one in model.identifiable_motions:
+        if one.symbol in symbols:
+            value = one.rows(at_deg) @ errors.result.theta[model.slices[one.name]]
+            motions[:, symbols.index(one.symbol)] = value
+    return motions
 
 
 def _describe_table(table: RotaryTable | None) -> dict[str, Any] | None:
@@ -121,6 +160,7 @@ def _measure_left(
     axis: RotaryAxis,
     position: Float64[np.ndarray, "n a"],
     added: RotaryAddition | None,
+    composed: RotaryTable | None,
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield root mean squares of the angle and of what it does at the tool."""
     if not _has_positioning(errors, axis):
@@ -137,14 +177,12 @@ def _measure_left(
     length_mm = np.linalg.norm(arm, axis=1)
     both = {"before": before, "after": after}
     yield "positioning_urad", {k: _URAD * _rms(v) for k, v in both.items()}
+    if composed is not None:
+        own = composed.motions[:, 3 + TURNS.index(axis.name)]
+        period = 360.0 if axis.turns_fully else None
+        taken = np.interp(at_deg, composed.position_deg, own, period=period)
+        both["after"] = before - taken
     yield "at_tool_um", {k: UM_PER_MM * _rms(length_mm * v) for k, v in both.items()}
-
-
-def _sample_positions(errors: ErrorMap) -> Float64[np.ndarray, "n a"]:
-    axes = errors.machine.axes
-    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(_PLACES)
-    return low + unit * (high - low)
 
 
 def _rms(value: Float64[np.ndarray, " n"]) -> float:

@@ -56,7 +56,7 @@ class Tabulation:
             self.stamp,
             self.temperature and self._tabulate_change(self.temperature),
             tabulate_rotary(errors, self.kind.most_points)
-            if self.kind.carries_rotary
+            if self.kind.carries_rotary or self.kind.composes_rotary
             else (),
             find_places(errors),
         )

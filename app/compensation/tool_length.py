@@ -45,6 +45,11 @@ class ToolLength:
             return None
         return (0, 0, -1 if find_tool_mm(machine)[2] < 0.0 else 1)
 
+    def find_tip(self, machine: Machine) -> Float64[np.ndarray, "3"]:
+        """Return P0X, P0Y, P0Z: the tip less the length that the control adds."""
+        offset = np.array(machine.target().offset_mm, float)
+        return offset - find_tool_mm(machine) if self._follows else offset
+
     def shorten(
         self, tables: tuple[AxisTable, ...], machine: Machine
     ) -> tuple[AxisTable, ...]:

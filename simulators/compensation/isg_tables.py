@@ -2,26 +2,35 @@
 
 Blocks split by `#`: constants (squareness, location), or one or two arguments and error
 motions, mm and rad. The controller composes the chain with them, finds where the tool
-would be, and takes what it is off by away with the straight axes. The tool has length
-0, or points along the unit vector N0X, N0Y, N0Z with the length that the control knows.
+would be, and takes what it is off by away with the straight axes. The tip is at P0X,
+P0Y, P0Z, 0 where left out, plus the length that the control knows along the unit vector
+N0X, N0Y, N0Z. Rotary axes turn about PXC, PYC, PZC; their errors are taken to be of the
+tool relative to the workpiece, which no public text says.
 Source: ISG kernel manual, volumetric compensation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.compensation.rules import Rules
 from truepath.simulators.errors import SimulatorError
-from truepath.simulators.machine_file import DIRECTIONS, MachineFile, Reflector
+from truepath.simulators.machine_file import (
+    DIRECTIONS,
+    MachineFile,
+    Reflector,
+    RotaryAxis,
+)
+from truepath.simulators.rotary_joint import RotaryJoint
 from truepath.simulators.truth_machine import SQUARENESS, TruthMachine, perfect
 
 _MOTIONS = "XYZABC"
 _TOOL = ("N0X", "N0Y", "N0Z")
+_TIP = ("P0X", "P0Y", "P0Z")  # where all axes are at zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +61,17 @@ class VolumetricCorrection(Correction):
         del heading
         machine = self.nominal.machine
         x, y, z = (
-            self.tool_length_mm * self.constants.get(name, 0.0) for name in _TOOL
+            self.constants.get(tip, 0.0)
+            + self.tool_length_mm * self.constants.get(along, 0.0)
+            for tip, along in zip(_TIP, _TOOL, strict=True)
         )
         tool = Reflector("", "tool", (x, y, z))
         carry = {
             axis: self._find_motions(axis, position) for axis in machine.axis_names
         }
         nominal = self.nominal.nominal_point_mm(position, tool)
-        error = self.nominal.point_mm(position, tool, "workpiece", carry) - nominal
+        actual = self._place_axes().point_mm(position, tool, "workpiece", carry)
+        error = actual - nominal
         steps = np.empty((len(position), 3, 3))
         for k in range(3):  # exact: the tool point is linear in the straight axes
             moved = position.astype(float).copy()
@@ -68,6 +80,18 @@ class VolumetricCorrection(Correction):
         total = np.zeros_like(position, dtype=float)
         total[:, :3] = -np.linalg.solve(steps, error[:, :, None])[:, :, 0]
         return total
+
+    def _place_axes(self) -> TruthMachine:
+        """Return the machine with its rotary axes where the constants say."""
+        joints = dict(self.nominal.joints)
+        for name, joint in joints.items():
+            if isinstance(joint, RotaryJoint):
+                shift, tilt = (
+                    tuple(self.constants.get(f"{d}0{name}", 0.0) for d in letters)
+                    for letters in ("XYZ", "ABC")
+                )
+                joints[name] = replace(joint, shift_mm=shift, tilt_rad=tilt)
+        return replace(self.nominal, joints=joints)
 
     def _find_motions(self, axis: str, position: np.ndarray) -> np.ndarray:
         """Return error motions of an axis, (n, 6), squareness and location in them."""
@@ -116,13 +140,34 @@ def correct_volume(
     rules: Rules,
 ) -> VolumetricCorrection:
     """Return the correction by the parameters of a file, of whatever form."""
-    known = {*SQUARENESS, *_TOOL}
+    turning = [axis.name for axis in machine.rotary_axes]
+    known = {*SQUARENESS, *_TOOL, *_TIP}
+    known |= {f"{d}0{axis}" for axis in turning for d in _MOTIONS}
+    known |= {f"P{d}{axis}" for axis in turning for d in "XYZ"}
     for constant in constants:
         if constant not in known:
             raise SimulatorError(f"{name}: the constant {constant} is not simulated")
+    nominal = perfect(_centre_axes(machine, constants))
     return VolumetricCorrection(
-        perfect(machine), tuple(blocks), dict(constants), rules.tool_length_mm
+        nominal, tuple(blocks), dict(constants), rules.tool_length_mm
     )
+
+
+def _centre_axes(machine: MachineFile, constants: Mapping[str, float]) -> MachineFile:
+    """Return the machine with the centres of its rotary axes as the file has them."""
+    axes = [
+        replace(
+            axis,
+            origin_mm=tuple(
+                constants.get(f"P{d}{axis.name}", at)
+                for d, at in zip("XYZ", axis.origin_mm, strict=True)
+            ),
+        )
+        if isinstance(axis, RotaryAxis)
+        else axis
+        for axis in machine.axes
+    ]
+    return replace(machine, axes=tuple(axes))
 
 
 def _split_blocks(name: str, text: str) -> Iterator[tuple[list[str], np.ndarray]]:

@@ -128,6 +128,14 @@ class TableFactsOut(BaseModel):
     zero: str
 
 
+class OverAxesOut(BaseModel):
+    """Mean length of the error where all axes move, rotary ones too, µm."""
+
+    before: float
+    after: float
+    on: str
+
+
 class RotaryTableOut(BaseModel):
     """The table of a rotary axis."""
 
@@ -194,6 +202,9 @@ class CompensationOut(BaseModel):
     sign: SignOut
     holds_for: HoldsForTargetOut
     tables: dict[str, TableFactsOut] = Field(description="By axis.")
+    over_all_axes_um: OverAxesOut | None = Field(
+        None, description="Null for a machine of straight axes."
+    )
     rotary: dict[str, RotaryLeftOut] = Field(
         default_factory=dict, description="By rotary axis."
     )
