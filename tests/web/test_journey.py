@@ -205,7 +205,7 @@ def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
 def test_the_tolerance_of_a_machine_is_set_changed_and_taken_away(panel, service):
     page = panel.open("#/machine", language="de-DE", size=PHONE)
     card = page.locator("[data-card=who]")
-    tolerance = card.get_by_label("Toleranz des volumetrischen Fehlers")
+    tolerance = card.get_by_label("Volumetrische Toleranz")
     save = card.get_by_role("button", name="Speichern")
     tolerance.fill("-3")
     save.click()

@@ -156,7 +156,7 @@ function identityCard(entry, save) {
   const said = h("p", { class: "quiet", role: "status" });
   const button = h("button", { class: "button", type: "submit" }, t("machine.save"));
   const fields = h("fieldset", { class: "stack" }, h("div", { class: "text-fields" }, inputs.map((input) =>
-    h("div", { class: "text-field" }, h("label", { for: input.id }, t(`machine.of_${input.name}`)), input))), tolerance.element);
+    h("div", { class: "text-field" }, h("label", { for: input.id }, t(`machine.of_${input.name}`)), input)), tolerance.field), tolerance.note);
   const form = h("form", { class: "stack" }, fields, h("div", { class: "downloads" }, button, said));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -194,8 +194,7 @@ function toleranceField(kept) {
     return wanted === null ? null : stored(wanted, "gap");
   }
 
-  const element = h("div", { class: "field" }, h("div", { class: "text-fields" }, h("div", { class: "text-field" },
-    h("label", { for: input.id }, t("machine.tolerance"), h("span", { class: "unit" }, unitOf("gap"))), input)),
-  h("p", { class: "field-note", id: "machine-tolerance-note" }, t("machine.tolerance_note")), error);
-  return { element, read };
+  const field = h("div", { class: "text-field" }, h("label", { for: input.id }, t("machine.tolerance"), h("span", { class: "unit" }, unitOf("gap"))), input);
+  const note = h("div", {}, h("p", { class: "field-note", id: "machine-tolerance-note" }, t("machine.tolerance_note")), error);
+  return { field, note, read };
 }
