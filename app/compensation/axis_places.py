@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.error_map import ErrorMap
-from truepath.app.compensation.format import AxisPlace
+from truepath.app.compensation.rotary_tables import (
+    AxisPlace,
+)
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import Conditions, make_standstill
 from truepath.app.kinematics.effects.location_error import list_axis_locations

@@ -9,9 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.error_map import ErrorMap
-from truepath.app.compensation.format import Correction, RotaryAddition
+from truepath.app.compensation.format import (
+    Correction,
+)
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.compensation.rotary import sample_positions
+from truepath.app.compensation.rotary_tables import (
+    RotaryAddition,
+)
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.effects.location_error import list_axis_locations

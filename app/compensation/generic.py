@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
-    AxisPlace,
     AxisTable,
     CompensationFormat,
     CompensationTables,
@@ -32,6 +31,9 @@ from truepath.app.compensation.format import (
 from truepath.app.compensation.motion_correction import (
     correct_by_motions,
     interpolate_rows,
+)
+from truepath.app.compensation.rotary_tables import (
+    AxisPlace,
 )
 from truepath.app.errors import BadInput
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD

@@ -22,7 +22,6 @@ from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     Correction,
-    RotaryTable,
 )
 from truepath.app.compensation.isg_blocks import (
     Block,
@@ -30,6 +29,9 @@ from truepath.app.compensation.isg_blocks import (
     interpolate_block,
     read_blocks,
     write_block,
+)
+from truepath.app.compensation.rotary_tables import (
+    RotaryTable,
 )
 from truepath.app.compensation.tool_length import (
     TOOL_SYMBOLS,

@@ -18,13 +18,15 @@ from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
-    RotaryAddition,
-    RotaryTable,
     TableFormat,
 )
 from truepath.app.compensation.linuxcnc_kinematics import (
     read_kinematics,
     write_kinematics,
+)
+from truepath.app.compensation.rotary_tables import (
+    RotaryAddition,
+    RotaryTable,
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine

@@ -13,7 +13,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truepath.app.compensation.format import AxisPlace
+from truepath.app.compensation.rotary_tables import (
+    AxisPlace,
+)
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 

@@ -17,7 +17,10 @@ from scipy.stats import qmc
 
 from truepath.app.compensation.axis_places import describe_locations
 from truepath.app.compensation.error_map import ErrorMap
-from truepath.app.compensation.format import RotaryAddition, RotaryTable
+from truepath.app.compensation.rotary_tables import (
+    RotaryAddition,
+    RotaryTable,
+)
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.effects.error_motion import (

@@ -23,8 +23,10 @@ from truepath.app.compensation.format import (
     CompensationTables,
     Correction,
     InterpolatedTable,
-    RotaryAddition,
     TableFormat,
+)
+from truepath.app.compensation.rotary_tables import (
+    RotaryAddition,
 )
 from truepath.app.compensation.siemens_cross import (
     FACTOR_MM,

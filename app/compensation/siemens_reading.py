@@ -8,7 +8,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.format import InterpolatedTable, RotaryAddition
+from truepath.app.compensation.format import (
+    InterpolatedTable,
+)
+from truepath.app.compensation.rotary_tables import (
+    RotaryAddition,
+)
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.symbols import LINEAR, TURNS
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from truepath.app.compensation.format import RotaryTable
+from truepath.app.compensation.rotary_tables import (
+    RotaryTable,
+)
 
 
 def write_turns(table: RotaryTable) -> Iterator[str]:
