@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from truepath.app.errors import AlignmentError
 from truepath.app.kinematics.conditions import observe_targets
 from truepath.app.kinematics.machine import Machine, RotaryAxis
 from truepath.app.motion.configurations import Configurations
@@ -249,6 +250,16 @@ def compute_nominal_path(
     return NominalPath(
         begin_mm, end_mm, length_mm, turn_deg, bends, speed, first, last, arcs
     )
+
+
+def require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:
+    """Raise AlignmentError where places do not fix a pose."""
+    spread = np.linalg.svd(waypoints - waypoints.mean(axis=0), compute_uv=False)
+    if len(waypoints) < 3 or spread[1] < 1.0:
+        raise AlignmentError(
+            f"{ordered_by} lies on one straight line, so the tracker's turn about it "
+            "cannot be told; add a waypoint off the line"
+        )
 
 
 def _compute_target_mm(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from truepath.app.alignment.nominal_path import require_spread
 from truepath.app.alignment.seating import MOST_SIGMAS, Seating, Seats
 from truepath.app.alignment.stop_chains import find_longest_chain, match_places
 from truepath.app.alignment.stops import StopSequence
@@ -59,7 +60,7 @@ def match_stops(
     Raises AlignmentError if they do not belong together, or only as mirror images.
     """
     places = stops.position_mm
-    _require_spread(waypoint_mm, ordered_by)
+    require_spread(waypoint_mm, ordered_by)
     slack_mm = 0.0 if seating is None else seating.slack_mm()
     stop, waypoint = _recognise(places, waypoint_mm, slack_mm, ordered_by)
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
@@ -214,15 +215,6 @@ def _find_measured(
         if 2 * len(found) > min(len(places), len(expected)):
             return f"the tracker measured {name} instead; "
     return ""
-
-
-def _require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:
-    spread = np.linalg.svd(waypoints - waypoints.mean(axis=0), compute_uv=False)
-    if len(waypoints) < 3 or spread[1] < 1.0:
-        raise AlignmentError(
-            f"{ordered_by} lies on one straight line, so the tracker's turn about it "
-            "cannot be told; add a waypoint off the line"
-        )
 
 
 def _require_right_handed(

@@ -30,6 +30,7 @@ from truepath.app.files.machine_file import machine_from_json, machine_to_json
 from truepath.app.files.one_machine import one_machine
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.job import JobKind, Json
+from truepath.app.jobs.measurable_rows import require_measurable
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import MAX_ROWS, Row, command_rows
 from truepath.app.motion.configurations import Commanded
@@ -74,6 +75,8 @@ def plan_measurement(
         raise PlanningError(
             f"the plan has {rows} rows; a controller takes {MAX_ROWS}; give less time"
         )
+    for one in planned.at_stations:
+        require_measurable(machine, one.commanded)
     grade = grade_set_up(
         machine,
         planned.commanded,

@@ -17,6 +17,7 @@ from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.measurable_rows import require_measurable
 from truepath.app.jobs.plan_orders import (
     check_plan_to_drive,
     list_station_rows,
@@ -202,6 +203,7 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
             rows, feed_mm_min = request.rows, request.feed_mm_min
             is_path = kind is JobKind.MEASURE_OTF
             checked = command_rows(machine, rows, feed_mm_min, is_path=is_path)
+            require_measurable(machine, checked)
             return encode_commanded_json(checked)
         if kind is JobKind.MEASURE_STANDSTILL:
             return encode_commanded_json(default_points(machine))

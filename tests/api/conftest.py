@@ -256,6 +256,7 @@ def until(client):
 ROWS = [
     {"x_mm": 10, "y_mm": 10, "z_mm": 10},
     {"x_mm": 400, "y_mm": 300, "z_mm": 200, "feed_mm_min": 1000, "dwell_s": 0.5},
+    {"x_mm": 100, "y_mm": 350, "z_mm": 50, "feed_mm_min": 1000, "dwell_s": 0.5},
 ]
 
 

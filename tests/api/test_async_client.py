@@ -10,7 +10,11 @@ import pytest
 from truepath.app.api.application import create_application
 from truepath.client import AsyncClient, Busy, JobEnded, StaleVersion
 
-PATH = [{"x_mm": 10, "y_mm": 10, "z_mm": 10}, {"x_mm": 400, "y_mm": 300, "z_mm": 200}]
+PATH = [
+    {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+    {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+    {"x_mm": 100, "y_mm": 350, "z_mm": 50},
+]
 
 
 def test_a_job_is_created_armed_and_aborted(service):

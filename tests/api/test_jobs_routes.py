@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import threading
 import time
 from datetime import datetime, timedelta, timezone
@@ -70,7 +71,7 @@ def test_the_plan_is_what_was_asked_for(client, ready):
 
 
 def test_standstill_points_have_no_feed(client, until):
-    points = [{"x_mm": 1, "y_mm": 2, "z_mm": 3}]
+    points = [{"x_mm": x, "y_mm": x * x, "z_mm": 3} for x in (1, 9, 17)]
     order = {"kind": "measure-standstill", "points": points}
     job = until(client.post("/api/v1/jobs", json=order).json(), "ready")
     plan = client.get(job["links"]["plan"]).json()
@@ -374,6 +375,24 @@ def test_a_body_that_is_not_as_documented_is_named(
     assert errors[0]["location"] == where
     assert text in errors[0]["message"]
     assert set(errors[0]) == {"location", "message", "type"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "places", "said"),
+    [
+        ("measure-otf", "path", [10, 200], "the path has the target stand at 2 places"),
+        ("measure-otf", "path", [10, 200, 10], "the path lies on one straight line"),
+        ("measure-standstill", "points", [10], "stand at 1 place; .* add rows"),
+        ("measure-standstill", "points", [10, 90, 200], "points lies on one straight"),
+    ],
+)
+def test_rows_that_no_analysis_could_take_are_refused_before_there_is_a_job(
+    client, is_problem, kind, key, places, said
+):
+    rows = [{"x_mm": x, "y_mm": x, "z_mm": x} for x in places]
+    answer = client.post("/api/v1/jobs", json={"kind": kind, key: rows})
+    assert re.search(said, is_problem(answer, 422, "plan")["detail"])
+    assert client.get("/api/v1/jobs").json()["jobs"] == []
 
 
 @pytest.mark.parametrize(

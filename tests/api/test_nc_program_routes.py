@@ -37,6 +37,7 @@ def test_a_program_is_called_as_its_control_wants_it(client, ready, dialect, suf
 
 def test_standstill_points_are_a_program_as_well(client, until):
     points = [{"x_mm": 1, "y_mm": 2, "z_mm": 3}, {"x_mm": 4, "y_mm": 5, "z_mm": 6}]
+    points.append({"x_mm": 90, "y_mm": 5, "z_mm": 6})
     order = {"kind": "measure-standstill", "points": points}
     job = until(client.post("/api/v1/jobs", json=order).json(), "ready")
     answer = client.get(

@@ -202,7 +202,8 @@ def test_more_jobs_than_can_wait_are_refused(
 
 
 def test_a_measured_run_is_packed_once_as_a_bundle(context, run, dispatcher, make_cell):
-    rows = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}]
+    places = (1.0, 2.0, 3.0), (90.0, 2.0, 3.0), (1.0, 90.0, 3.0)
+    rows = [dict(zip(("x_mm", "y_mm", "z_mm"), one, strict=True)) for one in places]
     job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_STANDSTILL, rows=rows))
     ready = wait_until(
         lambda: (now := context.store.get(job.id)).state == "ready" and now

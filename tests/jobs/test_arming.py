@@ -27,7 +27,8 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 300.0, "z_mm": 10.0, "feed_mm_min": 2000.0, "dwell_s": 1.0},
     {"x_mm": 400.0, "y_mm": 30.0, "z_mm": 10.0, "feed_mm_min": 1000.0, "dwell_s": 0.5},
 )
-OTF = RequestedJob(JobKind.MEASURE_OTF, rows=ROWS)
+OFF_THE_LINE = {"x_mm": 100.0, "y_mm": 350.0, "z_mm": 50.0}
+OTF = RequestedJob(JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE))
 
 
 class Clock:

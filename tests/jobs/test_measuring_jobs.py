@@ -50,7 +50,8 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
-OTF = RequestedJob(JobKind.MEASURE_OTF, rows=ROWS)
+OFF_THE_LINE = {"x_mm": 100.0, "y_mm": 350.0, "z_mm": 50.0}
+OTF = RequestedJob(JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE))
 STANDSTILL = RequestedJob(JobKind.MEASURE_STANDSTILL)
 
 

@@ -29,6 +29,7 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
+OFF_THE_LINE = {"x_mm": 100.0, "y_mm": 350.0, "z_mm": 50.0}
 
 
 @pytest.fixture
@@ -96,7 +97,9 @@ def test_nothing_is_touched_while_a_measurement_is_under_way(context, ended, beg
 
 
 def test_a_job_under_way_holds_the_reconciliation_off(dispatcher, until, make_cell):
-    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, rows=ROWS))
+    job, _ = dispatcher.create(
+        RequestedJob(JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE))
+    )
     assert dispatcher.is_measuring
     dispatcher.abort(job.id)
     until(job, State.ABORTED)
@@ -185,7 +188,9 @@ def test_a_catalogue_that_does_not_answer_ends_no_reconciliation(
 
 
 def test_a_run_names_the_job_that_recorded_it(context, dispatcher, make_cell, until):
-    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, rows=ROWS))
+    job, _ = dispatcher.create(
+        RequestedJob(JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE))
+    )
     arm_at_once(dispatcher, job.id, until(job, State.READY).version)
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()

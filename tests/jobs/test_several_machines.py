@@ -23,11 +23,14 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
+OFF_THE_LINE = {"x_mm": 100.0, "y_mm": 350.0, "z_mm": 50.0}
 TCP = {"host": "192.0.2.7", "port": 502}
 
 
 def measure(machine):
-    return RequestedJob(JobKind.MEASURE_OTF, rows=ROWS, machine=machine)
+    return RequestedJob(
+        JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE), machine=machine
+    )
 
 
 class Fleet:

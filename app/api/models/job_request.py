@@ -98,6 +98,7 @@ class JobRequest(RequestBody):
                     "path": [
                         {"x_mm": 0, "y_mm": 0, "z_mm": 0, "dwell_s": 1},
                         {"x_mm": 400, "y_mm": 300, "z_mm": 200, "dwell_s": 1},
+                        {"x_mm": 100, "y_mm": 350, "z_mm": 50, "dwell_s": 1},
                     ],
                 },
             ]
