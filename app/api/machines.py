@@ -26,6 +26,7 @@ from truepath.app.api.models.machine import (
     TrialOut,
 )
 from truepath.app.api.problems import declare_problems
+from truepath.app.api.request_headers import Version
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.jobs.machine_registry import IDENTITY, MachineRecord
 from truepath.app.jobs.machine_setup import show_devices
@@ -77,6 +78,22 @@ def change_machine(
     _check_reference(machine_id, request, service)
     _change(machine_id, request, service)
     return _read_detail(machine_id, service)
+
+
+@router.delete(
+    "/{machine_id}",
+    status_code=204,
+    responses=declare_problems(404, 409, 412, 428),
+)
+def remove_machine(
+    machine_id: MachinePath, version: Version, service: ServiceDep
+) -> None:
+    """Drive a machine no more. Its Runs, results and history stay.
+
+    By the version of its configuration that was read. Not while a job holds it, or it
+    moves. The same identifier can be added again.
+    """
+    service.setup.remove(machine_id, version)
 
 
 @router.put("/{machine_id}/machine-file", responses=declare_problems(404, 409, 422))

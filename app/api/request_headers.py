@@ -45,12 +45,10 @@ def _version(
 ) -> int:
     """Return the version that If-Match names. 428 without, 412 if it names none."""
     if not if_match or if_match.strip() == "*":
-        raise HTTPException(
-            428, "this moves the machine: say which version you have read"
-        )
+        raise HTTPException(428, "say by If-Match which version you have read")
     match = _TAG.match(if_match.strip())
     if match is None:
-        raise HTTPException(412, f"If-Match {if_match!r} is no version of a job")
+        raise HTTPException(412, f"If-Match {if_match!r} is no version")
     return int(match[1])
 
 

@@ -111,6 +111,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /machines": _ADMINISTRATOR,
     "GET /machines/{machine_id}": _VIEWER,
     "PATCH /machines/{machine_id}": _METROLOGIST,
+    "DELETE /machines/{machine_id}": _ADMINISTRATOR,
     "PUT /machines/{machine_id}/machine-file": _ADMINISTRATOR,
     "PUT /machines/{machine_id}/devices": _ADMINISTRATOR,
     "POST /machines/{machine_id}/devices:try": _OPERATOR,

@@ -28,6 +28,18 @@ class StaleVersion(JobError):
         self.current = current
 
 
+class StaleMachine(StaleVersion):
+    """Somebody else configured the machine since its version was read."""
+
+    def __init__(self, machine_id: str, version: int, current: int) -> None:
+        JobError.__init__(
+            self,
+            f"version {version} of machine {machine_id} is not the current one, "
+            f"{current}; read the machine again",
+        )
+        self.current = current
+
+
 class KeyReused(JobError):
     """The same Idempotency-Key came with another body."""
 

@@ -60,6 +60,11 @@ class Machines:
             self._cells[cell.id] = cell
             return before
 
+    def take_out(self, machine_id: str) -> MachineCell | None:
+        """Drive a machine no more; return what is to be closed, if it was driven."""
+        with self._lock:
+            return self._cells.pop(machine_id, None)
+
     @property
     def first(self) -> MachineCell | None:
         """The only or first machine; None where the service drives none."""

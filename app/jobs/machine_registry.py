@@ -22,7 +22,7 @@ from truepath.app.jobs.job import Json, format_utc_now
 from truepath.app.jobs.schema import jobs, machine_versions, machines, runs
 
 IDENTITY = ("name", "maker", "model", "serial_number", "control", "customer", "place")
-SETTINGS, CATALOGUE = "settings", "catalogue"
+SETTINGS, CATALOGUE, REMOVED = "settings", "catalogue", "removed"
 HIDDEN = "***"
 _SECRET = ("pass", "secret", "token", "credential", "api_key", "private_key")
 
@@ -42,7 +42,8 @@ class MachineVersion:
 class MachineRecord:
     """One machine of the catalogue.
 
-    origin : `settings` or `catalogue`: where it is configured
+    origin : `settings` or `catalogue`: where it is configured; `removed` where it is
+        known by its history alone
     tolerance_um : what 95 % of the places in its travel may err by at most
     reference_job : whose result it is held against; None for the one before
     stated : what certificates state besides, by the names of `identity_file.FIELDS`
@@ -72,7 +73,10 @@ class MachineRegistry:
         self._database = database
 
     def list_all(self) -> list[MachineRecord]:
-        """Return every machine that was ever known, the oldest first."""
+        """Return every machine that was not removed, the oldest first."""
+        return [one for one in self._list_known() if one.origin != REMOVED]
+
+    def _list_known(self) -> list[MachineRecord]:
         query = select(machines.c.id).order_by(machines.c.created, machines.c.id)
         with self._database.read() as connection:
             ids = connection.execute(query).scalars().all()
@@ -93,7 +97,7 @@ class MachineRegistry:
 
     def find_by_name(self, name: str) -> MachineRecord | None:
         """Return the machine whose machine file has this name; None without one."""
-        for record in self.list_all():
+        for record in self._list_known():
             if record.versions and record.versions[0].machine_file.get("name") == name:
                 return record
         return None
@@ -102,9 +106,14 @@ class MachineRegistry:
         """Add a machine. Raises MachineKnown."""
 
         def change(connection: Connection) -> None:
-            if _is_known(connection, machine_id):
+            if not _is_known(connection, machine_id):
+                _insert_machine(connection, machine_id, origin, identity)
+                return
+            if _read_record(connection, machine_id).origin != REMOVED:
                 raise MachineKnown(f"there is a machine {machine_id} already")
-            _insert_machine(connection, machine_id, origin, identity)
+            values = {"origin": origin, **identity}
+            own = machines.c.id == machine_id
+            connection.execute(update(machines).where(own).values(**values))
 
         self._database.write(change)
 
@@ -124,7 +133,11 @@ class MachineRegistry:
         def change(connection: Connection) -> int:
             if not _is_known(connection, machine_id):
                 _insert_machine(connection, machine_id, origin, {"name": name})
-            known = _read_record(connection, machine_id).versions
+            record = _read_record(connection, machine_id)
+            if record.origin == REMOVED:  # the settings name it again
+                own = machines.c.id == machine_id
+                connection.execute(update(machines).where(own).values(origin=origin))
+            known = record.versions
             if known and known[0].sha256 == sha256:
                 return known[0].number
             number = known[0].number + 1 if known else 1

@@ -13,7 +13,12 @@ from typing import Any
 import structlog
 
 from truepath.app.device_options import make_device
-from truepath.app.errors import BadInput, TruepathError
+from truepath.app.errors import (
+    BadInput,
+    IllegalTransition,
+    NotFound,
+    TruepathError,
+)
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.cell_setup import (
@@ -22,11 +27,18 @@ from truepath.app.jobs.cell_setup import (
     refuse_same_names,
     refuse_shared_links,
 )
-from truepath.app.jobs.errors import CellBusy, MachineKnown, SetElsewhere
+from truepath.app.jobs.cell_supervisor import MOVING
+from truepath.app.jobs.errors import (
+    CellBusy,
+    MachineKnown,
+    SetElsewhere,
+    StaleMachine,
+)
 from truepath.app.jobs.job import Json
 from truepath.app.jobs.machine_cells import MachineCell, Machines
 from truepath.app.jobs.machine_registry import (
     CATALOGUE,
+    REMOVED,
     SETTINGS,
     MachineRecord,
     MachineRegistry,
@@ -142,6 +154,27 @@ class MachineSetup:
             self._put(machine_id, machine, config, version).start()
         return self.registry.get(machine_id)
 
+    def remove(self, machine_id: str, version: int) -> None:
+        """Drive a machine no more; what was measured of it stays.
+
+        version : of its configuration, as it was read
+
+        Raises NotFound, SetElsewhere, CellBusy, IllegalTransition, StaleMachine.
+        """
+        newest = self._get_changeable(machine_id).versions[0].number
+        if version != newest:
+            raise StaleMachine(machine_id, version, newest)
+        for one in self.machines.list_all():
+            if one.id == machine_id and one.cell.status.state in MOVING:
+                raise IllegalTransition(
+                    f"machine {machine_id} is {one.cell.status.state}; stop it first"
+                )
+        self.registry.change(machine_id, origin=REMOVED)
+        self._configs.pop(machine_id, None)
+        taken = self.machines.take_out(machine_id)
+        if taken is not None:
+            taken.close()
+
     def try_devices(self, machine_id: str) -> TrackerTried:
         """Connect, and listen to the tracker for a moment. Nothing moves.
 
@@ -167,6 +200,8 @@ class MachineSetup:
     def _get_changeable(self, machine_id: str) -> MachineRecord:
         """Return a machine whose configuration may change now."""
         record = self.registry.get(machine_id)
+        if record.origin == REMOVED:
+            raise NotFound(f"machine {machine_id} was removed; add it again")
         if record.origin != CATALOGUE:
             raise SetElsewhere(f"machine {machine_id} is configured in the settings")
         self.refuse_while_measuring(machine_id)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from truepath.app.api.models.machine import NewMachine
 from truepath.app.files.machine_file import machine_to_json
+from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.machine_registry import MachineRegistry
 from truepath.app.jobs.machine_setup import show_devices
+from truepath.app.jobs.transitions import State
 from truepath.simulators.scenario import load_machine
 
 BASE = "/api/v1/machines"
@@ -187,3 +190,49 @@ def test_no_password_of_a_device_is_shown():
         "password": "***",
         "enable_password": "***",
     }
+
+
+def remove(client, machine_id="mill-3", version=None):
+    if version is None:
+        version = client.get(f"{BASE}/{machine_id}").json()["version"]
+    headers = {"If-Match": f'"{version}"'}
+    return client.delete(f"{BASE}/{machine_id}", headers=headers)
+
+
+def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
+    client, service, is_problem
+):
+    assert add(client).status_code == 201
+    assert client.put(f"{BASE}/mill-3/devices", json=DEVICES).status_code == 200
+    assert remove(client).status_code == 204
+    assert [one["id"] for one in client.get(BASE).json()["items"]] == ["default"]
+    assert "mill-3" not in [one.id for one in service.machines.list_all()]
+    assert client.get(f"{BASE}/mill-3").json()["origin"] == "removed"
+    assert client.get(f"{BASE}/mill-3/standing").status_code == 200
+    order = {"kind": "measure-otf", "machine": "mill-3"}
+    is_problem(client.post("/api/v1/jobs", json=order), 404, "not-found")
+    is_problem(client.put(f"{BASE}/mill-3/devices", json=DEVICES), 404, "not-found")
+    again = add(client)
+    assert again.status_code == 201
+    assert (again.json()["origin"], again.json()["version"]) == ("catalogue", 3)
+
+
+def test_a_machine_is_removed_by_the_version_that_was_read(client, chosen, is_problem):
+    is_problem(client.delete(f"{BASE}/mill-3"), 428, "version-required")
+    stale = remove(client, version=chosen["version"] - 1)
+    assert is_problem(stale, 412, "stale-version")["current_version"] == 2
+    is_problem(remove(client, "press", version=1), 404, "not-found")
+    is_problem(remove(client, "default"), 409, "set-elsewhere")
+
+
+def test_a_machine_that_a_job_holds_or_that_moves_is_not_removed(
+    client, service, chosen, is_problem
+):
+    job, _ = service.store.create(Job(JobKind.MEASURE_OTF, machine="mill-3"), None, {})
+    is_problem(remove(client), 409, "busy")
+    service.store.change(job.id, lambda one: replace(one, state=State.ABORTED))
+    cell = service.machines.get("mill-3").cell
+    cell.status = replace(cell.status, state="running")
+    assert (
+        "is running" in is_problem(remove(client), 409, "illegal-transition")["detail"]
+    )

@@ -45,6 +45,7 @@ CALLS = {
     "get_machine_record": ("mill",),
     "add_machine": ("mill", {"machine_file": {}}),
     "change_machine": ("mill", {"place": "hall 3"}),
+    "remove_machine": ("mill", 1),
     "set_machine_file": ("mill", {"machine_file": {}}),
     "set_machine_devices": ("mill", {"tracker_driver": "streaming"}),
     "get_machine_history": ("mill", {"quantity": "EXX", "position": 300.0}),
@@ -150,7 +151,7 @@ def test_it_asks_what_is_described_and_returns_what_came(name, call):
         operation = find_operation(method, path)
         known = {p["name"] for p in operation.get("parameters", ()) if "name" in p}
         assert set(query) <= known
-    if name in ("log_out", "delete_job", "delete_run"):
+    if name in ("log_out", "delete_job", "delete_run", "remove_machine"):
         assert answer is None
     elif name == "events":
         assert (answer.type, answer.id, answer.data) == ("job", "4", JOB)

@@ -180,6 +180,10 @@ class AsyncClient:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
         return await self._run(ask(machine_requests.change_machine(machine_id, change)))
 
+    async def remove_machine(self, machine_id: str, version: int) -> None:
+        """Drive a machine no more, as it was read; what was measured of it stays."""
+        await self._run(ask(machine_requests.remove_machine(machine_id, version)))
+
     async def set_machine_file(
         self, machine_id: str, machine_file: Json
     ) -> MachineRecord:

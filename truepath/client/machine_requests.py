@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Any, cast
 
 from truepath.client.bodies import Condition, Json, Machine, MachineRecord
-from truepath.client.requests import PREFIX, Request, get, read_items, read_json
+from truepath.client.requests import (
+    PREFIX,
+    Request,
+    get,
+    read_items,
+    read_json,
+    read_nothing,
+)
 
 
 def connect() -> Request[Json]:
@@ -46,6 +53,17 @@ def add_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
 def change_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
     """Change who a machine is, its tolerance or its reference."""
     return Request("PATCH", f"{PREFIX}/machines/{machine_id}", read_json, body=body)
+
+
+def remove_machine(machine_id: str, version: int) -> Request[None]:
+    """Remove a machine, as it was read. If the answer is lost, list the machines."""
+    return Request(
+        "DELETE",
+        f"{PREFIX}/machines/{machine_id}",
+        read_nothing,
+        headers={"If-Match": f'"{version}"'},
+        may_repeat=False,
+    )
 
 
 def set_machine_file(machine_id: str, machine_file: Json) -> Request[MachineRecord]:

@@ -104,7 +104,8 @@ def _bytes(answer: Answer) -> bytes:
     return answer.body
 
 
-def _nothing(answer: Answer) -> None:
+def read_nothing(answer: Answer) -> None:
+    """Return None: such an answer has no body."""
     return None
 
 
@@ -202,13 +203,13 @@ def rename_run(run_id: str, naming: Json) -> Request[Run]:
 
 def delete_job(job_id: str) -> Request[None]:
     """Delete a job that has ended. If the answer is lost, read whether it is gone."""
-    return Request("DELETE", f"{PREFIX}/jobs/{job_id}", _nothing, may_repeat=False)
+    return Request("DELETE", f"{PREFIX}/jobs/{job_id}", read_nothing, may_repeat=False)
 
 
 def delete_run(run_id: str, *, with_results: bool) -> Request[None]:
     """Delete a Run. Where the answer is lost, read whether it is gone."""
     path, query = f"{PREFIX}/runs/{run_id}", {"with_results": with_results}
-    return Request("DELETE", path, _nothing, query=query, may_repeat=False)
+    return Request("DELETE", path, read_nothing, query=query, may_repeat=False)
 
 
 def issue_certificate(job_id: str, body: Json) -> Request[Json]:
@@ -294,4 +295,4 @@ def log_in(name: str, password: str) -> Request[Json]:
 
 def log_out() -> Request[None]:
     """End the session."""
-    return Request("DELETE", f"{PREFIX}/session", _nothing)
+    return Request("DELETE", f"{PREFIX}/session", read_nothing)

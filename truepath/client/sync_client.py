@@ -179,6 +179,10 @@ class Client:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
         return self._run(ask(machine_requests.change_machine(machine_id, change)))
 
+    def remove_machine(self, machine_id: str, version: int) -> None:
+        """Drive a machine no more, as it was read; what was measured of it stays."""
+        self._run(ask(machine_requests.remove_machine(machine_id, version)))
+
     def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
         """Describe a machine anew by its machine file. Moves nothing."""
         return self._run(

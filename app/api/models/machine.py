@@ -178,7 +178,7 @@ class MachineEntry(BaseModel):
     origin: str = Field(
         examples=["settings"],
         description="Where it is configured: `settings`, or `catalogue` where it was "
-        "added over this interface.",
+        "added over this interface; `removed` where its history alone is left.",
     )
     name: str = Field(examples=["VMC 400"])
     maker: str
