@@ -64,7 +64,7 @@ def test_the_report_runs_in_a_sandbox(client, finished):
 def test_the_plan_is_what_was_asked_for(client, ready):
     plan = client.get(f"/api/v1/jobs/{ready['id']}/plan").json()
     assert plan["axes"] == ["X", "Y", "Z"]
-    assert plan["position"] == [[10, 10, 10], [400, 300, 200]]
+    assert plan["position"] == [[10, 10, 10], [400, 300, 200], [100, 350, 50]]
     assert plan["feed_mm_min"][1] == 1000
     assert plan["dwell_s"][1] == 0.5
     assert plan["kind"] == "path"
@@ -392,7 +392,7 @@ def test_rows_that_no_analysis_could_take_are_refused_before_there_is_a_job(
     rows = [{"x_mm": x, "y_mm": x, "z_mm": x} for x in places]
     answer = client.post("/api/v1/jobs", json={"kind": kind, key: rows})
     assert re.search(said, is_problem(answer, 422, "plan")["detail"])
-    assert client.get("/api/v1/jobs").json()["jobs"] == []
+    assert client.get("/api/v1/jobs").json()["items"] == []
 
 
 @pytest.mark.parametrize(

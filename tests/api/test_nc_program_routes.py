@@ -44,7 +44,7 @@ def test_standstill_points_are_a_program_as_well(client, until):
         f"/api/v1/jobs/{job['id']}/nc-program", params={"dialect": "linuxcnc"}
     )
     motion = read_program(answer.text, "linuxcnc")
-    np.testing.assert_allclose(motion.position, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_allclose(motion.position, [[1, 2, 3], [4, 5, 6], [90, 5, 6]])
 
 
 def test_an_unknown_control_is_answered_with_those_that_are_installed(

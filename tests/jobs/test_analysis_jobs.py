@@ -215,7 +215,7 @@ def test_a_measured_run_is_packed_once_as_a_bundle(context, run, dispatcher, mak
     packed = context.runs.bundle(job.id)
     again = open_recorded(packed)
     assert len(again.tracker) == 50
-    assert again.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
+    assert again.commanded.position.tolist() == [list(one) for one in places]
     before = packed.stat().st_mtime_ns
     assert context.runs.bundle(job.id).stat().st_mtime_ns == before
 

@@ -154,13 +154,14 @@ def test_a_job_is_planned_armed_measured_and_analysed(
 def test_a_standstill_job_steps_through_its_points(
     dispatcher, context, make_cell, until
 ):
-    points = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "dwell_s": 0.5}]
+    points = [{**row, "dwell_s": 0.5} for row in (*ROWS, OFF_THE_LINE)]
     job, _ = dispatcher.create(replace(STANDSTILL, rows=points))
     ready = until(job, "ready")
     arm_at_once(dispatcher, job.id, ready.version)
     order = wait_until(lambda: make_cell.cell.order)
-    assert order.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
-    assert order.commanded.dwell_s.tolist() == [0.5]
+    rows = [[row[f"{axis}_mm"] for axis in "xyz"] for row in points]
+    assert order.commanded.position.tolist() == rows
+    assert order.commanded.dwell_s.tolist() == [0.5] * 3
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
     assert until(job, "succeeded").kind == "measure-standstill"
@@ -213,7 +214,8 @@ def test_arming_twice_is_refused(dispatcher, running):
 
 def test_the_cell_drives_what_was_planned(dispatcher, running, make_cell):
     path = make_cell.cell.order.commanded
-    assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 300.0, 200.0]]
+    rows = [*ROWS, OFF_THE_LINE]
+    assert path.position.tolist() == [[row[f"{a}_mm"] for a in "xyz"] for row in rows]
     assert path.feed_mm_min.tolist()[1] == 1000.0
 
 
