@@ -230,7 +230,7 @@ def test_a_machine_that_a_job_holds_or_that_moves_is_not_removed(
 ):
     job, _ = service.store.create(Job(JobKind.MEASURE_OTF, machine="mill-3"), None, {})
     is_problem(remove(client), 409, "busy")
-    service.store.change(job.id, lambda one: replace(one, state=State.ABORTED))
+    service.store.change(job.id, lambda one: replace(one, state=State.FAILED))
     cell = service.machines.get("mill-3").cell
     cell.status = replace(cell.status, state="running")
     assert (
