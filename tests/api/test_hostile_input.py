@@ -139,13 +139,13 @@ def test_any_damage_to_a_bundle(idle, bundle, cut, flip):
     is_sound(idle.post("/api/v1/runs", files={"bundle": ("b.zip", part)}))
 
 
-@pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("method", ["PUT", "PATCH", "DELETE", "TRACE", "BREW"])
-def test_any_method(client, path, method):
-    answer = client.request(method, path.replace("{job_id}", "a"))
-    is_sound(answer)
-    if method.lower() not in list_methods(path):
-        assert answer.status_code in (404, 405)
+def test_any_method(client, method):
+    for path in PATHS:
+        answer = client.request(method, path.replace("{job_id}", "a"))
+        is_sound(answer)
+        if method.lower() not in list_methods(path):
+            assert answer.status_code in (404, 405), path
 
 
 def list_methods(path):

@@ -73,7 +73,8 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
 
 @pytest.mark.parametrize("family", list_families(), ids=lambda f: f.name)
 def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
-    for candidate in family.propose(at):
+    few = at.select(np.arange(0, len(at), 25))  # names do not depend on the data
+    for candidate in family.propose(few):
         size = len(candidate.usual)
         numbers = family.state(
             CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
