@@ -32,7 +32,8 @@ from bench_samples_lost import (
     read_address,
     solving,
 )
-from truepath.app.cli.client import Client
+
+from truepath.client import Client
 
 MACHINES = (1, 8)
 SECONDS = 60.0
@@ -94,14 +95,14 @@ def _follow(client: Client, pid: int, feed: float) -> Outcome:
     shares = (0.0, 0.0)
     while True:
         begun = time.monotonic()
-        first = client.get(f"/jobs/{jobs[0]}")
+        first = client.get_job(jobs[0])
         answers_s.append(time.monotonic() - begun)
         if first["stage"] != "measuring" or first["state"] != "running":
             break
         shares = _processor_shares(pid)
         loads.append(os.getloadavg()[0])
         time.sleep(ASK_S)
-    ended = [client.wait_for(i, lambda j: j["state"] in ENDED, 900.0) for i in jobs]
+    ended = [client.wait_for(i, *ENDED, timeout_s=900.0) for i in jobs]
     return Outcome(
         len(names),
         tuple(job["health"]["samples"] for job in ended),
@@ -117,23 +118,22 @@ def _follow(client: Client, pid: int, feed: float) -> Outcome:
 def _connect(client: Client) -> list[str]:
     """Connect one machine after another once their cells have started."""
     while True:
-        machines = client.get("/machines")["items"]
+        machines = client.list_machines()
         if all(one["cell"] != "starting" for one in machines):
             break
         time.sleep(ASK_S)
     for one in machines:
-        client.post(f"/machines/{one['id']}:connect")
+        client.connect(one["id"])
     return [one["id"] for one in machines]
 
 
 def _begin(client: Client, machine: str, feed_mm_min: float) -> str:
-    order = {"kind": "measure-otf", "machine": machine, "feed_mm_min": feed_mm_min}
-    job_id = client.post("/jobs", order)["id"]
-    job = client.wait_for(job_id, lambda j: j["state"] == "ready", 300.0)
-    token = {"token": client.post(f"/jobs/{job_id}/arming")["token"]}
-    client.post(f"/jobs/{job_id}/arm", token, version=job["version"])
-    client.wait_for(job_id, lambda j: j["state"] != "ready", 60.0)
-    return job_id
+    job = client.create_job(
+        kind="measure-otf", machine=machine, feed_mm_min=feed_mm_min
+    )
+    armed = client.arm(client.wait_for(job["id"], "ready", timeout_s=300.0))
+    client.wait_for(armed["id"], "running", timeout_s=60.0)
+    return armed["id"]
 
 
 def _processor_shares(pid: int) -> tuple[float, float]:

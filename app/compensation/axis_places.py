@@ -68,4 +68,4 @@ def _rms_mm(axis: RotaryAxis, at: Conditions, value: Mapping[str, float]) -> flo
     for one in list_axis_locations(axis):
         if one.symbol in value:
             moved += one.jacobian(at)[:, :, 0] * value[one.symbol]
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    return float(np.linalg.norm(moved) / np.sqrt(len(at)))

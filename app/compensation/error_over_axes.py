@@ -38,7 +38,8 @@ def measure_over_axes(
     if not errors.machine.rotary_axes:
         return None
     position = sample_positions(errors)
-    before, after = [], []
+    before: list[float] = []
+    after: list[float] = []
     for side in _SIDES:
         error = errors.error_mm(position, side)
         moved = _move(errors, position, correction(position, side), added, located)

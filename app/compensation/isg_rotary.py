@@ -128,11 +128,12 @@ def _write_turns(table: RotaryTable) -> Iterator[str]:
     count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
     at = np.linspace(axis.low, axis.high, min(count, _MOST_ROWS))
     period = 360.0 if axis.turns_fully else None
-    columns = [
-        np.interp(at, table.position_deg, motion, period=period)
-        for motion in table.motions.T
+    columns: list[Float64[np.ndarray, " r"]] = [
+        np.interp(at, table.position_deg, table.motions[:, k], period=period)
+        for k in range(table.motions.shape[1])
     ]
     yield "  ".join([axis.name, *symbols])
-    for place, row in zip(at, np.transpose(columns), strict=True):
+    for k, place in enumerate(at):
+        row = [float(column[k]) for column in columns]
         numbers = [format_motion(s, v) for s, v in zip(symbols, row, strict=True)]
         yield "  ".join([f"{place:.6f}", *numbers])

@@ -88,7 +88,7 @@ def _list_circle(
     centre = (float(begin[columns[0]]), float(begin[columns[1]]))
     begin[columns[0]] = round(float(begin[columns[0]]) + radius, DECIMALS)
     there = Arc(plane, centre, TURN_DEG)
-    end = np.round(turn_about(axes, begin, there, np.array([TURN_DEG]))[0], DECIMALS)
+    (end,) = turn_about(axes, begin, there, np.array([TURN_DEG])).round(DECIMALS)
     feed = _feed(machine, radius)
     return [
         (begin, None, _feed(machine, 0)),

@@ -87,17 +87,17 @@ class AsyncClient:
         """Return what the service is and what holds the machine."""
         return await self._run(ask(requests.get_system()))
 
-    async def connect(self) -> Json:
-        """Open the ports and return who answers. Moves nothing."""
-        return await self._run(ask(machine_requests.connect()))
+    async def connect(self, machine_id: str = "current") -> Json:
+        """Open the ports of a machine and return who answers. Moves nothing."""
+        return await self._run(ask(machine_requests.connect(machine_id)))
 
     async def get_machine(self) -> Json:
         """Return the machine file and who has answered."""
         return await self._run(ask(machine_requests.get_machine()))
 
-    async def list_conditions(self) -> list[Condition]:
+    async def list_conditions(self, machine_id: str = "current") -> list[Condition]:
         """Return what has to be so before the machine moves, as it is now."""
-        return await self._run(ask(machine_requests.list_conditions()))
+        return await self._run(ask(machine_requests.list_conditions(machine_id)))
 
     async def create_job(
         self, *, idempotency_key: str | None = None, **order: Any

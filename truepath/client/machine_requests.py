@@ -15,9 +15,9 @@ from truepath.client.requests import (
 )
 
 
-def connect() -> Request[Json]:
+def connect(machine_id: str) -> Request[Json]:
     """Open the ports; moves nothing."""
-    return Request("POST", f"{PREFIX}/machines/current:connect", read_json)
+    return Request("POST", f"{PREFIX}/machines/{machine_id}:connect", read_json)
 
 
 def get_machine() -> Request[Json]:
@@ -25,10 +25,10 @@ def get_machine() -> Request[Json]:
     return get("/machines/current", read_json)
 
 
-def list_conditions() -> Request[list[Condition]]:
+def list_conditions(machine_id: str) -> Request[list[Condition]]:
     """Ask what has to be so before the machine moves."""
     return cast(
-        Request[list[Condition]], get("/machines/current/conditions", read_items)
+        Request[list[Condition]], get(f"/machines/{machine_id}/conditions", read_items)
     )
 
 

@@ -88,17 +88,17 @@ class Client:
         """Return what the service is and what holds the machine."""
         return self._run(ask(requests.get_system()))
 
-    def connect(self) -> Json:
-        """Open the ports and return who answers. Moves nothing."""
-        return self._run(ask(machine_requests.connect()))
+    def connect(self, machine_id: str = "current") -> Json:
+        """Open the ports of a machine and return who answers. Moves nothing."""
+        return self._run(ask(machine_requests.connect(machine_id)))
 
     def get_machine(self) -> Json:
         """Return the machine file and who has answered."""
         return self._run(ask(machine_requests.get_machine()))
 
-    def list_conditions(self) -> list[Condition]:
+    def list_conditions(self, machine_id: str = "current") -> list[Condition]:
         """Return what has to be so before the machine moves, as it is now."""
-        return self._run(ask(machine_requests.list_conditions()))
+        return self._run(ask(machine_requests.list_conditions(machine_id)))
 
     def create_job(self, *, idempotency_key: str | None = None, **order: Any) -> Job:
         """Take on a job; `kind` and the rest are those of `POST /jobs`.

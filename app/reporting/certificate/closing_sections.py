@@ -92,7 +92,8 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
 
 def _say_named_files(certificate: Certificate, language: Language) -> str:
     """Return which files a verification names that nobody gave the account of."""
-    content = certificate.verification.content if certificate.verification else {}
+    verification = certificate.verification
+    content = as_object(verification.content if verification else None)
     if not content.get("compensated"):
         return ""
     named = as_object(content.get("compensation"))
