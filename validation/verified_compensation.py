@@ -26,8 +26,9 @@ from truepath.app.files.result_file import CalibrationResult, result_from_json
 from truepath.app.motion.verification_kinds import VerificationKind
 from truepath.app.motion.verification_points import make_verification_points
 from truepath.app.results.analysis import analyse
+from truepath.app.results.held_places import K
 from truepath.app.results.result_json import result_json
-from truepath.app.results.verification import K, Verification, verify
+from truepath.app.results.verification import Verification, verify
 from truepath.simulators import synthetic
 from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.timeline import Program

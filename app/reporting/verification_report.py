@@ -31,8 +31,9 @@ from truepath.app.results.driven_figures import (
     CircleFigures,
     LineFigures,
 )
+from truepath.app.results.held_places import K
 from truepath.app.results.number_format import format_expanded, format_number
-from truepath.app.results.verification import K, Verification
+from truepath.app.results.verification import Verification
 from truepath.app.results.verification_json import state_findings, verification_json
 
 VERIFICATION, REPORT = "verification.json", "report.html"

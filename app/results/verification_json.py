@@ -15,15 +15,11 @@ from truepath.app.files.verdict import verdict_json
 from truepath.app.results.circles_json import circles_json, state_circles
 from truepath.app.results.conformity import Conformity
 from truepath.app.results.driven_figures import CircleFigures, LineFigures
+from truepath.app.results.held_places import K, PlaceVectors
 from truepath.app.results.length_statistics import LengthStatistics
 from truepath.app.results.number_format import format_number
 from truepath.app.results.place_conformity import PlaceConformity
-from truepath.app.results.verification import (
-    K,
-    PlaceVectors,
-    Verification,
-    VerifiedRun,
-)
+from truepath.app.results.verification import Verification, VerifiedRun
 
 SCHEMA = "verification/1"
 _DIRECTIONS = "XYZ"

@@ -13,8 +13,9 @@ from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.motion.configurations import select_rows
 from truepath.app.results.analysis import analyse
 from truepath.app.results.measured_places import correlate_means
+from truepath.app.results.predicted_motion import predict_displacement
 from truepath.app.results.result_json import result_json
-from truepath.app.results.verification import predict_displacement, verify
+from truepath.app.results.verification import verify
 from truepath.app.results.verification_json import state_findings, verification_json
 from truepath.simulators import synthetic
 from truepath.simulators.machine_file import parse_machine
@@ -117,6 +118,7 @@ def test_the_volumetric_error_as_measured_is_that_of_the_machine(
         assert abs(stated.value_um - value) < 3.0 * stated.uncertainty_um
 
 
+@pytest.mark.long
 def test_stated_uncertainties_hold_the_deviations_at_their_rate(calibrated, remeasured):
     found = [verify(calibrated, remeasured(seed)[0]) for seed in range(110, 118)]
     within = np.mean([one.consistency.share_within for one in found])

@@ -11,8 +11,8 @@ from truepath.app.files.file_model import as_object
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
+from truepath.app.results.held_places import DOUBTFUL
 from truepath.app.results.number_format import SIGN
-from truepath.app.results.verification import DOUBTFUL
 from truepath.app.results.verification_json import find_scale_cause
 
 Row = tuple[str, ...]
