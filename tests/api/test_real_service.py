@@ -183,7 +183,9 @@ def test_a_killed_cell_leaves_a_run_and_the_next_one_takes_over(settings):
         client.post(f"/api/v1/jobs/{create(client)['id']}/abort")
 
 
-@pytest.mark.parametrize("how", ["terminated", "Ctrl+C"])
+@pytest.mark.parametrize(
+    "how", ["terminated", pytest.param("Ctrl+C", marks=pytest.mark.long)]
+)
 @pytest.mark.fault_row(40)
 def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
     tmp_path, how, measured

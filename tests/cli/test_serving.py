@@ -117,6 +117,7 @@ class Lines:
                 return found
 
 
+@pytest.mark.long
 @pytest.mark.timeout(180)
 def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
     """The command of `make run`, its device clocks three times faster."""

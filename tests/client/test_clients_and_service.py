@@ -50,6 +50,7 @@ def test_the_python_example_calibrates_a_machine(address):
         assert client.download(job["result"]["error_tables_csv"]).startswith(b"error,")
 
 
+@pytest.mark.long
 @pytest.mark.ui
 @pytest.mark.timeout(240)
 def test_the_example_of_a_page_calibrates_a_machine(address):

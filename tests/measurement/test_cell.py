@@ -538,13 +538,13 @@ def suspended(*process_ids: int) -> Iterator[None]:
     ("who", "for_s"),
     [
         ("tracker", 0.6),
-        ("tracker", 2.0),
-        ("cnc", 0.6),
         ("cnc", 1.4),
-        ("tracker cnc", 0.6),
-        ("tracker cnc", 1.4),
-        ("cell", 0.7),
         ("tracker cnc cell", 1.4),
+        pytest.param("tracker", 2.0, marks=pytest.mark.long),
+        pytest.param("cnc", 0.6, marks=pytest.mark.long),
+        pytest.param("tracker cnc", 0.6, marks=pytest.mark.long),
+        pytest.param("tracker cnc", 1.4, marks=pytest.mark.long),
+        pytest.param("cell", 0.7, marks=pytest.mark.long),
     ],
 )
 @pytest.mark.fault_row(30)

@@ -276,7 +276,7 @@ def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
 ):
     """Somebody jogs the machine while it is measured where it stands."""
     points = Configurations(square.axes, square.position[:2], np.full(2, 60.0))
-    settings = replace(calm, confirm_s=0.5)
+    settings = calm if comes_back else replace(calm, confirm_s=0.5)
     running = begin(replace(order, commanded=points), settings=settings)
     running.until(lambda: any(b.device_time_s > 110.0 for b in journal.of(LivePoints)))
     with motion._lock:

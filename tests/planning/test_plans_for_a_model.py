@@ -64,6 +64,7 @@ def planned(model):
     return {knows: plan_it(model if knows else None) for knows in (True, False)}
 
 
+@pytest.mark.long
 def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
     planned, model
 ):
