@@ -15,11 +15,13 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.align import align
 from truepath.app.alignment.cleaning import find_valid_samples
+from truepath.app.alignment.nominal_path import compute_nominal_path, require_spread
 from truepath.app.alignment.observations import Observations
 from truepath.app.alignment.stops import find_stops, rest_position_mm
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import Run
 from truepath.app.kinematics.machine import TrackerNoise
+from truepath.app.motion.configurations import select_rows
 from truepath.drivers.interfaces.records import Path
 
 MOST_PLACES = 3  # that are compared
@@ -63,6 +65,7 @@ def find_committed(run: Run) -> Committed:
     """Return how far a Run has got. Raises AlignmentError where it tells no pose.
 
     A line counts with the standstill at its end, a point once it was dwelt at in full.
+    A pose takes three places that are not on one straight line.
     """
     seen = align(run)
     still = seen.at.line < 0
@@ -76,6 +79,9 @@ def find_committed(run: Run) -> Committed:
         next_row = int(run.points.row.max()) + 1
     else:
         next_row = _count_dwelt(run)
+    whole = select_rows(run.commanded, slice(next_row))
+    place_mm = compute_nominal_path(run.machine, whole).place_mm
+    require_spread(place_mm, "what was driven")
     rows = [row for row in stood if row < next_row][-MOST_PLACES:]
     if not rows:
         raise AlignmentError("the machine was not seen to stand anywhere")

@@ -225,9 +225,9 @@ def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
 @pytest.mark.timeout(400)
 def test_extra_lines_whose_service_was_killed_go_on_and_decide(tmp_path):
     (tmp_path / "bundle").mkdir()
-    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
+    hidden = LateralBacklash("Y", "EXY", 8.0, 0.3)
     settings = {
-        "TRUEPATH_SIMULATED_SPEED": str(SPEED),
+        "TRUEPATH_SIMULATED_SPEED": "3",  # slow enough to be met between lines
         "TRUEPATH_SIMULATED_SEED": str(MACHINE),
         "TRUEPATH_SIMULATED_HIDDEN": json.dumps([json.dumps(as_json(hidden))]),
     }

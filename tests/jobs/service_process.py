@@ -130,7 +130,9 @@ def wait_until_done(client, job_id, number, kind="measure-otf"):
     unit = "points" if kind == "measure-standstill" else "lines"
 
     def is_done():
-        progress = client.get(f"/api/v1/jobs/{job_id}").json()["progress"]
+        job = client.get(f"/api/v1/jobs/{job_id}").json()
+        assert job["state"] not in ENDS, job
+        progress = job["progress"]
         return progress["unit"] == unit and progress["done"] >= number
 
     wait_for(is_done, "the first lines")
