@@ -144,7 +144,7 @@ def test_a_job_is_not_armed_while_a_door_is_open(tmp_path, machine_file):
         with process(tmp_path, **environment) as (_, client):
             assert levels(client)["devices-connected"] == "false"
             job = create(client, path=ROWS[:3])
-            rig.inject("cnc:door@0s+60s")  # of the machine: 5 s
+            rig.inject("cnc:door@0s+180s")  # of the machine: 15 s
             able = "controller-able"
             wait_for(lambda: levels(client)[able] == "false", "the open door")
             refused = arm_over_http(client, job)
@@ -158,7 +158,7 @@ def test_a_job_is_not_armed_while_a_door_is_open(tmp_path, machine_file):
             assert rig.read_position()["position"] == before
             beam = "target-in-sight"
             wait_for(lambda: levels(client)[beam] == "true", "the beam")
-            rig.inject("tracker:beam-break@0s+120s")  # of the machine: 10 s
+            rig.inject("tracker:beam-break@0s+240s")  # of the machine: 20 s
             wait_for(lambda: levels(client)[beam] == "false", "the broken beam")
             assert arm_over_http(client, job).json()["conditions"] == [beam]
             wait_for(lambda: levels(client)[beam] == "true", "the beam again")
