@@ -83,8 +83,16 @@ def create(client, **order):
 
 
 def arm(client, job):
-    answer = arm_over_http(client, job)
-    assert answer.status_code == 202, answer.text
+    """Let a job move the machine, once the conditions are seen to be met."""
+
+    def is_armed():
+        answer = arm_over_http(client, job)
+        if answer.status_code == 409 and answer.json()["code"] == "not-in-order":
+            return False
+        assert answer.status_code == 202, answer.text
+        return True
+
+    wait_for(is_armed, "the conditions", 30.0)
 
 
 def follow(client, job_id, *states, patience_s=50.0):
