@@ -117,9 +117,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         dispatcher = Dispatcher(context, event_bus, ArmTokens(settings.arm_token_s))
         stack.callback(dispatcher.close)
         dispatcher.interrupt_unfinished_jobs()
-        reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
-        stack.callback(reconciliation.close)
-        reconciliation.start()
+        _begin_to_reconcile(context, dispatcher, stack)
         for one in context.machines.list_all():
             one.start()
         _begin_to_judge(setup.calibrations, stack)
@@ -156,6 +154,14 @@ def open_service(settings: Settings) -> Iterator[Service]:
         )
         stack.callback(service.end_streams)
         yield service
+
+
+def _begin_to_reconcile(
+    context: JobContext, dispatcher: Dispatcher, stack: ExitStack
+) -> None:
+    reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
+    stack.callback(reconciliation.close)
+    reconciliation.start()
 
 
 def _begin_to_judge(calibrations: Calibrations, stack: ExitStack) -> None:

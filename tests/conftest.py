@@ -35,6 +35,7 @@ from truepath.drivers.interfaces.records import Path, TrackerSamples
 from truepath.simulators import paths, synthetic
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
+from truepath.simulators.timeline import Program
 
 sys.path.append(str(FilePath(__file__).parent))
 from postgres_server import PostgresServer
@@ -245,19 +246,21 @@ def record() -> Record:
         feed: float = 10_000.0,
         chain: str = "w-b-X-Y-Z-t",
         corners: bool = False,
+        program: Program | None = None,
         setting: synthetic.Setting | None = None,
     ) -> Recorded:
-        key = (seed, mode, rows, feed, chain, corners, repr(setting))
+        key = (seed, mode, rows, feed, chain, corners, repr(program), repr(setting))
         if key not in made:
             content = {**load_machine("demo"), "kinematic_chain": chain}
             machine = parse_machine(content)
-            if mode == "standstill":
-                program = paths.standstill_points(machine, seed, rows, dwell_s=0.8)
-            elif corners:
-                program = paths.corner_path(machine, feed)
-            else:
-                program = paths.chord_path(machine, seed, rows, feed)
-            recording = synthetic.record(content, program, seed, mode, setting)
+            drive = program
+            if drive is None and mode == "standstill":
+                drive = paths.standstill_points(machine, seed, rows, dwell_s=0.8)
+            elif drive is None and corners:
+                drive = paths.corner_path(machine, feed)
+            elif drive is None:
+                drive = paths.chord_path(machine, seed, rows, feed)
+            recording = synthetic.record(content, drive, seed, mode, setting)
             made[key] = (_run(recording), Truth(recording))
         return made[key]
 

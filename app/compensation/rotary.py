@@ -111,10 +111,17 @@ def _find_positioning_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return ECC of a C axis at positions; the nearest measured ones beyond these."""
-    measured = errors.result.measured.get(axis.name)
-    if measured is not None and not axis.turns_fully:
-        at_deg = np.clip(at_deg, *measured)
+    at_deg = _keep_to_measured(errors, axis, at_deg)
     return errors.rotation_rad(axis.name, at_deg)[:, TURNS.index(axis.name)]
+
+
+def _keep_to_measured(
+    errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    measured = errors.result.measured.get(axis.name)
+    if measured is None or axis.turns_fully:
+        return at_deg
+    return np.clip(at_deg, *measured)
 
 
 def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTable:
@@ -134,9 +141,7 @@ def _find_motions(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
     """Return E and ω as the result has them; 0 where it does not know one."""
-    measured = errors.result.measured.get(axis.name)
-    if measured is not None and not axis.turns_fully:
-        at_deg = np.clip(at_deg, *measured)
+    at_deg = _keep_to_measured(errors, axis, at_deg)
     symbols, model = list_error_motions(axis.name), errors.result.model
     motions = np.zeros((len(at_deg), len(symbols)))
     for one in model.identifiable_motions:
