@@ -4,7 +4,8 @@ A cell process (`cell`, `cell_process`) owns the devices and runs one `Measureme
 time. There are two ways to measure: the controller drives a path (`path_steps`) by
 itself while the tracker streams, or the machine stands (`point_steps`). All waiting is
 the `tick` of `measurement_monitor`, which feeds the controller's watchdog: if the
-engine hangs, the machine holds.
+engine hangs, the machine holds. What the tracker is asked for meanwhile is in
+`tracker_control`.
 
 A sample's way: the driver decodes it; `stream_reader` collects blocks of 20 ms into
 batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file`)

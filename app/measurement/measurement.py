@@ -49,6 +49,7 @@ from truepath.app.measurement.run_file import RunHeader
 from truepath.app.measurement.target_check import TargetCheck
 from truepath.app.measurement.target_search import TargetSearch
 from truepath.app.measurement.timing import EngineSettings
+from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.errors import DeviceError, Refused
@@ -177,6 +178,7 @@ class Measurement:
             on_readings=view.show_readings,
         )
         self._environment.start()
+        search = self._make_search(order.machine)
         self._monitor = MeasurementMonitor(
             self._tracker,
             self._motion,
@@ -186,10 +188,13 @@ class Measurement:
             self._report,
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
-            TargetCheck(order.machine) if len(order.machine.targets) > 1 else None,
-            self._make_search(order.machine),
+            search,
         )
-        self._steps = make_steps(self._monitor, order, status.position, commanded)
+        targets = TargetCheck(order.machine) if len(order.machine.targets) > 1 else None
+        tracker = TrackerControl(self._tracker, self._monitor, targets, search)
+        self._steps = make_steps(
+            self._monitor, tracker, order, status.position, commanded
+        )
         self._steps.run()
 
     def _check_controller(self) -> MotionStatus:
@@ -279,7 +284,7 @@ class Measurement:
         if self._environment is not None:
             self._environment.stop()
         if self._monitor is not None:
-            self._monitor.end_stream()
+            self._monitor.end()
         if self._recorder is None:
             file = self._order.run_file  # of an earlier measurement, if it is there
             return RunClosed(file if FilePath(file).exists() else "", outcome=state)
@@ -307,11 +312,12 @@ class Measurement:
 
 def make_steps(
     monitor: MeasurementMonitor,
+    tracker: TrackerControl,
     order: MeasurementOrder,
     start: tuple[float, ...],
     commanded: Commanded,
 ) -> MeasurementSteps:
     """Return the steps of a path or of points, which are in the controller's axes."""
     if isinstance(commanded, Path):
-        return PathSteps(monitor, order, start, commanded)
-    return PointSteps(monitor, order, start, commanded)
+        return PathSteps(monitor, tracker, order, start, commanded)
+    return PointSteps(monitor, tracker, order, start, commanded)

@@ -32,6 +32,7 @@ from truepath.app.measurement.messages import (
     PartRequested,
 )
 from truepath.app.measurement.progress import schedule_rows
+from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.configurations import Commanded, Configurations, append_part
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
@@ -53,11 +54,13 @@ class MeasurementSteps(ABC):
     def __init__(
         self,
         monitor: MeasurementMonitor,
+        tracker: TrackerControl,
         order: MeasurementOrder,
         start: tuple[float, ...],
     ) -> None:
         self.motion, self.settings = monitor.motion, monitor.settings
-        self._monitor, self._order, self._start = monitor, order, start
+        self._monitor, self._tracker = monitor, tracker
+        self._order, self._start = order, start
         self._progress, self._clock = monitor.progress, monitor.clock
         self._recorder, self._state = monitor.recorder, monitor.state
         self._commanded = order.commanded
@@ -80,7 +83,7 @@ class MeasurementSteps(ABC):
         """Have the tracker measure this target, if it is another one."""
         if name in ("", self._target):
             return
-        while not self._monitor.select_target(name):
+        while not self._tracker.select_target(name):
             self.checkpoint()
         self._target = name
 
@@ -97,8 +100,8 @@ class MeasurementSteps(ABC):
 
     def open_stream(self) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
-        if not self._monitor.is_polled:
-            self._monitor.begin_stream(self._order.rate_hz)
+        if not self._tracker.is_polled:
+            self._tracker.begin_stream(self._order.rate_hz)
             self.record_for(self.settings.lead_s)
 
     def wait_motion(
@@ -147,12 +150,12 @@ class MeasurementSteps(ABC):
         After a pause it starts over: what came before may lack the beam. Tells whether
         the machine stood there all the time, where a position is given.
         """
-        begin_s = self._monitor.device_s
-        while self._monitor.device_s - begin_s < device_s:
+        begin_s = self._tracker.device_s
+        while self._tracker.device_s - begin_s < device_s:
             self._monitor.tick()
             if self._state.must_stand:
                 self.checkpoint()
-                begin_s = self._monitor.device_s
+                begin_s = self._tracker.device_s
             if at is not None and not self._monitor.is_at(at):
                 row = self._progress.row + 1
                 self._recorder.event("point", f"row {row}: moved while it was measured")
@@ -185,7 +188,7 @@ class MeasurementSteps(ABC):
         return arrange_axes(part, self.motion.axes, self._start)
 
     def _wait_for_part(self) -> Commanded | None:
-        if not self.is_concluding and not self._monitor.is_polled:
+        if not self.is_concluding and not self._tracker.is_polled:
             self.record_for(self.settings.settle_s)  # the data of the last row go first
         if not self.is_concluding:
             self._monitor.report(PartRequested(self._progress.row))
@@ -198,10 +201,10 @@ class MeasurementSteps(ABC):
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
         self._progress.end()
-        begin_s = self._monitor.device_s
+        begin_s = self._tracker.device_s
         while (
-            not self._monitor.is_polled
-            and self._monitor.device_s - begin_s < self.settings.lead_s
+            not self._tracker.is_polled
+            and self._tracker.device_s - begin_s < self.settings.lead_s
         ):
             self._tick_at_end()
 
@@ -219,7 +222,7 @@ class MeasurementSteps(ABC):
     def miss_service(self) -> None:
         """Hold until a person resumes: no pause or abort would have come through."""
         if self._state.hold(HoldReason.SERVICE, str(SERVICE_SILENT)):
-            self._monitor.report_fault(SERVICE_SILENT)
+            self._monitor.events.report_fault(SERVICE_SILENT)
             self.motion.hold()
 
     def obey(self, command: MeasurementCommand) -> None:
@@ -228,10 +231,10 @@ class MeasurementSteps(ABC):
             case CellVerb.PAUSE:
                 if self._state.hold(HoldReason.OPERATOR, "pause"):
                     self.motion.hold()
-            case CellVerb.RESUME if self._monitor.is_beam_good:
+            case CellVerb.RESUME if self._monitor.stream.is_good:
                 self._state.release(*HoldReason, text="resume")
             case CellVerb.RESUME:
-                self._monitor.report_fault(NO_BEAM)
+                self._monitor.events.report_fault(NO_BEAM)
             case CellVerb.CONCLUDE:
                 self.is_concluding = True
             case Path() | Configurations():

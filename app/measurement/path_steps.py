@@ -9,6 +9,7 @@ from truepath.app.measurement.last_line import LastLine
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_steps import MeasurementSteps
 from truepath.app.measurement.messages import LinesDamaged, MeasurementOrder
+from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.by_target import Stretch, cut_by_target
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.driven_again import drive_again
@@ -26,11 +27,12 @@ class PathSteps(MeasurementSteps):
     def __init__(
         self,
         monitor: MeasurementMonitor,
+        tracker: TrackerControl,
         order: MeasurementOrder,
         start: tuple[float, ...],
         path: Path,
     ) -> None:
-        super().__init__(monitor, order, start)
+        super().__init__(monitor, tracker, order, start)
         self._path = path
         self._concluded_row: int | None = None
         self._again_left = _AGAIN
@@ -46,12 +48,12 @@ class PathSteps(MeasurementSteps):
         The controller keeps time. The stream begins and ends at a standstill, as
         segmentation needs it. It goes on while further parts are loaded and driven.
         """
-        if self._monitor.is_polled:
+        if self._tracker.is_polled:
             raise POINTS_ONLY
-        if self._monitor.stamps_arrival:
+        if self._tracker.stamps_arrival:
             raise NO_TIMES
         path = self._path
-        is_one = len(set(path.target)) == 1 or self._monitor.can_choose
+        is_one = len(set(path.target)) == 1 or self._tracker.can_choose
         self.approach(path.position[0], *(path.target[:1] if is_one else ()))
         first, *rest = self._cut(path)
         self.motion.load(first.path)
@@ -67,7 +69,7 @@ class PathSteps(MeasurementSteps):
 
         Else the tracker is turned by hand while the controller dwells.
         """
-        if self._monitor.can_choose:
+        if self._tracker.can_choose:
             return cut_by_target(part)
         return [Stretch(0, part)]
 
@@ -79,7 +81,7 @@ class PathSteps(MeasurementSteps):
         for stretch in stretches:
             if self._progress.is_cut_short:
                 return
-            if self._monitor.can_choose:
+            if self._tracker.can_choose:
                 self._change_target(*stretch.path.target[:1])
             self.motion.load(stretch.path)
             self._progress.expect(part_row + stretch.row)
@@ -90,17 +92,17 @@ class PathSteps(MeasurementSteps):
         if name in ("", self._target):
             return
         self.record_for(self.settings.settle_s)
-        self._monitor.holds_target(self._target, None)
+        self._tracker.holds_target(self._target, None)
         while self._target != name:
             self._choose_target(name)
             self.record_for(self.settings.settle_s)
-            if not self._monitor.holds_target(name, None):
+            if not self._tracker.holds_target(name, None):
                 self._target = ""
                 self.checkpoint()
 
     def _choose_part(self) -> Commanded | None:
         """Return what comes next: lines with a damaged stream again, or a new part."""
-        row = self._monitor.take_hit_row()
+        row = self._monitor.rows.take()
         if row is None or self.is_concluding:
             return self.request_part()
         self._again_left -= 1

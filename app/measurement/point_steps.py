@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_steps import MeasurementSteps
 from truepath.app.measurement.messages import MeasurementOrder
+from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.configurations import Commanded, Configurations
 
 
@@ -20,11 +21,12 @@ class PointSteps(MeasurementSteps):
     def __init__(
         self,
         monitor: MeasurementMonitor,
+        tracker: TrackerControl,
         order: MeasurementOrder,
         start: tuple[float, ...],
         points: Configurations,
     ) -> None:
-        super().__init__(monitor, order, start)
+        super().__init__(monitor, tracker, order, start)
         self._points = points
 
     def run(self) -> None:
@@ -53,11 +55,11 @@ class PointSteps(MeasurementSteps):
             name = points.target[row] if points.target else ""
             if row > 0 or not is_there:
                 self.approach(position, name)
-            if self._monitor.is_polled:
+            if self._tracker.is_polled:
                 self._poll_point(position, float(points.dwell_s[row]), name)
             else:
                 self._record_point(position, float(points.dwell_s[row]), name)
-            until_s = f"until {self._monitor.device_s:.6f} s"
+            until_s = f"until {self._tracker.device_s:.6f} s"
             self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
             if self.is_concluding and row + 1 < len(points):
                 self.leave_out_rest(is_row_done=True)
@@ -70,7 +72,7 @@ class PointSteps(MeasurementSteps):
         """Stand while the stream runs, until it has been there, of the right target."""
         span_s = self.settings.settle_s + dwell_s
         while not (
-            self.record_for(span_s, position) and self._monitor.holds_target(name, None)
+            self.record_for(span_s, position) and self._tracker.holds_target(name, None)
         ):
             self.checkpoint()
             self.wait_motion(position)
@@ -86,4 +88,4 @@ class PointSteps(MeasurementSteps):
             begin_s = self._clock()
             while self._clock() - begin_s < self.settings.settle_s:
                 self._monitor.tick()
-            is_measured = self._monitor.measure_point(self._progress.row, dwell_s, name)
+            is_measured = self._tracker.measure_point(self._progress.row, dwell_s, name)
