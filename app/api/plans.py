@@ -143,17 +143,24 @@ def download_plan_nc_program(
 
 @router.post(":validate", responses=declare_problems(404, 409, 422))
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
-    """Check rows over the whole swept path; a refusal names row and reason."""
+    """Check rows as the order of a measurement does, over the whole swept path.
+
+    A refusal names row and reason.
+    """
     machine = service.machines.choose(check.machine).machine
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
-    rows, duration_s = check_rows(
+    checked = check_rows(
         machine,
         check.rows(),
         check.feed_mm_min,
         workspace,
         is_path=check.path is not None,
     )
-    return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
+    return PlanCheckOut(
+        rows=checked.rows,
+        duration_s=round(checked.duration_s, 3),
+        stays_open=checked.stays_open,
+    )
 
 
 @of_jobs.get("/jobs/{job_id}/plan/grade", responses=declare_problems(404, 422))

@@ -1,13 +1,35 @@
-"""Rows that no analysis could take, refused before the machine drives them."""
+"""Rows of one's own as a measurement takes them, and what no analysis could tell by."""
 
 from __future__ import annotations
 
-from truepath.app.errors import AlignmentError, PlanningError
+from collections.abc import Sequence
+
+from truepath.app.errors import AlignmentError, PlanningError, Unidentifiable
 from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.commanded_rows import Row, command_rows
 from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.feeds import check_feed
+from truepath.app.motion.workspace import Workspace
 from truepath.drivers.interfaces.records import Path
 
 _FEWEST = 3  # places that fix where the tracker stands
+
+
+def command_measurable_rows(
+    machine: Machine,
+    rows: Sequence[Row],
+    feed_mm_min: float | None,
+    *,
+    is_path: bool,
+) -> Commanded:
+    """Return what a measurement of rows commands. Raises PlanningError.
+
+    feed_mm_min : of rows that state none
+    """
+    check_feed(machine, feed_mm_min)
+    commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
+    require_measurable(machine, commanded)
+    return commanded
 
 
 def require_measurable(machine: Machine, commanded: Commanded) -> None:
@@ -31,3 +53,22 @@ def require_measurable(machine: Machine, commanded: Commanded) -> None:
         require_spread(place_mm, what)
     except AlignmentError as error:
         raise PlanningError(str(error)) from error
+
+
+def name_what_stays_open(
+    machine: Machine, commanded: Commanded, workspace: Workspace
+) -> str:
+    """Say what an estimate of these rows alone would be refused for; else nothing.
+
+    Such rows are measured all the same: Runs are analysed together as well, and what
+    one leaves open another may show.
+    """
+    # Imported where it is needed: the service itself carries no science.
+    from truepath.app.planning.forecast import predict_undetermined
+    from truepath.app.planning.initial_design import choose_station
+
+    station_mm = choose_station(machine, workspace)
+    try:
+        return predict_undetermined(machine, commanded, station_mm)
+    except (PlanningError, Unidentifiable) as error:
+        return str(error)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,11 @@ from truepath.app.files.machine_file import machine_from_json, machine_to_json
 from truepath.app.files.one_machine import one_machine
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.job import JobKind, Json
-from truepath.app.jobs.measurable_rows import require_measurable
+from truepath.app.jobs.measurable_rows import (
+    command_measurable_rows,
+    name_what_stays_open,
+    require_measurable,
+)
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import MAX_ROWS, Row, command_rows
 from truepath.app.motion.configurations import Commanded
@@ -167,6 +171,19 @@ def refuse_several_targets(machine: Machine, order: Json) -> None:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class CheckedRows:
+    """Rows that a measurement would take.
+
+    duration_s : from the first row on, dwells included
+    stays_open : what an estimate of them alone would be refused for, empty if nothing
+    """
+
+    rows: int
+    duration_s: float
+    stays_open: str
+
+
 def check_rows(
     machine: Machine,
     rows: Sequence[Row],
@@ -174,12 +191,14 @@ def check_rows(
     workspace: Json,
     *,
     is_path: bool,
-) -> tuple[int, float]:
-    """Return the number of rows and their duration, s. Raises PlanningError."""
-    commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
-    workspace_from_json(workspace).refuse(machine, commanded)
+) -> CheckedRows:
+    """Check rows as the order of a measurement does. Raises PlanningError."""
+    commanded = command_measurable_rows(machine, rows, feed_mm_min, is_path=is_path)
+    within = workspace_from_json(workspace)
+    within.refuse(machine, commanded)
     row_s = row_times_s(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN, machine.motion)
-    return len(commanded), float(row_s.sum())
+    stays_open = name_what_stays_open(machine, commanded, within)
+    return CheckedRows(len(commanded), float(row_s.sum()), stays_open)
 
 
 def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.measurable_rows import require_measurable
+from truepath.app.jobs.measurable_rows import command_measurable_rows
 from truepath.app.jobs.plan_orders import (
     check_plan_to_drive,
     list_station_rows,
@@ -30,7 +30,7 @@ from truepath.app.jobs.verification_orders import (
     require_compensation,
     require_machine_of_result,
 )
-from truepath.app.motion.commanded_rows import Row, command_rows
+from truepath.app.motion.commanded_rows import Row
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.travel import check_travel
@@ -202,9 +202,9 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
         if request.rows:
             rows, feed_mm_min = request.rows, request.feed_mm_min
             is_path = kind is JobKind.MEASURE_OTF
-            checked = command_rows(machine, rows, feed_mm_min, is_path=is_path)
-            require_measurable(machine, checked)
-            return encode_commanded_json(checked)
+            return encode_commanded_json(
+                command_measurable_rows(machine, rows, feed_mm_min, is_path=is_path)
+            )
         if kind is JobKind.MEASURE_STANDSTILL:
             return encode_commanded_json(default_points(machine))
         return {}  # the default path takes a worker process seconds

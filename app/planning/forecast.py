@@ -24,6 +24,7 @@ from truepath.app.estimation.noise import NoiseModel
 from truepath.app.estimation.normal_equations import RecursiveEstimator
 from truepath.app.estimation.observability import (
     assess_observability,
+    name_undetermined,
     usual_precision_matrix,
 )
 from truepath.app.estimation.prior import diagonal_precision, guess_prior
@@ -41,7 +42,9 @@ from truepath.app.kinematics.volumetric_map import (
     compute_volumetric_gram,
 )
 from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.motion_times import row_times_s
 from truepath.app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.drivers.interfaces.records import Path
 
 _NAMED = 3  # of the weakest error motions
 _CURVE = 24  # places along the plan at which the uncertainty is stated
@@ -50,6 +53,7 @@ _POSE = {"mm": 1.0, "rad": 1e-3}
 # Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
 # ones, in the median of their error motions; and to have less lost motion.
 _SMOOTHER, _LESS_LOST = 6.0, 4.0
+_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # that the rank of rows is looked at by
 _POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
 
 
@@ -186,6 +190,38 @@ def forecast(
         observed.unobservable,
         stations,
     )
+
+
+def predict_undetermined(
+    machine: Machine, commanded: Commanded, station_mm: Float64[np.ndarray, "3"]
+) -> str:
+    """Say what rows alone do not determine, in the words of the estimate; else nothing.
+
+    By the rank of what their cells tell of straight shapes, which no prior knows, with
+    the tracker's pose and the timing of the lines open.
+
+    station_mm : in the frame that the tracker stands on
+
+    Raises Unidentifiable if not even the pose is determined, PlanningError if nothing
+    would be measured.
+    """
+    cells = predict_cells(machine, _shorten(machine, commanded), station_mm)
+    shapes = build_shape_model(machine, cells.at.offset_mm)
+    return name_undetermined(shapes, [RunInput(cells, cells.pose, EXPECTED_NOISE)])
+
+
+def _shorten(machine: Machine, commanded: Commanded) -> Commanded:
+    """Return rows that take seconds each: the rank of what they tell is the same.
+
+    An hour of dwell, or a line at a millimetre a minute, would be thousands of cells.
+    """
+    dwell_s = np.minimum(commanded.dwell_s, _LONGEST_DWELL_S)
+    commanded = replace(commanded, dwell_s=dwell_s)
+    if not isinstance(commanded, Path):
+        return commanded
+    line_s = row_times_s(commanded, limits=machine.motion) - dwell_s
+    faster = np.maximum(line_s / _LONGEST_LINE_S, 1.0)
+    return replace(commanded, feed_mm_min=commanded.feed_mm_min * faster)
 
 
 def _trace_curve(

@@ -262,20 +262,58 @@ def test_rows_that_may_be_driven_have_a_duration(client, feed):
     rows = [
         {"x_mm": 10, "y_mm": 10, "z_mm": 100, "dwell_s": 3600},
         {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
+        {"x_mm": 10, "y_mm": 300, "z_mm": 100},
     ]
     answer = client.post("/api/v1/plans:validate", json={"path": rows})
     assert answer.status_code == 200, answer.text
     assert answer.json()["duration_s"] > 3600.0
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"path": [{"x_mm": x, "y_mm": x, "z_mm": x} for x in (10, 200)]},
+        {"path": [{"x_mm": x, "y_mm": x, "z_mm": x} for x in (10, 200, 90)]},
+        {"points": [{"x_mm": 10, "y_mm": 10, "z_mm": 10}]},
+        {"points": [{"x_mm": x, "y_mm": x, "z_mm": x} for x in (10, 90, 200)]},
+    ],
+)
+def test_rows_that_no_measurement_takes_are_refused_as_its_order_refuses_them(
+    client, is_problem, body
+):
+    checked = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")
+    kind = "measure-otf" if "path" in body else "measure-standstill"
+    ordered = is_problem(
+        client.post("/api/v1/jobs", json={"kind": kind, **body}), 422, "plan"
+    )
+    assert (checked["code"], checked["detail"]) == (ordered["code"], ordered["detail"])
+
+
+def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
+    rows = [
+        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
+    ]
+    address = "/api/v1/plans:validate"
+    assert client.post(address, json={"path": rows}).json()["stays_open"] == ""
+    two = client.post(address, json={"path": rows[:3]})
+    assert two.status_code == 200, two.text
+    assert "do not determine A0Z, B0Z, C0Y" in two.json()["stays_open"]
+    order = {"kind": "measure-otf", "path": rows[:3]}
+    assert client.post("/api/v1/jobs", json=order).status_code == 202
+
+
 def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
     rows = [
         {"x_mm": 10, "y_mm": 10, "z_mm": 100},
         {"x_mm": 400, "y_mm": 300, "z_mm": 100},
+        {"x_mm": 400, "y_mm": 10, "z_mm": 100},
     ]
     free = client.post("/api/v1/plans:validate", json={"path": rows})
     assert free.status_code == 200, free.text
-    assert free.json()["rows"] == 2
+    assert free.json()["rows"] == 3
     assert free.json()["duration_s"] > 4.0
     body = {"path": rows, "workspace": {"keep_out": [BOX]}}
     refused = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")

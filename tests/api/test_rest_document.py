@@ -180,7 +180,8 @@ def test_a_plan_is_made_looked_at_and_driven(curl, follow, tmp_path):
     assert answer.status_code == 202, answer.text
     curl.take(answer.json())
     follow("ready")
-    assert curl(validate).json()["rows"] == 2
+    checked = curl(validate).json()
+    assert (checked["rows"], checked["stays_open"]) == (4, "")
     curl.client.post("/api/v1/stop")
     follow("aborted")
 

@@ -5,8 +5,14 @@ import pytest
 
 from tests.estimation.estimating import estimate
 from truepath.app.alignment.align import align
+from truepath.app.errors import Unidentifiable
 from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.app.planning.forecast import Assumptions, forecast
+from truepath.app.planning.forecast import (
+    Assumptions,
+    forecast,
+    predict_undetermined,
+)
+from truepath.simulators.timeline import Program
 
 
 @pytest.fixture(
@@ -68,3 +74,34 @@ def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
     assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14
     assert {"C0Y", "B0Z", "A0Z"} < set(motions)
     assert all(sigma > 0.0 for sigma in motions.values())
+
+
+def join_places(*places):
+    """A program that goes from place to place in the travel, each at a share of it."""
+    n = len(places)
+    position_mm = np.array([500.0, 400.0, 300.0]) * places
+    return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
+
+
+IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
+IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
+
+
+@pytest.mark.parametrize(
+    ("places", "is_determined"),
+    [(IN_SPACE[:3], False), (IN_SPACE, True), (IN_A_PLANE, False)],
+    ids=["two-lines", "three-lines", "in-a-plane"],
+)
+def test_what_the_estimate_refuses_is_foretold_in_its_words(
+    record, places, is_determined
+):
+    run, truth = record(2, program=join_places(*places))
+    stand_mm = truth.recording.pose.position_mm
+    foretold = predict_undetermined(run.machine, run.commanded, stand_mm)
+    refused = ""
+    try:
+        estimate(align(run))
+    except Unidentifiable as error:
+        refused = str(error)
+    assert foretold == refused
+    assert (foretold == "") is is_determined

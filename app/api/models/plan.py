@@ -228,6 +228,8 @@ class PlanCheck(RequestBody):
                     "path": [
                         {"x_mm": 10, "y_mm": 10, "z_mm": 10},
                         {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+                        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+                        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
                     ]
                 }
             ]
@@ -255,10 +257,18 @@ class PlanCheck(RequestBody):
 
 
 class PlanCheckOut(BaseModel):
-    """The rows may be driven: every swept line keeps to travel and workspace."""
+    """A measurement takes the rows: they tell where the tracker stands.
+
+    Every swept line keeps to travel and workspace.
+    """
 
     rows: int
     duration_s: float = Field(description="From the first row on, dwells included.")
+    stays_open: str = Field(
+        description="What an analysis of these rows alone would be refused for, and "
+        "which lines would mend it; empty where it determines all errors. The rows are "
+        "driven all the same, for several Runs may be analysed together."
+    )
 
 
 class GradeAt(BaseModel):
