@@ -79,6 +79,7 @@ class StreamReader:
         self._take_link_bytes()
         self._damage = StreamDamage(rate_hz, self._timeouts.damaged_share)
         self._tracker.start(rate_hz)
+        self._received_s = self._valid_s = self._clock()  # it took its time to start
         self._thread.start()
 
     def stop(self) -> None:

@@ -96,13 +96,18 @@ class TrackerControl:
             self._settings.timeouts,
             self._clock,
         )
-        self._monitor.stream.watch(stream)
+        try:
+            self._start(stream, rate_hz)
+        finally:
+            self._monitor.stream.watch(stream)  # which ends what has begun
+        self._wait_for_sample(stream)
+
+    def _start(self, stream: StreamReader, rate_hz: float) -> None:
         try:
             stream.start(rate_hz)
         except NotHomed as error:
             self._home(error)
             stream.start(rate_hz)
-        self._wait_for_sample(stream)
 
     def _wait_for_sample(self, stream: StreamReader) -> None:
         deadline_s = self._clock() + self._settings.first_sample_s

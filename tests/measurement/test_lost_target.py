@@ -375,6 +375,28 @@ def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line(
     ].index("start")
 
 
+def test_a_tracker_that_takes_its_time_to_be_homed_is_not_taken_for_silent(
+    begin, finder, motion, order, journal
+):
+    motion.speed = 5000.0
+    finder.refusal = NotHomed("not initialised")
+    skipped_s = [0.0]
+
+    def home() -> None:
+        skipped_s[0] = 20.0
+        time.sleep(0.2)  # some looks of the engine
+        finder.refusal = None
+
+    finder.home = home
+    patience = StreamTimeouts(silent_s=15.0, dead_s=18.0, late_s=1000.0)
+    settings = replace(
+        SETTINGS, clock=lambda: time.monotonic() + skipped_s[0], timeouts=patience
+    )
+    begin(finder, order, settings).ended()
+    assert journal.states == ["running", "finished"]
+    assert journal.faults == ["tracker-homed"]
+
+
 def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
     begin, finder, motion, order, journal
 ):
