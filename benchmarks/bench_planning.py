@@ -49,8 +49,8 @@ from truepath.app.planning.plan_order import PlanOrder
 from truepath.app.planning.point_design import PointDesignState
 from truepath.drivers.interfaces.records import Path as MachinePath
 from truepath.simulators import synthetic
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 FEED, DWELL_S = 6000.0, 0.4

@@ -36,8 +36,8 @@ from truepath.simulators.hidden.effect import HiddenEffect
 from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
 from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
-from truepath.simulators.timeline import Program
 from truepath.simulators.tracker_head import TrackerPose
 from truepath.simulators.truth_machine import perfect
 

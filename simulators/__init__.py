@@ -22,7 +22,10 @@ closed form from seed and time alone, at any speed of the clock.
     truth_machine   where the tool really is
     random_machine  machines that err, drawn
     profile         feed along one line with limited acceleration and jerk
-    timeline        a whole motion, piece by piece; hold, resume, override
+    program         waypoints, as a CNC is given them
+    timeline        a whole motion, piece by piece
+    driven_motion   the motion along a line or through a program; reversals: its arcs
+    interruption    hold, resume, override
     tracker_head    range and angles of a point, with noise correlated in time
     paths           paths and points without a planner; turning_paths: with rotary axes
     synthetic       whole recordings without wire and without waiting

@@ -24,9 +24,11 @@ from truepath.drivers.cnc.modbus.registers import (
 )
 from truepath.drivers.interfaces.records import UNABLE, MotionState
 from truepath.simulators import interruption
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.profile import Limits
-from truepath.simulators.timeline import Program, Timeline, follow, standing
+from truepath.simulators.program import Program
+from truepath.simulators.timeline import Timeline, standing
 
 MAX_FEED_MM_MIN = 40_000.0
 # In lead times: a minute on the wall, longer than a tracker process is ever late.

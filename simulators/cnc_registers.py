@@ -27,7 +27,7 @@ from truepath.simulators.modbus_wire import (
     ModbusError,
     Registers,
 )
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 _BLOCKS = (
     regmap.IDENTITY,

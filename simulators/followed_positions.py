@@ -14,7 +14,8 @@ import stat
 import numpy as np
 
 from truepath.simulators.errors import SimulatorError
-from truepath.simulators.timeline import SHORTEST_MM, Timeline, path_length, standing
+from truepath.simulators.program import SHORTEST_MM, path_length
+from truepath.simulators.timeline import Timeline, standing
 
 _KEPT_S = 10.0
 _BLOCK = 1 << 16

@@ -6,15 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from truepath.simulators.driven_motion import along, follow
 from truepath.simulators.profile import Limits, brake, ride
-from truepath.simulators.timeline import (
-    Program,
-    State,
-    Timeline,
-    along,
-    follow,
-    path_length,
-)
+from truepath.simulators.program import Program, path_length
+from truepath.simulators.timeline import State, Timeline
 
 
 def hold_motion(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from truepath.simulators.machine_file import MachineFile
+from truepath.simulators.program import Program
 from truepath.simulators.randomness import generator
-from truepath.simulators.timeline import Program
 
 MARGIN_MM = 10.0
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.timeline import Program, Timeline
+from truepath.simulators.program import Program
+from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_head import TrackerClock, TrackerPose
 from truepath.simulators.truth_machine import TruthMachine
 

@@ -9,9 +9,9 @@ from truepath.drivers.interfaces.records import MotionState
 from truepath.simulators.cnc_controller import Controller
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import Program
 from truepath.simulators.recorded_run import RecordedRun
 from truepath.simulators.replay_clock import ReplayClock
-from truepath.simulators.timeline import Program
 
 _SAME = 0.02  # mm or deg between an ordered and a recorded end
 _AHEAD = 4  # rows that a machine passes between two looks, at most

@@ -20,6 +20,7 @@ import numpy as np
 from truepath.simulators import interruption, paths, tracker_head, turning_paths
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.hidden.drawing import parse_hidden
 from truepath.simulators.hidden.effect import HiddenEffect
@@ -27,12 +28,13 @@ from truepath.simulators.hidden.motion import Motion
 from truepath.simulators.hidden.superposition import locate_target_mm, misread
 from truepath.simulators.machine_file import MachineFile, parse_machine
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.randomness import generator
 from truepath.simulators.recording import Recording
 from truepath.simulators.scale_sensors import read_sensors
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program, Timeline, follow
+from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_head import Air, TrackerClock, TrackerPose
 from truepath.simulators.truth_machine import TruthMachine
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from truepath.simulators.machine_file import MachineFile, Reflector
 from truepath.simulators.paths import MARGIN_MM
+from truepath.simulators.program import Program
 from truepath.simulators.randomness import generator
-from truepath.simulators.timeline import Program
 
 MARGIN_DEG = 1.0
 _FASTEST_DEG_S = 40.0

@@ -34,8 +34,8 @@ from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 from truepath.simulators import paths, synthetic
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 sys.path.append(str(FilePath(__file__).parent))
 from postgres_server import PostgresServer

@@ -28,7 +28,7 @@ from truepath.simulators.hidden.inertial_bend import InertialBend
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.paths import chord_path
 from truepath.simulators.profile import Limits
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 from truepath.simulators.tracker_head import random_pose
 
 MACHINES, FAST_MACHINES = 5, 5

@@ -24,7 +24,7 @@ from truepath.drivers.interfaces.records import Path
 from truepath.simulators import synthetic
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.profile import Limits
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 from truepath.simulators.tracker_head import random_pose
 
 # Machines of lower seeds were looked at while the method was made.

@@ -16,13 +16,14 @@ from ideal_test import signal_to_noise
 from recordings import plan_program, random_air, random_content
 
 from truepath.simulators import paths, synthetic
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
 from truepath.simulators.hidden.effect import HiddenEffect, Occasion
 from truepath.simulators.hidden.thermal_growth import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
 from truepath.simulators.synthetic import ROUGH, Setting
-from truepath.simulators.timeline import Program, follow
 
 KINDS = (
     "single",

@@ -30,8 +30,8 @@ from truepath.app.motion.default_points import default_points
 from truepath.app.planning.default_path import default_path
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
-from truepath.simulators.timeline import Program
 from truepath.simulators.turning_paths import turning_points
 
 FIRST_SEED, MACHINES = 8401, 6

@@ -25,6 +25,7 @@ from recordings import random_air, random_content, run_of
 from truepath.app.estimation.live import LiveEstimator
 from truepath.app.files.run import Run
 from truepath.simulators import paths, synthetic
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.effect import HiddenEffect
 from truepath.simulators.hidden.motion import Motion
@@ -34,7 +35,6 @@ from truepath.simulators.hidden.thermal_growth import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.recording import Recording
 from truepath.simulators.synthetic import Setting
-from truepath.simulators.timeline import follow
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "live.md"

@@ -29,7 +29,7 @@ from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.volumetric_map import build_volumetric_map
 from truepath.simulators import paths, synthetic
 from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")

@@ -14,8 +14,8 @@ from truepath.app.planning.default_path import default_path
 from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from truepath.simulators import paths
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
-from truepath.simulators.timeline import Program
 from truepath.simulators.tracker_head import Air
 
 CHAINS = ("w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-b-X-Z-t", "w-X-Y-b-Z-t", "w-Z-b-Y-X-t")

@@ -29,8 +29,8 @@ from truepath.drivers.interfaces.records import Path
 from truepath.simulators import synthetic, turning_paths
 from truepath.simulators.hidden.effect import HiddenEffect
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
-from truepath.simulators.timeline import Program
 from truepath.simulators.truth_machine import perfect
 
 MACHINES, FIRST_SEED, POINTS, GRID = 20, 1, 200, 300

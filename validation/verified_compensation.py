@@ -31,7 +31,7 @@ from truepath.app.results.result_json import result_json
 from truepath.app.results.verification import Verification, verify
 from truepath.simulators import synthetic
 from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 MACHINES, LINES, FEED_MM_MIN = 40, 60, 6000.0
 FIRST_SEED = 501  # which nothing was made or mended on

@@ -22,8 +22,8 @@ from target_seats import draw_machine
 
 from truepath.simulators import paths, turning_paths
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.synthetic import Setting, record
-from truepath.simulators.timeline import Program
 
 SEED = 9901
 _FEWEST_INSIDE = 0.85  # of the components inside 2 u

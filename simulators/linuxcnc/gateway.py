@@ -39,7 +39,7 @@ from truepath.simulators.machine_file import MachineFile, parse_machine
 from truepath.simulators.modbus_ports import ModbusTcpPort
 from truepath.simulators.modbus_wire import answer
 from truepath.simulators.profile import Limits
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 _MODULES = "/usr/lib/python3/dist-packages"
 _PERIOD_S = 0.005

@@ -19,9 +19,9 @@ from truepath.app.kinematics.effects.nuisance import TimingLaw
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 from truepath.simulators import synthetic, turning_paths
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import ROUGH, Defects, Setting
-from truepath.simulators.timeline import Program
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 

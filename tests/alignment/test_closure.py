@@ -8,7 +8,7 @@ import pytest
 from truepath.app.alignment.align import align
 from truepath.app.alignment.closure import find_committed
 from truepath.app.errors import AlignmentError
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 # To and fro along Y, then far away: the first three places are on one line.
 PLACES = [

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from truepath.app.alignment.align import align
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting, record
-from truepath.simulators.timeline import Program
 
 
 def drive(run_of, rows, feed_mm_min, **setting):

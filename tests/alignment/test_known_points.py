@@ -19,8 +19,8 @@ from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 from truepath.simulators.tracker_head import TrackerPose, place_anew
 
 POINTS = np.array(

@@ -13,8 +13,8 @@ from truepath.app.planning.default_path import default_path
 from truepath.app.results.points_csv import predict_points
 from truepath.simulators import synthetic
 from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 FEED_MM_MIN = 12_000.0
 

@@ -18,10 +18,10 @@ from truepath.app.results.prediction import predict
 from truepath.simulators import synthetic
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting
-from truepath.simulators.timeline import Program
 
 DEGC, THERMOMETER_K = (18.0, 25.0, 20.0, 22.0), (0.1, -0.05, -0.1, 0.08)
 GROWTH_PER_K = {"X": 11e-6, "Y": 8e-6, "Z": 14e-6}

@@ -15,10 +15,10 @@ from truepath.app.planning.default_path import default_path
 from truepath.simulators import synthetic
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting
-from truepath.simulators.timeline import Program
 
 HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6
 AT = ",".join(map(str, HOURS))

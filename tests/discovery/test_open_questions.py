@@ -39,9 +39,9 @@ from truepath.simulators.hidden.lateral_backlash import LateralBacklash
 from truepath.simulators.hidden.servo_mismatch import ServoMismatch
 from truepath.simulators.hidden.setup_step import SetupStep
 from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting
-from truepath.simulators.timeline import Program
 
 RunOf = Callable[[synthetic.Recording], Run]
 MACHINE = 5

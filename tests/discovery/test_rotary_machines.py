@@ -24,8 +24,8 @@ from truepath.simulators.hidden.turning import (
     SwivelSag,
     TurningBacklash,
 )
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 pytestmark = pytest.mark.timeout(180)
 

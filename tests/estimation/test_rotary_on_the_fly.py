@@ -24,8 +24,8 @@ from truepath.app.planning.default_path import default_path
 from truepath.app.results.error_tables import build_error_tables
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 pytestmark = pytest.mark.timeout(300)
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)

@@ -25,9 +25,9 @@ from truepath.simulators import synthetic
 from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.elastic_sag import ElasticSag
 from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting
-from truepath.simulators.timeline import Program
 
 FEEDS = (3000.0, 9000.0)
 SMALL = load_machine("demo")

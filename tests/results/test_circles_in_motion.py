@@ -34,8 +34,8 @@ from truepath.simulators.arc import Arc
 from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.servo_mismatch import ServoMismatch
 from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
 HIDDEN = (

@@ -8,13 +8,15 @@ import pytest
 from truepath.simulators.compensation.correction import measure_deviation_mm
 from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.compensation.rules import Rules
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.hidden.motion import Motion, MotionFollower
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import Program, follow, standing
+from truepath.simulators.timeline import standing
 
 MACHINE = parse_machine(load_machine("demo"))
 

@@ -11,6 +11,7 @@ import pytest
 
 from truepath.simulators import paths, synthetic
 from truepath.simulators.bench import Bench
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.drawing import (
@@ -38,10 +39,10 @@ from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
 from truepath.simulators.hidden.vibration import Vibration
 from truepath.simulators.machine_file import MachineFile, parse_machine
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting, record
-from truepath.simulators.timeline import Program, follow
 from truepath.simulators.tracker_head import TrackerClock
 
 FEED_MM_S = 100.0

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from truepath.simulators import interruption
 from truepath.simulators.arc import Arc
+from truepath.simulators.driven_motion import along, follow
 from truepath.simulators.profile import Limits, brake, rest_to_rest
-from truepath.simulators.timeline import Program, Timeline, along, follow, standing
+from truepath.simulators.program import Program
+from truepath.simulators.timeline import Timeline, standing
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)

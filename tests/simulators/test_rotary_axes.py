@@ -13,14 +13,15 @@ from truepath.drivers.tracker.streaming.codec import StreamDecoder
 from truepath.drivers.tracker.streaming.messages import Start, encode_message
 from truepath.simulators import synthetic, turning_paths
 from truepath.simulators.bundle_files import write_bundle_files
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.faults import Schedule, parse_fault
 from truepath.simulators.machine_file import MachineFile, Reflector, parse_machine
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import path_length
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.rotary_joint import RotaryJoint, local_frame
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import follow, path_length
 from truepath.simulators.tracker_device import TrackerDevice, TrackerParts
 from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
 from truepath.simulators.truth_machine import perfect

@@ -28,11 +28,13 @@ from truepath.drivers.tracker.streaming.messages import (
     StreamInfo,
     encode_message,
 )
+from truepath.simulators.driven_motion import follow
 from truepath.simulators.faults import Schedule, parse_fault
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.profile import Limits
+from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
-from truepath.simulators.timeline import Program, Timeline, follow, standing
+from truepath.simulators.timeline import Timeline, standing
 from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
 
