@@ -19,12 +19,8 @@ import numpy as np
 
 from truepath.drivers.tracker.streaming.codec import StreamDecoder
 from truepath.drivers.tracker.streaming.framing import check_frame
-from truepath.drivers.tracker.streaming.messages import (
-    Ack,
-    StreamInfo,
-    Type,
-    parse_message,
-)
+from truepath.drivers.tracker.streaming.message_codec import parse_message
+from truepath.drivers.tracker.streaming.messages import Ack, StreamInfo, Type
 from truepath.simulators.errors import SimulatorError
 
 _SAMPLE_BYTES = 48  # a record of the stream `tracker`, its number first

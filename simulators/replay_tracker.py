@@ -13,6 +13,10 @@ from truepath.drivers.tracker.streaming.measurements import (
     StatusBit,
     encode_measurements,
 )
+from truepath.drivers.tracker.streaming.message_codec import (
+    encode_message,
+    parse_message,
+)
 from truepath.drivers.tracker.streaming.messages import (
     Ack,
     DeviceInfo,
@@ -25,8 +29,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Start,
     Stop,
     Type,
-    encode_message,
-    parse_message,
 )
 from truepath.simulators.recorded_run import RecordedRun
 from truepath.simulators.replay_clock import ReplayClock

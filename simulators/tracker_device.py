@@ -17,6 +17,10 @@ from truepath.drivers.tracker.streaming.measurements import (
     StatusBit,
     encode_measurements,
 )
+from truepath.drivers.tracker.streaming.message_codec import (
+    encode_message,
+    parse_message,
+)
 from truepath.drivers.tracker.streaming.messages import (
     VERBS_VERSION,
     VERSION,
@@ -42,8 +46,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
     Type,
-    encode_message,
-    parse_message,
 )
 from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.faults import Schedule

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.messages import Start, encode_message
+from truepath.drivers.tracker.streaming.message_codec import encode_message
+from truepath.drivers.tracker.streaming.messages import Start
 from truepath.simulators import synthetic, turning_paths
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.driven_motion import follow

@@ -10,6 +10,7 @@ from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.drivers.tracker.streaming.codec import StreamDecoder
 from truepath.drivers.tracker.streaming.framing import encode_frame
 from truepath.drivers.tracker.streaming.measurements import StatusBit
+from truepath.drivers.tracker.streaming.message_codec import encode_message
 from truepath.drivers.tracker.streaming.messages import (
     VERSION,
     Ack,
@@ -26,7 +27,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Status,
     Stop,
     StreamInfo,
-    encode_message,
 )
 from truepath.simulators.driven_motion import follow
 from truepath.simulators.faults import Schedule, parse_fault

@@ -33,13 +33,8 @@ from truepath.drivers.tracker.streaming.measurements import (
     parse_measurements,
     spherical_to_cartesian_mm,
 )
-from truepath.drivers.tracker.streaming.messages import (
-    Ack,
-    Format,
-    Message,
-    StreamInfo,
-    parse_message,
-)
+from truepath.drivers.tracker.streaming.message_codec import parse_message
+from truepath.drivers.tracker.streaming.messages import Ack, Format, Message, StreamInfo
 
 _STRONGEST = 255.0
 _CLOCK_BITS = {Format.MEAS64: 64, Format.MEAS: 32}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import math
 import threading
@@ -15,11 +14,8 @@ from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
-    DeviceTimeout,
-    NotHomed,
     NotOffered,
     Refused,
-    WrongDevice,
 )
 from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath.drivers.interfaces.tracker import (
@@ -35,15 +31,16 @@ from truepath.drivers.interfaces.tracker_records import (
     TrackerEvent,
 )
 from truepath.drivers.tracker.streaming.codec import SampleDecoder, link_health
+from truepath.drivers.tracker.streaming.command_link import CommandLink
 from truepath.drivers.tracker.streaming.event_log import EventLog
 from truepath.drivers.tracker.streaming.framing import FrameReader
+from truepath.drivers.tracker.streaming.greeting import greet
 from truepath.drivers.tracker.streaming.messages import (
     VERBS_VERSION,
     VERSION,
     Ack,
     Aim,
     AirInUse,
-    Command,
     DeviceInfo,
     Event,
     EventCode,
@@ -52,10 +49,7 @@ from truepath.drivers.tracker.streaming.messages import (
     Hello,
     Home,
     Message,
-    Nak,
     NakCode,
-    Ping,
-    Reply,
     Search,
     Select,
     SetAir,
@@ -63,7 +57,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
     Verb,
-    encode_message,
 )
 from truepath.drivers.tracker.streaming.receiver import Receiver
 from truepath.drivers.transport.make_port import make_port
@@ -71,7 +64,6 @@ from truepath.drivers.transport.make_port import make_port
 log = logging.getLogger(__name__)
 
 _GATHER_S = 0.02
-_TRIES = 2
 _STALE_S = 2.0  # of samples that are no newer than those before
 _RATE_TOLERANCE = 0.01
 # On the wire, a start and a stop bit a byte.
@@ -109,11 +101,10 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._baudrate = baudrate if host is None else None
         self._serial_number = serial_number
         self._format = Format.MEAS if compact else Format.MEAS64
-        self._reply_timeout_s, self._turn_s = reply_timeout_s, turn_s
+        self._turn_s = turn_s
         self._knows_verbs = False
         self._lock = threading.RLock()
-        self._write_lock = threading.Lock()
-        self._transactions = itertools.count(1)
+        self._link = CommandLink(self._port, reply_timeout_s)
         self._receiver: Receiver | None = None
         self._identity: Identity | None = None
         self._max_rate_hz = 0.0
@@ -143,7 +134,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             self._check_rate(rate_hz)
             if self._rate_hz not in (None, rate_hz):
                 self.stop()
-            ack = self._ask(receiver, lambda t: Start(t, rate_hz, self._format))
+            ack = self._link.ask(receiver, lambda t: Start(t, rate_hz, self._format))
             self._rate_hz = rate_hz
             self._check_started(ack, rate_hz)
 
@@ -179,7 +170,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 return
             self._rate_hz = None
             try:
-                self._ask(receiver, Stop)
+                self._link.ask(receiver, Stop)
             except ConnectionLost as error:
                 log.warning("stop not sent: %s", error)
 
@@ -236,17 +227,19 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     def _open(self) -> Identity:
         self._port.open()
-        receiver = Receiver(self._port, self._ping)
+        receiver = Receiver(self._port, self._link.ping)
         self._receiver = receiver
         self._frames, self._decoder = receiver.frames, SampleDecoder()
         self._event_log = EventLog()
         receiver.start()
         try:
-            identity = self._greet(receiver)
-            self._ask(receiver, Stop)
+            info = greet(self._link, receiver, self._port.name, self._serial_number)
+            self._max_rate_hz = info.max_rate_hz
+            self._link.ask(receiver, Stop)
         except DeviceError:
             self._shut()
             raise
+        identity = Identity(info.maker, info.model, info.serial_number, info.firmware)
         receiver.take(0.0, 0.0)
         receiver.take_link_bytes()
         log.info(
@@ -264,40 +257,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             receiver.close()
         self._port.close()
 
-    def _greet(self, receiver: Receiver) -> Identity:
-        try:
-            info = self._ask(receiver, Hello).detail
-        except DeviceTimeout as error:
-            raise self._silence(receiver, error) from None
-        except Refused as error:
-            raise WrongDevice(f"{error}; the device speaks another version") from error
-        if not isinstance(info, DeviceInfo) or info.version != VERSION:
-            raise WrongDevice(
-                f"{self._port.name}: the device does not speak GST/{VERSION} ({info}); "
-                "update the device or the driver"
-            )
-        if self._serial_number not in ("", info.serial_number):
-            raise WrongDevice(
-                f"{self._port.name}: instrument {info.serial_number} answers, "
-                f"{self._serial_number} is configured; check which cable is where"
-            )
-        self._max_rate_hz = info.max_rate_hz
-        return Identity(info.maker, info.model, info.serial_number, info.firmware)
-
-    def _silence(self, receiver: Receiver, error: DeviceTimeout) -> DeviceError:
-        """Tell silence from bytes that are not ours."""
-        if receiver.echoes:
-            return WrongDevice(
-                f"{self._port.name}: our own bytes come back; a loop-back plug, "
-                "or a terminal that echoes"
-            )
-        if receiver.bytes_received and not receiver.frames.frames:
-            return WrongDevice(
-                f"{self._port.name}: something answers, but not in GST/1 frames; "
-                "check that this is the tracker's port, and its baud rate"
-            )
-        return error
-
     def _do(self, build: Callable[[int], Verb]) -> Ack:
         """Ask for a verb of version 2, after that version where it was not yet."""
         with self._lock:
@@ -305,7 +264,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             try:
                 if not self._knows_verbs:
                     self._ask_for_verbs(receiver)
-                return self._ask(receiver, build, self._turn_s)
+                return self._link.ask(receiver, build, self._turn_s)
             except Refused as error:
                 if error.code == NakCode.NO_TARGET:
                     raise BeamLost(f"{error}; bring it near the beam") from error
@@ -313,7 +272,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     def _ask_for_verbs(self, receiver: Receiver) -> None:
         try:
-            info = self._ask(receiver, lambda t: Hello(t, VERBS_VERSION)).detail
+            info = self._link.ask(receiver, lambda t: Hello(t, VERBS_VERSION)).detail
         except Refused as error:
             raise NotOffered(str(error), error.code) from error
         if not isinstance(info, DeviceInfo) or info.version < VERBS_VERSION:
@@ -360,44 +319,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 f"{self._port.name} streams at {actual_hz:g} Hz, not at {rate_hz:g} Hz"
             )
         log.info("%s streams at %g Hz", self._port.name, actual_hz)
-
-    def _ask(
-        self,
-        receiver: Receiver,
-        build: Callable[[int], Command],
-        longer_s: float = 0.0,
-    ) -> Ack:
-        """Send a command until its reply comes; a repeat has the same number."""
-        command = build(next(self._transactions) & 0xFF)
-        receiver.expect(command.transaction)
-        for left in reversed(range(_TRIES)):
-            self._send(command)
-            patience_s = self._reply_timeout_s / _TRIES + longer_s * (left == 0)
-            reply = receiver.wait_reply(patience_s)
-            if reply is not None:
-                return self._refuse_nak(reply)
-        raise DeviceTimeout(
-            f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
-            f"{self._reply_timeout_s + longer_s:g} s; is the tracker on, warm and in "
-            "remote mode?"
-        )
-
-    def _refuse_nak(self, reply: Reply) -> Ack:
-        if isinstance(reply, Nak):
-            family = NotHomed if reply.code == NakCode.NOT_READY else Refused
-            raise family(
-                f"{self._port.name} refuses: {reply.text or 'no reason given'} "
-                f"(code {reply.code})",
-                reply.code,
-            )
-        return reply
-
-    def _ping(self) -> None:
-        self._send(Ping(next(self._transactions) & 0xFF))
-
-    def _send(self, command: Command) -> None:
-        with self._write_lock:
-            self._port.write(encode_message(command))
 
     def _note(self, message: Message) -> None:
         if not isinstance(message, Event):

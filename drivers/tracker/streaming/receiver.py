@@ -16,13 +16,8 @@ from collections.abc import Callable
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath.drivers.tracker.streaming.framing import FrameReader
 from truepath.drivers.tracker.streaming.measurements import is_measurement
-from truepath.drivers.tracker.streaming.messages import (
-    Ack,
-    Hello,
-    Nak,
-    Reply,
-    parse_message,
-)
+from truepath.drivers.tracker.streaming.message_codec import parse_message
+from truepath.drivers.tracker.streaming.messages import Ack, Hello, Nak, Reply
 from truepath.drivers.transport.byte_port import BytePort
 
 log = logging.getLogger(__name__)

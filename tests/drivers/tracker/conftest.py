@@ -14,9 +14,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from truepath.drivers.tracker.streaming.framing import FrameReader
 from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
+)
+from truepath.drivers.tracker.streaming.message_codec import (
+    encode_message,
+    parse_message,
 )
 from truepath.drivers.tracker.streaming.messages import (
     Ack,
@@ -24,7 +29,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Format,
     Hello,
     Message,
-    MessageReader,
     Nak,
     NakCode,
     Ping,
@@ -33,7 +37,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
     Type,
-    encode_message,
 )
 from truepath.simulators.tracker_head import to_spherical
 
@@ -192,7 +195,7 @@ class LoopbackTracker(Peer):
         self.answered_rate_hz: float | None = None
         self.nak: NakCode | None = None
         self.damage: Callable[[bytes], bytes] = lambda data: data
-        self._reader = MessageReader()
+        self._frames = FrameReader()
         self._stream: Start | None = None
         self._began_s = 0.0
         self._began_at = 0
@@ -202,7 +205,9 @@ class LoopbackTracker(Peer):
         return self._stream.rate_hz if self._stream else None
 
     def step(self, data: bytes) -> None:
-        for command in self._reader.feed(data):
+        for command in map(parse_message, self._frames.feed(data)):
+            if command is None:
+                continue
             self.commands.append(command)
             if type(command) not in self.deaf_to and not self.silent:
                 self.wire.write(encode_message(self._reply(command)))

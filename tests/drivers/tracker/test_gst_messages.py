@@ -11,11 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.framing import encode_frame
+from truepath.drivers.tracker.streaming.framing import FrameReader, encode_frame
 from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
     spherical_to_cartesian_mm,
+)
+from truepath.drivers.tracker.streaming.message_codec import (
+    encode_message,
+    parse_message,
 )
 from truepath.drivers.tracker.streaming.messages import (
     Ack,
@@ -28,7 +32,6 @@ from truepath.drivers.tracker.streaming.messages import (
     GetAir,
     Hello,
     Home,
-    MessageReader,
     Nak,
     NakCode,
     Ping,
@@ -40,8 +43,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
     Type,
-    encode_message,
-    parse_message,
 )
 from truepath.simulators.tracker_head import to_spherical
 
@@ -128,6 +129,10 @@ EXAMPLES = [
 ]
 
 
+def read_messages(data: bytes):
+    return [parse_message(body) for body in FrameReader().feed(data)]
+
+
 @pytest.mark.parametrize(
     ("frame", "meaning"), list(zip(page_frames().values(), EXAMPLES, strict=True))
 )
@@ -136,7 +141,7 @@ def test_the_page_shows_the_bytes_that_are_sent(frame, meaning):
         assert encode_measurements(meaning) == frame
     else:
         assert encode_message(meaning) == frame
-        assert MessageReader().feed(frame) == [meaning]
+        assert read_messages(frame) == [meaning]
 
 
 def test_frames_of_the_page_decode_to_the_positions_they_name():
@@ -169,12 +174,12 @@ def test_a_meas64_frame_built_by_struct_alone_decodes():
 
 @given(messages)
 def test_a_message_comes_back_as_it_was_sent(message):
-    assert MessageReader().feed(encode_message(message)) == [message]
+    assert read_messages(encode_message(message)) == [message]
 
 
 @given(st.text(min_size=61, max_size=80))
 def test_a_text_that_is_too_long_is_cut_at_a_character(text):
-    (nak,) = MessageReader().feed(encode_message(Nak(1, 2, 3, text)))
+    (nak,) = read_messages(encode_message(Nak(1, 2, 3, text)))
     assert text.startswith(nak.text)
     assert 57 <= len(nak.text.encode()) <= 60
 

@@ -16,6 +16,7 @@ from truepath.drivers.tracker.streaming.measurements import (
     StatusBit,
     encode_measurements,
 )
+from truepath.drivers.tracker.streaming.message_codec import encode_message
 from truepath.drivers.tracker.streaming.messages import (
     Ack,
     Event,
@@ -23,7 +24,6 @@ from truepath.drivers.tracker.streaming.messages import (
     Format,
     StreamInfo,
     Type,
-    encode_message,
 )
 from truepath.simulators.tracker_head import to_spherical
 
