@@ -8,7 +8,8 @@ from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import MOVING, CellStatus
 from truepath.app.jobs.conditions import ConditionType, Finding, Level, Observed
 from truepath.app.jobs.stream_watch import COURSE_S, LATELY_S, StreamLevels
-from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.app.measurement.faults import MOTION_BUSY
+from truepath.drivers.interfaces.records import UNABLE, MotionStatus
 
 LATE_S = 10.0
 """The cell reads a controller at rest more often; an older reading says nothing."""
@@ -98,11 +99,8 @@ def _find_ability(status: MotionStatus | None) -> Finding:
 def _find_freedom(status: MotionStatus | None) -> Finding:
     if status is None:
         return UNTOLD
-    if status.state is MotionState.RUNNING:
-        text = (
-            "the controller runs something else; let it end or stop it at the machine"
-        )
-        return Finding(Level.FALSE, "motion-busy", text)
+    if status.is_busy:
+        return Finding(Level.FALSE, MOTION_BUSY.code, str(MOTION_BUSY))
     return YES
 
 

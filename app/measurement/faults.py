@@ -166,8 +166,8 @@ NO_WATCHDOG = Fault(
 )
 MOTION_BUSY = Fault(
     "motion-busy",
-    "the controller already runs something else",
-    "let it end or stop it at the machine",
+    "the controller runs a program, or somebody holds one at the panel",
+    "let it end, or end or reset it at the panel",
     latched=False,
 )
 STOP_NOT_CONFIRMED = Fault(

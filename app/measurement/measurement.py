@@ -207,7 +207,7 @@ class Measurement:
         if status.referenced is False:
             unhomed = replace(status, state=MotionState.UNHOMED)
             raise make_unable_fault(unhomed, latched=False)
-        if status.state is MotionState.RUNNING:
+        if status.is_busy:
             raise MOTION_BUSY
         return status
 

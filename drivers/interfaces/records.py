@@ -207,6 +207,9 @@ class Hindrance:
         return f"{self.text}; {self.remedy}"
 
 
+HELD_BY_PERSON = "operator"
+"""Why a feed is held that somebody holds at the panel."""
+
 # The states in which a machine cannot be driven.
 UNABLE: Mapping[MotionState, Hindrance] = MappingProxyType(
     {
@@ -247,3 +250,13 @@ class MotionStatus:
     override: float | None = None
     referenced: bool | None = None
     compensation: bool | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it runs a program, or a person holds one at the panel.
+
+        That may be anybody's, with the tool in the work; a hold by command or watchdog
+        is what is left of a motion that was ours.
+        """
+        held = self.state is MotionState.HELD and self.hold_reason == HELD_BY_PERSON
+        return held or self.state is MotionState.RUNNING

@@ -25,7 +25,8 @@ CONNECTED = CellStatus("ready", devices={"motion": {"has_watchdog": True}})
 
 def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S, **told):
     told = {"referenced": True, "compensation": False} | told
-    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, alarm, "", override, **told)
+    told = {"alarm": alarm, "override": override} | told
+    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, **told)
     return ControllerLevels(status, "", read_s)
 
 
@@ -56,9 +57,24 @@ def test_a_machine_that_cannot_be_driven_says_why_and_what_to_do(state):
     assert found.message.endswith(UNABLE[state].remedy)
 
 
-def test_another_program_that_runs_stands_in_the_way():
-    kind, _ = only_false(replace(GOOD, controller=shown(MotionState.RUNNING)))
+@pytest.mark.parametrize(
+    ("state", "hold_reason"),
+    [(MotionState.RUNNING, ""), (MotionState.HELD, "operator")],
+)
+def test_a_program_of_somebody_else_stands_in_the_way(state, hold_reason):
+    seen = replace(GOOD, controller=shown(state, hold_reason=hold_reason))
+    kind, found = only_false(seen)
     assert kind is ConditionType.CONTROLLER_FREE
+    assert kind in REQUIRED
+    assert found.message.endswith("end or reset it at the panel")
+
+
+@pytest.mark.parametrize("hold_reason", ["", "command", "watchdog"])
+def test_what_an_earlier_measurement_has_left_held_stands_in_no_way(hold_reason):
+    held = shown(MotionState.HELD, hold_reason=hold_reason)
+    assert not ConditionBoard(
+        lambda: replace(GOOD, controller=held), lambda: NOW_S
+    ).list_obstacles()
 
 
 @pytest.mark.parametrize("override", [0.0, 0.7, 1.2])

@@ -19,7 +19,7 @@ from truepath.app.files.commanded_file import (
 from truepath.app.files.verdict import Reason, Verdict
 from truepath.app.jobs import active_job, cell_measurement, workflow
 from truepath.app.jobs import database as databases
-from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.conditions import ConditionType, Observed
 from truepath.app.jobs.dispatcher import Dispatcher
@@ -45,6 +45,7 @@ from truepath.app.measurement.messages import (
 )
 from truepath.app.motion.commanded_rows import command_rows
 from truepath.drivers.interfaces.errors import ConnectionLost
+from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
@@ -186,21 +187,42 @@ def test_a_job_is_armed_by_its_stored_state_which_a_thread_may_not_know_yet(
     assert make_cell.cell.begun.wait(5)
 
 
+AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operator")
+
+
+@pytest.mark.parametrize(
+    ("devices", "kind", "remedy"),
+    [
+        ({}, ConditionType.DEVICES_CONNECTED, "connect them"),
+        (
+            {"motion": {"has_watchdog": True}},
+            ConditionType.CONTROLLER_FREE,
+            "end or reset it at the panel",
+        ),
+    ],
+)
 def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
-    context, event_bus, until, make_cell
+    context, event_bus, until, make_cell, devices, kind, remedy
 ):
     context.require_cell().start()
-    seen = Observed(CellStatus("ready"), None, False, 10**9, 10**8)
-    board = ConditionBoard(lambda: seen)
+    board = ConditionBoard(
+        lambda: Observed(
+            CellStatus("ready", devices=devices),
+            ControllerLevels(AT_THE_PANEL, "", time.monotonic()),
+            False,
+            10**9,
+            10**8,
+        )
+    )
     watched = replace(context.machines.get("default"), conditions=board)
     dispatcher = Dispatcher(replace(context, machines=Machines([watched])), event_bus)
     try:
         job, _ = dispatcher.create(OTF)
         job = until(job, "ready")
-        with pytest.raises(NotInOrder, match="connect them") as refused:
+        with pytest.raises(NotInOrder, match=remedy) as refused:
             arm_at_once(dispatcher, job.id, job.version)
         (obstacle,) = refused.value.obstacles
-        assert obstacle.type is ConditionType.DEVICES_CONNECTED
+        assert obstacle.type is kind
         assert context.store.get(job.id) == job
         assert not make_cell.cell.begun.is_set()
     finally:

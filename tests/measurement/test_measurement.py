@@ -1162,13 +1162,27 @@ def test_a_watched_run_says_nothing_of_a_watchdog(begin, order):
     assert "watchdog" not in running.run.provenance
 
 
-def test_a_controller_that_already_runs_is_left_alone(begin, order, motion, journal):
+@pytest.mark.parametrize("held", [False, True])
+def test_a_program_of_somebody_else_is_left_alone(begin, order, motion, journal, held):
+    """It runs, or somebody holds it at the panel, with the tool in the work."""
     motion.begin_elsewhere()
+    if held:
+        motion.stand("operator")
     running = begin(order)
     assert running.ended() == "failed"
     assert journal.faults == ["motion-busy"]
     assert motion.calls == []
     motion.abort()
+
+
+@pytest.mark.parametrize("reason", ["command", "watchdog"])
+def test_what_an_earlier_measurement_has_left_held_is_called_off(
+    begin, order, motion, reason
+):
+    motion.begin_elsewhere()
+    motion.stand(reason)
+    begin(order).finished()
+    assert motion.calls[:2] == ["abort", "move_to"]
 
 
 @pytest.mark.parametrize(
