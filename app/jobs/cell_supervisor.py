@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -274,11 +274,12 @@ class CellSupervisor:
         self._must_kill.clear()
         self._set_status("disconnected")
         try:
-            self._serve(cell)
-            if self._must_kill.is_set():
-                cell.kill()  # closing it in order would wait once more
-        finally:
-            cell.close()
+            with closing(cell):
+                self._serve(cell)
+                if self._must_kill.is_set():
+                    cell.kill()  # closing it in order would wait once more
+        except Exception:  # else nobody would start another, or end what waits for it
+            log.exception("the cell process is given up", state=self.status.state)
         self._go_down("the cell process has ended; it is started again")
 
     def _serve(self, cell: Cell) -> None:

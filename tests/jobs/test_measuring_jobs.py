@@ -679,6 +679,21 @@ def test_a_cell_that_dies_faults_the_job_and_its_run_is_salvaged(
     until(again, "ready")
 
 
+def test_a_defect_beside_the_cell_costs_the_job_and_the_cell_only(
+    running, make_cell, until, monkeypatch, context
+):
+    first = make_cell.cell
+
+    def fail(_timeout_s):
+        raise ValueError("a message that nobody can read")
+
+    monkeypatch.setattr(first, "poll", fail)
+    assert until(running, "faulted").failure.code == "cell-died"
+    wait_until(lambda: make_cell.cell is not first, "another cell")
+    assert first.closed
+    assert context.require_cell().connect()
+
+
 def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
     dispatcher, make_cell, until
 ):
