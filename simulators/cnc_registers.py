@@ -9,6 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from truepath.drivers.cnc.modbus import registers as regmap
+from truepath.drivers.cnc.modbus.path_words import path_crc
+from truepath.drivers.cnc.modbus.register_values import decode, encode, position_counts
 from truepath.drivers.cnc.modbus.registers import (
     BY_NAME,
     Access,
@@ -145,8 +147,8 @@ class CncRegisters(Registers):
         self._put("model", self._controller.model)
         self._put("serial_number", serial)
         self._put("firmware", "1.0")
-        self._put("travel_min", regmap.position_counts(machine.low.tolist()))
-        self._put("travel_max", regmap.position_counts(machine.high.tolist()))
+        self._put("travel_min", position_counts(machine.low.tolist()))
+        self._put("travel_max", position_counts(machine.high.tolist()))
         self._put("max_feed", round(MAX_FEED_MM_MIN * regmap.FEED_COUNTS))
 
     def _refresh(self, now_s: float) -> None:
@@ -164,7 +166,7 @@ class CncRegisters(Registers):
         feed = round(controller.feed_mm_min(now_s) * regmap.FEED_COUNTS)
         self._put("feed", feed)
         position = controller.position(now_s).tolist()
-        self._put("position", regmap.position_counts(position))
+        self._put("position", position_counts(position))
         self._put("alarm_text", controller.alarm_text)
         referenced = regmap.IS_REFERENCED if controller.is_referenced else 0
         compensates = regmap.IS_COMPENSATING if controller.is_compensating else 0
@@ -226,7 +228,7 @@ class CncRegisters(Registers):
             return Result.BAD_ARGUMENT
         rows = self._staged[:count]
         arcs = {row: arc for row, arc in self._arcs.items() if row < count}
-        crc = regmap.path_crc(rows, arcs)
+        crc = path_crc(rows, arcs)
         if crc != self._value("crc"):
             return Result.CRC_MISMATCH
         program = self._program(rows)
@@ -332,11 +334,11 @@ class CncRegisters(Registers):
         register = BY_NAME[name]
         block = regmap.Block(register.address, register.words)
         words = self._words[register.address : register.end]
-        return regmap.decode(name, words, block)[0]
+        return decode(name, words, block)[0]
 
     def _put(self, name: str, value: int | str | list[int]) -> None:
         register = BY_NAME[name]
-        self._words[register.address : register.end] = regmap.encode(name, value)
+        self._words[register.address : register.end] = encode(name, value)
 
 
 def _kind(axis: Axis) -> AxisKind:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from truepath.drivers.cnc.modbus import registers as regmap
+from truepath.drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath.drivers.cnc.modbus.register_values import decode, decode_text, encode
 from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
 from truepath.drivers.interfaces.records import MotionState, Path
 from truepath.simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
@@ -36,10 +38,10 @@ class Master:
         register = BY_NAME[name]
         words = self.registers.read(register.address, register.words)
         block = regmap.Block(register.address, register.words)
-        return regmap.decode(name, words, block)[k]
+        return decode(name, words, block)[k]
 
     def write(self, name: str, value: int) -> None:
-        self.registers.write(BY_NAME[name].address, regmap.encode(name, value))
+        self.registers.write(BY_NAME[name].address, encode(name, value))
 
     @property
     def state(self) -> MotionState:
@@ -74,18 +76,16 @@ class Master:
         return Result(self.value("command_result"))
 
     def load(self, position: list[list[float]], feed: float = 6000.0) -> Result:
-        words = path_words(position, feed)
+        words = row_words(position, feed)
         for first in range(0, len(words), regmap.ROWS_A_BLOCK):
             block = words[first : first + regmap.ROWS_A_BLOCK]
             result = self.command(Command.PUT_ROWS, first, len(block), rows=block)
             if result is not Result.DONE:
                 return result
-        return self.command(
-            Command.COMMIT, row_count=len(words), crc=regmap.path_crc(words)
-        )
+        return self.command(Command.COMMIT, row_count=len(words), crc=path_crc(words))
 
     def move_to(self, position: list[float], feed: float = 6000.0) -> Result:
-        return self.command(Command.MOVE_TO, rows=path_words([position], feed))
+        return self.command(Command.MOVE_TO, rows=row_words([position], feed))
 
     def wait(self, duration_s: float, *, beating: bool = True) -> None:
         end_s = self.now_s + duration_s
@@ -103,9 +103,9 @@ class Master:
         return self.state
 
 
-def path_words(position: list[list[float]], feed: float = 6000.0) -> np.ndarray:
+def row_words(position: list[list[float]], feed: float = 6000.0) -> np.ndarray:
     n = len(position)
-    return regmap.path_words(
+    return path_words(
         Path(("X", "Y", "Z"), np.array(position), np.full(n, feed), np.full(n, 0.2))
     )
 
@@ -141,7 +141,7 @@ def test_a_path_is_driven_from_start_to_end(master: Master) -> None:
     assert master.load(LINE) is Result.DONE
     assert master.state is MotionState.READY
     assert master.value("path_rows") == 2
-    assert master.value("path_crc") == regmap.path_crc(path_words(LINE))
+    assert master.value("path_crc") == path_crc(row_words(LINE))
     assert master.command(Command.START) is Result.DONE
     assert master.state is MotionState.RUNNING
     assert master.wait_still() is MotionState.FINISHED
@@ -291,9 +291,9 @@ def test_unknown_verbs_are_named(master: Master) -> None:
 
 
 def test_a_path_that_is_not_what_was_meant_is_refused(master: Master) -> None:
-    rows = path_words(LINE)
+    rows = row_words(LINE)
     master.command(Command.PUT_ROWS, 0, 2, rows=rows)
-    wrong = regmap.path_crc(rows) ^ 1
+    wrong = path_crc(rows) ^ 1
     assert master.command(Command.COMMIT, row_count=2, crc=wrong) is Result.CRC_MISMATCH
     assert master.command(Command.COMMIT, row_count=0) is Result.BAD_ARGUMENT
     assert master.state is MotionState.IDLE
@@ -308,7 +308,7 @@ def test_rows_beyond_the_map_are_refused(
 
 def test_rows_from_the_first_on_forget_the_path(master: Master) -> None:
     master.load(LINE)
-    master.command(Command.PUT_ROWS, 0, 1, rows=path_words(LINE)[:1])
+    master.command(Command.PUT_ROWS, 0, 1, rows=row_words(LINE)[:1])
     assert master.state is MotionState.IDLE
     assert master.command(Command.START) is Result.NO_PATH
 
@@ -318,7 +318,7 @@ def test_an_alarm_stops_is_told_and_stays(moving: Master) -> None:
     assert moving.wait_still() is MotionState.ALARM
     assert moving.value("alarm_code") == 1001
     words = moving.registers.read(BY_NAME["alarm_text"].address, 32)
-    assert regmap.decode_text("alarm_text", words, regmap.ALARM_TEXT) == "Servo alarm"
+    assert decode_text("alarm_text", words, regmap.ALARM_TEXT) == "Servo alarm"
     assert moving.move_to([0.0, 0.0, 0.0]) is Result.IN_ALARM
     assert moving.command(Command.ABORT) is Result.DONE
     assert moving.state is MotionState.ALARM

@@ -16,6 +16,7 @@ from truepath.drivers.cnc.modbus.controller_map import (
     parse_controller,
     parse_status,
 )
+from truepath.drivers.cnc.modbus.register_values import decode_text, encode
 from truepath.drivers.cnc.priority_lock import PriorityLock
 from truepath.drivers.interfaces.errors import (
     ConnectionLost,
@@ -120,7 +121,7 @@ class CommandChannel:
         """Write a new number for the watchdog."""
         with self._lock.hold():
             self._beats = (self._beats + 1) & 0xFFFF
-            words = r.encode("heartbeat", self._beats)
+            words = encode("heartbeat", self._beats)
             address = r.BY_NAME["heartbeat"].address
             self._patiently(lambda: self._link.write(address, words))
 
@@ -203,7 +204,7 @@ class CommandChannel:
 
     def _keeps(self, register: str, value: int) -> bool:
         """Write a register; tell whether the device has it and keeps the value."""
-        asked = r.encode(register, value)
+        asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
             self._patiently(lambda: self._link.write(address, asked))
@@ -301,7 +302,7 @@ class CommandChannel:
 
     def _alarm(self, motion: MotionStatus) -> str:
         words = self._read(r.ALARM_TEXT)
-        return r.decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
+        return decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
 
     def _read(self, block: r.Block) -> list[int]:
         return self._patiently(lambda: self._link.read(block.address, block.count))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truepath.drivers.cnc.modbus import registers as r
+from truepath.drivers.cnc.modbus.register_values import decode, decode_text
 from truepath.drivers.interfaces.errors import WrongDevice
 from truepath.drivers.interfaces.records import (
     UNABLE,
@@ -58,10 +59,10 @@ def parse_controller(words: Sequence[int]) -> Controller:
         raise WrongDevice(problem)
 
     def numbers(name: str) -> tuple[int, ...]:
-        return r.decode(name, words, r.IDENTITY)
+        return decode(name, words, r.IDENTITY)
 
     def text(name: str) -> str:
-        return r.decode_text(name, words, r.IDENTITY)
+        return decode_text(name, words, r.IDENTITY)
 
     count = numbers("axis_count")[0]
     if not 1 <= count <= r.MAX_AXES:
@@ -89,9 +90,9 @@ def parse_controller(words: Sequence[int]) -> Controller:
 
 def explain_magic(words: Sequence[int]) -> str:
     """Return what is wrong with magic, word or byte order, version; "" if nothing."""
-    (magic,) = r.decode("magic", words, r.IDENTITY)
-    (order,) = r.decode("order_test", words, r.IDENTITY)
-    (version,) = r.decode("map_version", words, r.IDENTITY)
+    (magic,) = decode("magic", words, r.IDENTITY)
+    (order,) = decode("order_test", words, r.IDENTITY)
+    (version,) = decode("map_version", words, r.IDENTITY)
     high_first, low_first = _halves(r.ORDER_TEST)
     swapped = {
         _join_words(low_first, high_first): "low word first; set it to high word first",
@@ -121,12 +122,12 @@ def parse_status(words: Sequence[int], *, features: int = 0) -> ControllerStatus
     """Return what the status block says, with positions of all six axes."""
 
     def number(name: str) -> int:
-        return r.decode(name, words, r.STATUS)[0]
+        return decode(name, words, r.STATUS)[0]
 
     state, reason, alarm = number("state"), number("hold_reason"), number("alarm_code")
     if state >= len(r.STATES):
         raise WrongDevice(f"the device reports state {state}, which the map lacks")
-    positions = r.decode("position", words, r.STATUS)
+    positions = decode("position", words, r.STATUS)
     override = number("override") / r.OVERRIDE_COUNTS
     motion = MotionStatus(
         r.STATES[state],
@@ -152,7 +153,7 @@ def _read_readiness(
     """Return whether it is referenced and compensates, None for what is not told."""
     if len(words) <= r.STATUS.count:
         return None, None
-    (bits,) = r.decode("readiness", words, r.STATUS)
+    (bits,) = decode("readiness", words, r.STATUS)
     referenced, compensates = bits & r.IS_REFERENCED, bits & r.IS_COMPENSATING
     return (
         bool(referenced) if features & r.TELLS_REFERENCED else None,

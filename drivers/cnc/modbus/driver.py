@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from truepath.drivers.cnc.modbus import registers as r
 from truepath.drivers.cnc.modbus.commands import CommandChannel
 from truepath.drivers.cnc.modbus.controller_map import Controller
+from truepath.drivers.cnc.modbus.path_words import arc_words, path_crc, path_words
+from truepath.drivers.cnc.modbus.register_values import encode
 from truepath.drivers.cnc.travel import (
     arrange_path,
     check_arcs,
@@ -104,12 +106,12 @@ class ModbusController(MotionController):
             np.zeros(1),
         )
         _check_motion(controller, path)
-        self._channel.command(r.Command.MOVE_TO, _rows_argument(0, r.path_words(path)))
+        self._channel.command(r.Command.MOVE_TO, _rows_argument(0, path_words(path)))
 
     def load(self, path: Path) -> None:
         """Send a path in blocks of seven rows and its arcs, commit, compare the CRC."""
         path = self._check(path)
-        words, arcs = r.path_words(path), r.arc_words(path)
+        words, arcs = path_words(path), arc_words(path)
         aborts = self._aborts
         for first in range(0, len(words), r.ROWS_A_BLOCK):
             block = words[first : first + r.ROWS_A_BLOCK]
@@ -120,9 +122,9 @@ class ModbusController(MotionController):
             self._channel.command(r.Command.PUT_ARC, _rows_argument(row, arc[None]))
         if self._aborts != aborts:
             raise Refused("aborted while the path was being loaded")
-        crc = r.path_crc(words, arcs)
+        crc = path_crc(words, arcs)
         status = self._channel.command(
-            r.Command.COMMIT, [0, len(words), *r.encode("crc", crc)]
+            r.Command.COMMIT, [0, len(words), *encode("crc", crc)]
         )
         if (status.path_rows, status.path_crc) != (len(words), crc):
             raise MotionFault(
@@ -134,7 +136,7 @@ class ModbusController(MotionController):
     def start(self) -> None:
         """Run the path that was loaded here from its first row, and no other."""
         rows, crc = self._loaded
-        self._channel.command(r.Command.START, [0, rows, *r.encode("crc", crc)])
+        self._channel.command(r.Command.START, [0, rows, *encode("crc", crc)])
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, beating meanwhile."""

@@ -8,15 +8,10 @@ move). docs/modbus-register-map.md is written from this file by its script.
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
-from truepath.drivers.interfaces.records import MotionState, Path
+from truepath.drivers.interfaces.records import MotionState
 
 MAGIC = 0x54504331  # "TPC1"
 ORDER_TEST = 0x01020304
@@ -310,88 +305,3 @@ def count_command_words(command: Command, row_count: int) -> int:
             return _HEAD_WORDS
         case _:
             return _VERB_WORDS
-
-
-def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
-    """Return the words of a register's value: a number, one a count, or a text."""
-    register = BY_NAME[name]
-    if isinstance(value, str):
-        data = value.encode("ascii", "replace")[: 2 * register.count]
-        padded = data.ljust(2 * register.count, b"\0")
-        return [
-            int.from_bytes(padded[i : i + 2], "big") for i in range(0, len(padded), 2)
-        ]
-    values = [value] if isinstance(value, int) else list(value)
-    values += [0] * (register.count - len(values))
-    if register.kind is Kind.U16:
-        return [v & 0xFFFF for v in values]
-    return [word for v in values for word in (v >> 16 & 0xFFFF, v & 0xFFFF)]
-
-
-def decode(name: str, words: Sequence[int], block: Block) -> tuple[int, ...]:
-    """Return the values of a register out of the words of the block that holds it."""
-    register = BY_NAME[name]
-    at = register.address - block.address
-    own = words[at : at + register.words]
-    if register.kind is Kind.U16:
-        return tuple(own)
-    wide = [own[i] << 16 | own[i + 1] for i in range(0, len(own), 2)]
-    if register.kind is Kind.I32:
-        return tuple(v - (1 << 32) if v >> 31 else v for v in wide)
-    return tuple(wide)
-
-
-def decode_text(name: str, words: Sequence[int], block: Block) -> str:
-    """Return the text of a register out of the words of the block that holds it."""
-    register = BY_NAME[name]
-    at = register.address - block.address
-    own = b"".join(word.to_bytes(2, "big") for word in words[at : at + register.count])
-    return own.split(b"\0")[0].decode("ascii", "replace").strip()
-
-
-def position_counts(position: Sequence[float]) -> list[int]:
-    """Return positions in mm or deg as counts of the map."""
-    return [round(p * POSITION_COUNTS) for p in position]
-
-
-def path_words(path: Path) -> NDArray[np.uint16]:
-    """Return the rows of a path as the map holds them, (n, 16)."""
-    rows = np.zeros((len(path), MAX_AXES + 2), ">i4")
-    axes = path.position.shape[1]
-    rows[:, :axes] = np.rint(path.position * POSITION_COUNTS)
-    # Feed and dwell are u32; neither can reach the sign bit within its limits.
-    rows[:, MAX_AXES] = np.rint(path.feed_mm_min * FEED_COUNTS)
-    rows[:, MAX_AXES + 1] = np.rint(path.dwell_s * DWELL_COUNTS)
-    return rows.view(">u2").astype(np.uint16)
-
-
-def arc_words(path: Path) -> dict[int, NDArray[np.uint16]]:
-    """Return the arcs of a path as the map holds them, (16,) each, by row.
-
-    The centre stands in place of a position, 0 for other axes, the turn in 0.0001 deg
-    in place of the feed, and the numbers of both axes in place of the dwell.
-    """
-    found: dict[int, NDArray[np.uint16]] = {}
-    for row, arc in enumerate(path.arc):
-        if arc is None:
-            continue
-        first, second = (path.axes.index(name) for name in arc.axes)
-        values = np.zeros(MAX_AXES + 2, ">i4")
-        values[[first, second]] = np.rint(np.array(arc.centre_mm) * POSITION_COUNTS)
-        values[MAX_AXES] = round(arc.turn_deg * POSITION_COUNTS)
-        values[MAX_AXES + 1] = first << 16 | second
-        found[row] = values.view(">u2").astype(np.uint16)
-    return found
-
-
-def path_crc(
-    words: NDArray[np.uint16], arcs: Mapping[int, NDArray[np.uint16]] | None = None
-) -> int:
-    """Return the CRC-32 (zlib's) of rows, over their bytes in wire order.
-
-    arcs : by row; each follows, its row first, in their order
-    """
-    crc = zlib.crc32(words.astype(">u2").tobytes())
-    for row, arc in sorted((arcs or {}).items()):
-        crc = zlib.crc32(np.append(row, arc).astype(">u2").tobytes(), crc)
-    return crc

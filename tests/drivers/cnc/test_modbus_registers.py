@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from truepath.drivers.cnc.modbus import registers as r
 from truepath.drivers.cnc.modbus.controller_map import Controller, parse_status
+from truepath.drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath.drivers.cnc.modbus.register_values import decode, decode_text, encode
 from truepath.drivers.interfaces.errors import WrongDevice
 from truepath.drivers.interfaces.records import Identity, MotionState, Path
 
@@ -65,24 +67,24 @@ def test_the_host_writes_only_control_and_command():
     ],
 )
 def test_words_of_known_values(name, value, words):
-    assert r.encode(name, value) == words
+    assert encode(name, value) == words
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=6, max_size=6))
 def test_positions_come_back(counts):
-    words = [0] * 12 + r.encode("position", counts)
-    assert r.decode("position", words, r.STATUS) == tuple(counts)
+    words = [0] * 12 + encode("position", counts)
+    assert decode("position", words, r.STATUS) == tuple(counts)
 
 
 @given(st.text("ABC xyz-09", max_size=16))
 def test_texts_come_back_without_their_padding(text):
-    words = [0] * 20 + r.encode("maker", text)
-    assert r.decode_text("maker", words, r.IDENTITY) == text.strip()
+    words = [0] * 20 + encode("maker", text)
+    assert decode_text("maker", words, r.IDENTITY) == text.strip()
 
 
 def test_what_is_not_ascii_becomes_a_question_mark():
-    words = [0] * 20 + r.encode("maker", "Müller")
-    assert r.decode_text("maker", words, r.IDENTITY) == "M?ller"
+    words = [0] * 20 + encode("maker", "Müller")
+    assert decode_text("maker", words, r.IDENTITY) == "M?ller"
 
 
 def test_rows_are_big_endian_counts():
@@ -92,11 +94,11 @@ def test_rows_are_big_endian_counts():
         np.array([2500.0, 15000.5]),
         np.array([0.0, 1.5]),
     )
-    words = r.path_words(path)
+    words = path_words(path)
     first = struct.pack(">6i2I", 12346, -20000, 3_000_000, 0, 0, 0, 2_500_000, 0)
     second = struct.pack(">6i2I", 0, 0, -1, 0, 0, 0, 15_000_500, 1500)
     assert words.astype(">u2").tobytes() == first + second
-    assert r.path_crc(words) == zlib.crc32(first + second)
+    assert path_crc(words) == zlib.crc32(first + second)
 
 
 def test_a_state_that_the_map_lacks_is_no_state():
