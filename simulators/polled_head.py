@@ -8,8 +8,8 @@ from truepath.drivers.tracker.streaming.measurements import StatusBit
 from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.faults import Schedule
 from truepath.simulators.timeline import Timeline
-from truepath.simulators.tracker_device import TrackerDevice, TrackerParts
 from truepath.simulators.tracker_head import SampleNoise, TrackerPose
+from truepath.simulators.tracker_sight import TrackerParts, TrackerSight
 
 SHOT_S = 0.4  # for a distance, by the machine's clock
 
@@ -18,7 +18,7 @@ class PolledHead:
     """Takes shots of the point that the streaming tracker would see."""
 
     def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
-        self._device = TrackerDevice(parts, faults)
+        self._sight = TrackerSight(parts, faults)
         self._faults, self._parts = faults, parts
         self._noise = SampleNoise(parts.seed, 1.0 / SHOT_S, parts.air)
         self._count = 0
@@ -30,11 +30,11 @@ class PolledHead:
 
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
-        self._device.set_down(pose)
+        self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
         """See the machine driven by these tables from now on."""
-        self._device.correct(correction)
+        self._sight.correct(correction)
 
     @property
     def shots(self) -> int:
@@ -53,7 +53,7 @@ class PolledHead:
         """Return range (mm), azimuth and elevation (rad); None without a target."""
         self._count += 1
         number, moment_s = np.array([self._count]), np.array([true_s])
-        polar, status = self._device.sight(
+        polar, status = self._sight.read(
             timeline, moment_s, number, self._noise.draw(1)
         )
         return None if status[0] & StatusBit.BEAM_BROKEN else polar[0]

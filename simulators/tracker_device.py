@@ -6,7 +6,7 @@ seconds: a sped-up simulation shortens the measurement, not the patience of a li
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,22 +50,13 @@ from truepath.drivers.tracker.streaming.messages import (
 from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.faults import Schedule
 from truepath.simulators.frame_damage import FrameDamage
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.motion import MotionFollower
-from truepath.simulators.hidden.superposition import locate_target_mm, misread
 from truepath.simulators.randomness import generator
 from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_head import (
-    Air,
     SampleNoise,
-    TrackerClock,
     TrackerPose,
-    measure_polar,
-    to_cartesian,
-    to_spherical,
 )
-from truepath.simulators.tracker_verbs import TrackerVerbs
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.simulators.tracker_sight import TrackerParts, TrackerSight
 
 MAX_RATE_HZ = 5000.0
 PING_PATIENCE_S = 5.0
@@ -79,19 +70,6 @@ _KINDS: dict[type[Message], Type] = {
     Search: Type.SEARCH,
     Select: Type.SELECT,
 }
-_PUSH = np.array([0.6, -0.64, 0.48])  # of a knock, where to
-
-
-@dataclass(frozen=True, slots=True)
-class TrackerParts:
-    """What a tracker is made of."""
-
-    truth: TruthMachine
-    pose: TrackerPose
-    clock: TrackerClock
-    air: Air
-    seed: int
-    hidden: tuple[HiddenEffect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +107,7 @@ class TrackerDevice:
         self._is_homed = False
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
-        self._follower = MotionFollower(
-            parts.truth.machine, remembers=bool(parts.hidden)
-        )
-        self._timeline: Timeline | None = None
-        self._verbs = TrackerVerbs(
-            [target.name for target in parts.truth.machine.reflectors],
-            self._locate_direction,
-        )
+        self._sight = TrackerSight(parts, faults)
 
     @property
     def streaming(self) -> bool:
@@ -173,7 +144,7 @@ class TrackerDevice:
         waiting_bytes : what the link has not taken yet. Beyond the device's buffer
         samples are lost, and the next one says so.
         """
-        self._timeline = timeline
+        self._sight.follow(timeline)
         if self._stream is None:
             return b""
         if wall_s - self._last_heard_s > PING_PATIENCE_S:
@@ -187,11 +158,11 @@ class TrackerDevice:
 
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
-        self._parts = replace(self._parts, pose=pose)
+        self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
         """See the machine driven by these tables from now on."""
-        self._follower.correct(correction)
+        self._sight.correct(correction)
 
     def forget_host(self) -> None:
         """Stop streaming: the connection has gone."""
@@ -204,7 +175,7 @@ class TrackerDevice:
                 code = NakCode.VERSION_NOT_SPOKEN
                 return Nak(transaction, Type.HELLO, code, text)
             case Hello(transaction, version):
-                self._verbs.is_known = version >= VERBS_VERSION
+                self._sight.verbs.is_known = version >= VERBS_VERSION
                 return Ack(transaction, Type.HELLO, self._info(true_s, version))
             case Start() | Aim() | Search() | Select() as early if self._waits_for_home(
                 true_s
@@ -214,12 +185,12 @@ class TrackerDevice:
             case Home() | Aim() | Search() | Select() | SetAir() | GetAir() as verb:
                 self._is_homed = self._is_homed or isinstance(verb, Home)
                 blocked = self._faults.strikes("beam-break", true_s) is not None
-                return self._verbs.answer(verb, true_s, is_blocked=blocked)
+                return self._sight.verbs.answer(verb, true_s, is_blocked=blocked)
             case Start() as start:
                 return self._start(start, true_s)
             case Stop(transaction):
                 self._stream = None
-                if self._timeline is None or self._timeline.end_s <= 0.0:
+                if not self._sight.has_moved:
                     self._faults.begin_anew()  # somebody has only listened
                 return Ack(transaction, Type.STOP)
             case Ping(transaction):
@@ -289,7 +260,7 @@ class TrackerDevice:
         clock_us = stream.clock_us(index)
         moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
-        polar, status = self.sight(timeline, moments_s, number, noise)
+        polar, status = self._sight.read(timeline, moments_s, number, noise)
         if self._overflown:
             status[0] |= StatusBit.OVERFLOW
             self._overflown = False
@@ -304,64 +275,6 @@ class TrackerDevice:
             status,
             np.where(locked, _LOCKED_SIGNAL, 0),
         ), moments_s
-
-    def sight(
-        self,
-        timeline: Timeline,
-        moments_s: np.ndarray,
-        number: np.ndarray,
-        noise: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return range (mm), azimuth, elevation (rad) and status at machine times.
-
-        number : of the samples; noise : (n, 3) of unit variance
-        """
-        for _, mask in self._faults.struck("beam-lost", moments_s, number):
-            self._verbs.lose(float(moments_s[mask][0]))
-        parts = self._parts
-        point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
-        if parts.hidden:
-            point = to_cartesian(misread(to_spherical(point), parts.hidden))
-        polar = measure_polar(point, noise, parts.truth.machine.tracker)
-        for fault, mask in self._faults.struck("spike", moments_s, number):
-            polar[mask, 0] += fault.amount
-        status = np.zeros(len(moments_s), np.int64)
-        status[self._verbs.list_targets(moments_s) == None] |= (  # noqa: E711
-            StatusBit.BEAM_BROKEN
-        )
-        for _, mask in self._faults.struck("beam-break", moments_s, number):
-            status[mask] |= StatusBit.BEAM_BROKEN
-        return polar, status
-
-    def _locate_target_mm(
-        self, timeline: Timeline, moments_s: np.ndarray
-    ) -> np.ndarray:
-        """Return where the target is that the tracker looks at."""
-        reflectors = self._parts.truth.machine.reflectors
-        targets = self._verbs.list_targets(moments_s)
-        targets[targets == None] = reflectors[0].name  # noqa: E711
-        rows = timeline.rows(moments_s)
-        for fault, mask in self._faults.struck("target", moments_s, rows):
-            number = min(max(int(fault.amount), 1), len(reflectors))
-            targets[mask] = reflectors[number - 1].name
-        place_mm = self._locate_mm(timeline, moments_s, targets.tolist())
-        for fault, mask in self._faults.struck("knock", moments_s, rows):
-            place_mm[mask] += fault.amount * _PUSH
-        return place_mm
-
-    def _locate_mm(
-        self, timeline: Timeline, moments_s: np.ndarray, names: list[str]
-    ) -> np.ndarray:
-        parts, motion = self._parts, self._follower.follow(timeline)
-        return locate_target_mm(parts.truth, motion, moments_s, names, parts.hidden)
-
-    def _locate_direction(self, name: str, true_s: float) -> tuple[float, float]:
-        """Return azimuth and elevation of a target by the newest that is known."""
-        if self._timeline is None:
-            return 0.0, 0.0
-        place_mm = self._locate_mm(self._timeline, np.array([true_s]), [name])
-        _, azimuth, elevation = to_spherical(self._parts.pose.from_table(place_mm))[0]
-        return float(azimuth), float(elevation)
 
     def _beam_event(self, raw: RawSamples) -> bytes:
         locked = not raw.status[-1] & StatusBit.BEAM_BROKEN

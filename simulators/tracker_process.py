@@ -25,8 +25,9 @@ from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.polled_head import PolledHead
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.t2sa_application import T2saApplication
-from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
+from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath.simulators.tracker_head import Air
+from truepath.simulators.tracker_sight import TrackerParts
 
 # Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
 PERIOD_S = 0.02

@@ -23,8 +23,9 @@ from truepath.simulators.program import path_length
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.rotary_joint import RotaryJoint, local_frame
 from truepath.simulators.scenario import load_machine
-from truepath.simulators.tracker_device import TrackerDevice, TrackerParts
+from truepath.simulators.tracker_device import TrackerDevice
 from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
+from truepath.simulators.tracker_sight import TrackerParts
 from truepath.simulators.truth_machine import perfect
 
 BUNDLED = ("head-table", "trunnion")

@@ -35,8 +35,9 @@ from truepath.simulators.profile import Limits
 from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.timeline import Timeline, standing
-from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
+from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
+from truepath.simulators.tracker_sight import TrackerParts
 
 CLOCK = TrackerClock(100.0, 1e-5)
 
