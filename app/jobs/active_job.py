@@ -32,7 +32,13 @@ from truepath.app.jobs.job import (
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State, Verb, apply_verb, may_follow
+from truepath.app.jobs.transitions import (
+    MOVE_STATES,
+    State,
+    Verb,
+    apply_verb,
+    may_follow,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -57,7 +63,8 @@ class ActiveJob:
     """One job under way. Request threads ask, the job's thread obeys at checkpoints.
 
     job, state : stored last
-    wants_pause : whether a user has asked for a pause and for nothing since
+    wants_pause : whether a user has asked for a pause and for nothing since, stored or
+        not
     controller : name of who may let the machine move; None where nobody logs in
     wants_cancel : whether it is to end in order, after the line or point under way
     """
@@ -84,6 +91,16 @@ class ActiveJob:
         return self._aborted or self._interrupted
 
     @property
+    def stage(self) -> Stage:
+        """The newest, stored or not."""
+        return self._stage
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the cell moves the machine for it, or may go on by itself."""
+        return self.stage is Stage.MEASURING and self.state in MOVE_STATES
+
+    @property
     def state_lasts_s(self) -> float:
         """How long the job has been in that state."""
         return time.monotonic() - self._since
@@ -104,6 +121,11 @@ class ActiveJob:
         with self._changed:
             self._armed = plan_sha256
             self._changed.notify_all()
+
+    def keep_pause(self) -> None:
+        """Insist on a pause that could not be stored, until the state changes."""
+        with self._changed:
+            self.wants_pause = True
 
     def wish(self, what: OnNotice) -> None:
         """Say what is to be done about the newest notice."""
@@ -325,9 +347,10 @@ class ActiveJob:
         self._unstored = None
         with self._changed:
             self.job = job
-            if job.state is not self.state:
+            is_other = job.state is not self.state
+            self.wants_pause = job.wants_pause or (self.wants_pause and not is_other)
+            if is_other:
                 self.state, self._since = job.state, time.monotonic()
-            self.wants_pause = job.wants_pause
         return job
 
     def _wake(self) -> None:

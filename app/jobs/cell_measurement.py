@@ -231,7 +231,7 @@ class CellMeasurement:
             self._cell.send(CellVerb.ABORT)
         elif self._job.wants_cancel:
             self._cell.send(CellVerb.ABORT if self._is_held else CellVerb.CONCLUDE)
-        elif self._job.state is State.PAUSING and self._job.wants_pause:
+        elif self._job.wants_pause and self._job.state is not State.PAUSED:
             self._cell.send(CellVerb.PAUSE)
 
     def _check_deadlines(self) -> None:

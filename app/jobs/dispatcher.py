@@ -29,8 +29,9 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.event_bus import EventBus
-from truepath.app.jobs.job import Failure, Job, Stage
+from truepath.app.jobs.job import Failure, Job
 from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.pausing import pause
 from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
@@ -42,7 +43,7 @@ from truepath.app.jobs.resumability import (
 from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.store import IdempotencyKey, require_version
-from truepath.app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
+from truepath.app.jobs.transitions import State, Verb, apply_verb
 from truepath.app.jobs.workflow import run_job
 from truepath.app.measurement.messages import CellVerb
 from truepath.app.motion.configurations import Commanded
@@ -183,18 +184,14 @@ class Dispatcher:
     def pause(self, job_id: str) -> Job:
         """Hold the feed. Raises IllegalTransition where nothing can move.
 
-        The cell gets the command even if it has paused: it might continue by itself.
+        The cell is asked even where StorageUnavailable is raised.
         """
         active = self._find_active(job_id, Verb.PAUSE)
-        job = self._context.store.get(job_id)
-        if job.state is State.RUNNING and job.stage is not Stage.MEASURING:
+        if active.state is State.RUNNING and not active.may_move:
             raise IllegalTransition(
-                f"cannot pause a job that is {job.stage}: nothing moves any more"
+                f"cannot pause a job that is {active.stage}: nothing moves any more"
             )
-        job = active.apply_verb(Verb.PAUSE)
-        if job.state in PAUSE_STATES:
-            self._command_cell(job, CellVerb.PAUSE)
-        return job
+        return pause(active, self._context.machines.choose(active.job.machine).cell)
 
     def take_control(self, job_id: str, by: str | None) -> tuple[Job, str | None]:
         """Let only this user arm and resume a job; also return who could before.

@@ -17,9 +17,8 @@ from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.live_notice import LiveNotice, OnNotice, decode_notice
+from truepath.app.jobs.pausing import pause
 from truepath.app.jobs.planned_rows import PlannedRows
-from truepath.app.jobs.transitions import Verb
-from truepath.app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
@@ -91,11 +90,9 @@ class NoticeBoard:
     def _act(self, notice: LiveNotice) -> None:
         if self._policy is OnNotice.PAUSE:
             try:
-                self._active.apply_verb(Verb.PAUSE)
+                pause(self._active, self._cell)
             except (IllegalTransition, StorageUnavailable) as error:
-                log.warning("no pause for a notice", reason=str(error))
-                return
-            self._cell.send(CellVerb.PAUSE)
+                log.warning("no pause is stored for a notice", reason=str(error))
         else:
             self._measure_again(self._policy, notice)
 

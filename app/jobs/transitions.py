@@ -73,6 +73,9 @@ TRANSITIONS: dict[State, frozenset[State]] = {
 PAUSE_STATES = frozenset({_PSG, _PSD})
 """A pause is on its way or in force."""
 
+MOVE_STATES = frozenset({_RUN, _RES}) | PAUSE_STATES
+"""The machine moves, or may go on by itself."""
+
 # verb -> states it acts in -> the state it leads to. In the states of `VERB_SATISFIED`
 # it has been obeyed already and changes nothing.
 VERB_TRANSITIONS: dict[Verb, dict[State, State]] = {

@@ -879,6 +879,43 @@ def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
     assert context.store.get(running.id).state == "aborted"
 
 
+@pytest.mark.fault_row(37)
+def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
+    dispatcher, running, make_cell, context, until
+):
+    with context.store._database.engine.connect() as raw:
+        connection = raw.execution_options(truepath_writes=True)
+        with connection.begin():
+            connection.execute(text("SELECT 1"))
+            asks = threading.Thread(target=dispatcher.pause, args=(running.id,))
+            asks.start()
+            wait_until(lambda: "pause" in make_cell.cell.heard, "the pause")
+            assert asks.is_alive()  # its answer waits for the books
+    asks.join()
+    assert until(running, "paused").wants_pause
+    dispatcher.resume(running.id, context.store.get(running.id).version)
+    until(running, "running")
+
+
+def test_a_pause_that_cannot_be_stored_is_insisted_on(
+    dispatcher, running, make_cell, until, failing, monkeypatch, context
+):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
+    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
+    cell = make_cell.cell
+    cell.deaf.add("pause")
+    failing.set()
+    with pytest.raises(StorageUnavailable):
+        dispatcher.pause(running.id)
+    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
+    failing.clear()
+    cell.deaf.clear()
+    paused = until(running, "paused")
+    dispatcher.resume(running.id, paused.version)
+    until(running, "running")
+    assert cell.heard[-1] == "resume"
+
+
 @pytest.fixture
 def failing(context):
     """While it is set, nothing can be written down."""

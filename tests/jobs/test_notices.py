@@ -26,6 +26,8 @@ class Followed:
     def store_values(self, notices):
         self.kept = notices
 
+    may_move = True
+
     def apply_verb(self, verb):
         self.asked.append(str(verb))
 
@@ -92,7 +94,16 @@ def test_a_pause_holds_the_machine_once():
     shown, _ = board(followed, OnNotice.PAUSE)
     for _ in range(3):
         shown.show([notice()])
-    assert followed.asked == ["pause", "cell pause"]
+    assert followed.asked == ["cell pause", "pause"], "the machine first"
+
+
+def test_a_pause_for_a_notice_does_not_disturb_a_job_that_ends():
+    """A hold while the last line is driven would end the job there."""
+    followed = Followed()
+    followed.may_move = False
+    shown, _ = board(followed, OnNotice.PAUSE)
+    shown.show([notice()])
+    assert followed.asked == ["pause"]
 
 
 @pytest.mark.parametrize(("policy", "back_to"), [("check", 3.0), ("replan", 4.0)])
