@@ -221,9 +221,13 @@ class Store:
 
         Raises StaleVersion if `version` is given and not the newest, IllegalTransition.
         """
+        written: list[tuple[Job, JobEvent]] = []
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
             before = _read_job(connection, job_id)
+            for after, event in written:
+                if (before.version, before.state) == (after.version, after.state):
+                    return before, event  # the word that it was committed got lost
             if version is not None:
                 require_version(before, version)
             after = change(before)
@@ -236,7 +240,8 @@ class Store:
                 _refuse_to_measure_again(after)
             after = _stamp_times(before, replace(after, version=before.version + 1))
             _update_job(connection, before, after)
-            return after, _insert_event(connection, after)
+            written.append((after, _insert_event(connection, after)))
+            return written[-1]
 
         return self._database.write(apply, self._publish)[0]
 

@@ -134,10 +134,8 @@ def test_a_change_behind_the_back_of_the_process_is_seen(store, database):
     assert store.change(job.id, meddled).version == 2
 
 
-@pytest.mark.fault_row(33)
-@pytest.mark.fault_row(37)
-@pytest.mark.parametrize("new", [ANALYSE, MEASURE], ids=lambda job: str(job.kind))
-def test_a_job_whose_commit_is_not_confirmed_is_made_once(store, monkeypatch, new):
+@pytest.fixture
+def commit_twice(store, monkeypatch):
     """A server that restarts may commit and lose its answer; the write is repeated."""
     commit = store._database._commit
 
@@ -145,11 +143,35 @@ def test_a_job_whose_commit_is_not_confirmed_is_made_once(store, monkeypatch, ne
         commit(change, deadline)
         return commit(change, deadline)
 
-    monkeypatch.setattr(store._database, "_commit", commit_twice)
+    return lambda: monkeypatch.setattr(store._database, "_commit", commit_twice)
+
+
+@pytest.mark.fault_row(33)
+@pytest.mark.fault_row(37)
+@pytest.mark.parametrize("new", [ANALYSE, MEASURE], ids=lambda job: str(job.kind))
+def test_a_job_whose_commit_is_not_confirmed_is_made_once(store, commit_twice, new):
+    commit_twice()
     job, is_new = store.create(new)
     assert is_new
     assert [each.id for each in store.list_page(9)] == [job.id]
     assert len(store.read_events_after(0)) == 1
+
+
+@pytest.mark.fault_row(33)
+@pytest.mark.fault_row(37)
+@pytest.mark.parametrize("version", [1, None])
+def test_a_change_whose_commit_is_not_confirmed_is_made_once_and_published(
+    store, commit_twice, told, version
+):
+    job, _ = store.create(ANALYSE)
+    commit_twice()
+    changed = store.change(job.id, to(State.RUNNING), version=version)
+    assert (changed.version, changed.state) == (2, State.RUNNING)
+    assert store.get(job.id) == changed
+    assert [event.body["version"] for event in told] == [1, 2]
+    assert [event.id for event in told] == [e.id for e in store.read_events_after(0)]
+    with pytest.raises(StaleVersion):
+        store.change(job.id, to(State.SUCCEEDED), version=1)
 
 
 @pytest.mark.fault_row(33)
