@@ -14,7 +14,8 @@ from jaxtyping import Float64
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.kept_files import read_account
-from truepath.app.errors import BadInput
+from truepath.app.errors import BadInput, BundleError
+from truepath.app.files.file_model import as_object, parse_json
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
@@ -40,9 +41,15 @@ class ActiveFiles:
 
 
 def read_active_files(
-    files: Sequence[Path], name: str | None, machine: Machine
+    files: Sequence[Path],
+    name: str | None,
+    machine: Machine,
+    choices: Mapping[str, str] | None = None,
 ) -> ActiveFiles | None:
     """Return the files of a format and what they add; None where there are none.
+
+    choices : by which the files were written; None for those of the account that was
+    written beside them, where it is there
 
     Raises BadInput if the format is not named, or a file is not of it.
     """
@@ -56,8 +63,17 @@ def read_active_files(
         )
     data = {file.name: read_whole(file) for file in files}
     content = {file: each.decode("utf-8", "replace") for file, each in data.items()}
-    correction = load_format(name).read(content, machine)
     digests = {file: hashlib.sha256(each).hexdigest() for file, each in data.items()}
+    if choices is None:
+        choices = find_choices(files[0].parent, name, digests)
+    kind = load_format(name, choices)
+    try:
+        correction = kind.read(content, machine)
+    except (ValueError, LookupError) as error:
+        raise BadInput(
+            f"{', '.join(content)}: cannot be read as files of {name} ({error}); give "
+            "the files of one export, as it wrote them"
+        ) from error
     return ActiveFiles(name, digests, follow_approach(correction, machine))
 
 
@@ -65,9 +81,34 @@ def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
     """Return files that are kept with a result. Raises NotFound."""
     account = read_account(folder.parent, folder.name)
     files = [folder / name for name in account["files"]]
-    active = read_active_files(files, account["format"], machine)
+    active = read_active_files(
+        files, account["format"], machine, account.get("choices")
+    )
     assert active is not None  # noqa: S101 (an account names its files)
     return active
+
+
+def find_choices(
+    folder: Path, name: str, files_sha256: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the choices of the account that was written beside files of a format.
+
+    Empty, for the usual ones, where there is no account of just these files.
+    """
+    for place in sorted(folder.glob("*.json")):
+        account = as_object(_read_json(place))
+        digests = as_object(account.get("files_sha256"))
+        if account.get("format") == name and digests == files_sha256:
+            return dict(as_object(account.get("choices")))
+    return {}
+
+
+def _read_json(place: Path) -> object:
+    """Return what a file holds; nothing where it is no JSON or too large."""
+    try:
+        return parse_json(read_whole(place), place.name)
+    except BundleError:
+        return {}
 
 
 def follow_approach(correction: Correction, machine: Machine) -> AddedMotion:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,7 @@ from truepath.app.files.whole_files import replace_file
 
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9._-]+")
 _BETTER = 0.999  # of the error before: files that leave more are refused
 
 
@@ -87,6 +89,7 @@ def export_files(
     errors = map_errors(loaded)
     has_suffix = place.name.endswith(suffix)
     stem = place.name.removesuffix(suffix) if has_suffix else place.stem
+    _require_plain_name(output, stem)
     export = export_result(
         errors,
         name,
@@ -110,6 +113,15 @@ def export_files(
     account = {**export.account, **told}
     replace_file(beside, encode_json(account, indent=1))
     return account
+
+
+def _require_plain_name(output: str | Path, stem: str) -> None:
+    """Raise BadInput for a stem that controls cannot read: it stands in the files."""
+    if _PLAIN_NAME.fullmatch(stem) is None:
+        raise BadInput(
+            f"{output}: {stem!r} stands in the files that controls read; use letters "
+            "A to Z, digits, dots, dashes and underscores"
+        )
 
 
 def export_result(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import PurePath
 
 import numpy as np
 
@@ -22,10 +23,7 @@ def read_pitch_tables(
     files: Mapping[str, str], machine: Machine
 ) -> Iterator[InterpolatedTable]:
     """Yield the summed increments of each axis, in mm. Raises BadInput."""
-    data, parameters = (
-        next(_split_tape(text) for name, text in files.items() if part in name)
-        for part in ("-pitch", "-parameters")
-    )
+    data, parameters = (_find_tape(files, part) for part in ("-pitch", "-parameters"))
     increments, words = _read_data(data), _read_parameters(parameters)
     for index, axis in enumerate(machine.linear_axes):
         zero_mm = reference_position_mm(axis)
@@ -58,6 +56,14 @@ def _sum_increments(
         backward = add_up(int(words[3626, index])) + amount
     own = LINEAR.index(name)
     return InterpolatedTable(name, own, at, forward, backward, is_stepped=True)
+
+
+def _find_tape(files: Mapping[str, str], part: str) -> list[str]:
+    """Return the lines of the tape whose name ends so. Raises BadInput."""
+    for name, text in files.items():
+        if PurePath(name).stem.endswith(part):
+            return _split_tape(text)
+    raise BadInput(f"no file of {', '.join(files)} has a name that ends in {part}")
 
 
 def _split_tape(text: str) -> list[str]:

@@ -86,12 +86,20 @@ class Heidenhain(TableFormat):
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Yield the tables named by `config.cma`."""
-        row = _read_rows(files[_CONFIG])[0]
+        known = {name.lower(): text for name, text in files.items()}
+        if _CONFIG not in known:
+            raise BadInput(f"{_CONFIG} is missing: it names the table of each axis")
+        row = _read_rows(known.pop(_CONFIG))[0]
         if row.get("ACTIVE") != "*":
             raise BadInput(f"{_CONFIG}: no line is active")
         for axis, name in row.items():
             if axis in LINEAR:
-                yield from _read_columns(axis, _read_rows(files[name]), self._reading)
+                if name.lower() not in known:
+                    raise BadInput(f"{name} is missing: {_CONFIG} names it for {axis}")
+                rows = _read_rows(known.pop(name.lower()))
+                yield from _read_columns(axis, rows, self._reading)
+        if known:
+            raise BadInput(f"{min(known)}: {_CONFIG} does not name it")
 
 
 def _write_table(name: str, table: AxisTable, reading: str) -> str:

@@ -81,6 +81,10 @@ class LinuxCnc(TableFormat):
         """Yield the trims that the controller adds."""
         for name, text in files.items():
             axis = _find_axis(name, self.suffix)
+            if not axis and not name.endswith(_KINEMATICS):
+                raise BadInput(
+                    f"{name}: the name of a table ends in its axis and {self.suffix}"
+                )
             if axis in LINEAR:
                 nominal, forward, reverse = _read_rows(name, text)
                 out, up, down = LINEAR.index(axis), nominal - forward, nominal - reverse

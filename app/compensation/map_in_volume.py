@@ -164,7 +164,8 @@ def _read_correction(
     files = {
         name: read_whole(place / name).decode("ascii") for name in account["files"]
     }
-    return load_format(account["format"]).read(files, errors.machine)
+    kind = load_format(account["format"], account.get("choices"))
+    return kind.read(files, errors.machine)
 
 
 def _describe(

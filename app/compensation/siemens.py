@@ -40,7 +40,11 @@ from truepath.app.compensation.siemens_reading import (
     read_tables,
 )
 from truepath.app.compensation.siemens_rotary import write_turns
-from truepath.app.compensation.siemens_temperature import write_temperature_file
+from truepath.app.compensation.siemens_temperature import (
+    TEMPERATURE_AREA,
+    write_temperature_file,
+)
+from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
@@ -273,11 +277,19 @@ class SiemensOrder(CompensationFormat):
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the sum of both."""
-        parts: dict[str, Siemens] = {"lec": SiemensLec(), "cec": self._cross}
-        corrections = [
-            part.read(_select(files, f"-{word}{self.suffix}"), machine)
-            for word, part in parts.items()
-        ]
+        parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
+        chosen = [_select(files, part) for part in parts]
+        for part, own in zip(parts, chosen, strict=True):
+            if not own:
+                raise BadInput(
+                    f"no file of {', '.join(files)} holds _{part.variable} tables: "
+                    "give both files of the order, or name the format of the one"
+                )
+        known = {*chosen[0], *chosen[1]}
+        for file, text in files.items():
+            if file not in known and TEMPERATURE_AREA not in text:
+                raise BadInput(f"{file}: holds no tables of a SINUMERIK")
+        corrections = [p.read(f, machine) for p, f in zip(parts, chosen, strict=True)]
 
         def correction(
             position_mm: Float64[np.ndarray, "n a"], direction: float
@@ -291,7 +303,7 @@ class SiemensOrder(CompensationFormat):
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
         """Return what the leadscrew tables add to rotary axes."""
-        return read_rotary_tables(_select(files, f"-lec{self.suffix}"))
+        return read_rotary_tables(_select(files, SiemensLec()))
 
 
 def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
@@ -308,5 +320,11 @@ def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
     yield f"$AN_CEC_IS_MODULO[{number}]=0"
 
 
-def _select(files: Mapping[str, str], end: str) -> dict[str, str]:
-    return {name: text for name, text in files.items() if name.endswith(end)}
+def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
+    """Return the files that hold tables of a kind, whatever they are called."""
+    marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
+    return {
+        name: text
+        for name, text in files.items()
+        if any(mark in text for mark in marks)
+    }

@@ -27,6 +27,7 @@ from truepath.app.compensation.format import (
 )
 from truepath.app.kinematics.symbols import LINEAR
 
+TEMPERATURE_AREA = "_N_TEMP_COMP_INI"
 _STEP_K = 1.0
 
 
@@ -34,7 +35,7 @@ def write_temperature_file(
     content: CompensationTables, temperature: TemperatureTables
 ) -> str:
     """Return the settings of each axis that grows, and tanβ by temperature."""
-    lines = ["%_N_TEMP_COMP_INI", *(f"; {line}" for line in content.stamp)]
+    lines = [f"%{TEMPERATURE_AREA}", *(f"; {line}" for line in content.stamp)]
     lines += [
         "; tables hold at the stated temperature, where SD43910 is 0. The PLC writes",
         "; SD43910 = tanbeta(T) by the thermometer; the sign is to be tried",

@@ -13,6 +13,7 @@ import pytest
 
 from truepath.app.cli.command import run
 from truepath.app.errors import BundleError
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
 from truepath.app.reporting.certificate import pdf
 from truepath.app.reporting.certificate.issue import (
     gather_certificate,
@@ -353,6 +354,48 @@ def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
     on = measure_again(result, tmp_path, **later, control_compensation="on")
     _, file = issue("c.html", "--as-left", str(on))
     assert "The control stated that its compensation was on" in read_page(file).text
+
+
+def test_a_result_as_left_that_is_not_to_be_used_states_nothing(
+    issue, result, tmp_path, capsys
+):
+    def leave(kind, values):
+        again = {**result, "verdict": verdict_json(judge(kind, values))}
+        return str(measure_again(again, tmp_path, started="2026-11-20T08:00:00+00:00"))
+
+    def judge(kind, values):
+        return Verdict((Reason(kind, "not-usable", values),))
+
+    astray = leave("fit-beyond-noise", {"ratio": 9.0, "limit_ratio": 4.0})
+    assert issue("c.html", "--as-left", astray)[0] == 2
+    assert "left.json: the result as left is not to be used" in capsys.readouterr().err
+    # Of a machine that is good there is little to gain.
+    good = leave("little-gained", {"found_um": 0.5, "left_um": 0.6})
+    status, file = issue("c.html", "--as-left", good)
+    assert status == 0
+    page = read_page(file)
+    assert "As left, measured: The result may be used" in page.text
+    assert "Date of measurement as left" in page.text
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda machine: machine.update(tool_offset_mm=[0.0, 0.0, -10.0]),
+            "has other targets",
+        ),
+        (lambda machine: machine["axes"]["X"].update(max_mm=300.0), "has other travel"),
+    ],
+)
+def test_another_tool_or_travel_is_not_the_machine_as_left(
+    issue, result, tmp_path, capsys, change, words
+):
+    again = json.loads(json.dumps(result))
+    change(again["machine"])
+    left = measure_again(again, tmp_path)
+    assert issue("c.html", "--as-left", str(left))[0] == 2
+    assert words in capsys.readouterr().err
 
 
 def test_a_file_of_another_kind_is_refused_by_its_name(issue, analysed, capsys):

@@ -140,3 +140,10 @@ def test_lost_motion_that_the_result_states_is_in_both_directions(analysed, tmp_
     expected = 2e-3 * np.interp(ends, *table.values())
     np.testing.assert_allclose(lost["X"][[0, -1]], expected, atol=2e-6)
     np.testing.assert_allclose(lost["Y"], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["my part.com", "Fräse.com"])
+def test_a_name_that_no_control_reads_is_refused(analysed, tmp_path, capsys, name):
+    order = ["export", str(analysed / "result.json"), "--format", "heidenhain"]
+    assert run([*order, "-o", str(tmp_path / name)]) == 2
+    assert "letters A to Z" in capsys.readouterr().err

@@ -8,9 +8,44 @@ from typing import Any
 
 from truepath.app.errors import BundleError
 from truepath.app.files.file_model import as_object
+from truepath.app.files.one_machine import have_same_targets
+from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.machine import Machine
 
 Content = Mapping[str, Any]
 ON, OFF = "on", "off"
+_LITTLE_GAINED = "little-gained"  # of a machine as left: there is little left to gain
+
+
+def judge_as_left(verdict: Verdict) -> Verdict:
+    """Return what a result says of itself where it states the machine as left."""
+    return Verdict(tuple(one for one in verdict.reasons if one.kind != _LITTLE_GAINED))
+
+
+def require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
+    """Raise BundleError where a result as left is of another machine, travel or tool.
+
+    With another tool, or over another travel, the same machine has another error.
+    file : of the result as left
+    """
+    if (found.name, found.chain) != (left.name, left.chain):
+        raise BundleError(
+            f"is of machine {left.name} ({left.chain}), not {found.name} "
+            f"({found.chain})",
+            file=file,
+            remedy="give a result of the same machine",
+        )
+    if _say_travel(found) != _say_travel(left):
+        what, one, other = "travel", _say_travel(found), _say_travel(left)
+    elif not have_same_targets(found, left):
+        what, one, other = "targets", _say_targets(found), _say_targets(left)
+    else:
+        return
+    raise BundleError(
+        f"has other {what}, {other}, than the result as found, {one}",
+        file=file,
+        remedy="measure the machine as left with the same travel and targets",
+    )
 
 
 def refuse_as_left(found: Content, left: Content, *, file: str) -> None:
@@ -44,6 +79,17 @@ def refuse_as_left(found: Content, left: Content, *, file: str) -> None:
 def is_compensation_confirmed(left: Content) -> bool:
     """Tell whether the control said of every Run that it compensated."""
     return set(_list_controls(left)) == {ON}
+
+
+def _say_travel(machine: Machine) -> str:
+    return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)
+
+
+def _say_targets(machine: Machine) -> str:
+    return ", ".join(
+        f"{target.name} ({', '.join(f'{each:g}' for each in target.offset_mm)}) mm"
+        for target in machine.targets
+    )
 
 
 def _list_sources(content: Content) -> Iterator[Mapping[str, Any]]:

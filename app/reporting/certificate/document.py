@@ -66,6 +66,8 @@ def render_certificate(
     if not accept_verdict:
         verdict = certificate.found.result.verdict
         verdict.require_usable(f"{certificate.found.name}: the result")
+        if (left := certificate.left_verdict) and certificate.left:
+            left.require_usable(f"{certificate.left.name}: the result as left")
     language = load_language(certificate.language)
     views = {name: view(certificate, language) for name, view in _VIEWS.items()}
     return render_page(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
 from truepath.app.files.identity_file import FIELDS
+from truepath.app.files.verdict import Verdict
 from truepath.app.kinematics.machine import position_unit
-from truepath.app.reporting.certificate.issue import Certificate
+from truepath.app.reporting.certificate.issue import Certificate, ResultSource
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
 
@@ -26,14 +27,23 @@ def describe_heading(certificate: Certificate, language: Language) -> View:
             (language.say("number"), certificate.shown_number),
             (language.say("issued"), language.day(certificate.issued)),
             (language.say("measured_on"), _find_measured(certificate, language)),
+            *_date_as_left(certificate, language),
             (language.say("analysed_on"), analysed or language.say("not_stated")),
         ],
     }
 
 
 def describe_verdict(certificate: Certificate, language: Language) -> View:
-    """Return what the result says of itself, loud where it is not simply usable."""
-    verdict = certificate.found.result.verdict
+    """Return what the results say of themselves, loud where not simply usable."""
+    found = certificate.found.result.verdict
+    said = [{"of": "", **_say_verdict(found, language)}]
+    if (left := certificate.left_verdict) is not None:
+        said.append({"of": language.say("after_left"), **_say_verdict(left, language)})
+    return {"said": said}
+
+
+def _say_verdict(verdict: Verdict, language: Language) -> View:
+    """Return state, title, text and reasons, the worst first."""
     reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
     key = verdict.state.replace("-", "_")
     texts = {
@@ -92,7 +102,21 @@ def _find_measured(certificate: Certificate, language: Language) -> str:
     """Return when it was measured: as stated, or as the Run itself knows it."""
     if stated := certificate.identity.get("measured_on"):
         return stated
-    runs: list[Mapping[str, Any]] = certificate.found.content.get("runs", [])
+    return _list_days(certificate.found, language)
+
+
+def _date_as_left(
+    certificate: Certificate, language: Language
+) -> Iterator[tuple[str, str]]:
+    """Yield when the machine was measured as left, where it was."""
+    if certificate.left is not None:
+        days = _list_days(certificate.left, language)
+        yield language.say("left_measured_on"), days
+
+
+def _list_days(source: ResultSource, language: Language) -> str:
+    """Return the days on which the Runs of a result began."""
+    runs: list[Mapping[str, Any]] = source.content.get("runs", [])
     known = (run.get("source", {}).get("started") for run in runs)
     days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))
     return ", ".join(days) or language.say("not_stated")

@@ -18,8 +18,13 @@ from truepath.app.files.result_file import (
     CalibrationResult,
     result_from_json,
 )
+from truepath.app.files.verdict import Verdict
 from truepath.app.files.whole_files import read_whole
-from truepath.app.reporting.certificate.as_left import refuse_as_left
+from truepath.app.reporting.certificate.as_left import (
+    judge_as_left,
+    refuse_as_left,
+    require_same_machine,
+)
 from truepath.app.reporting.certificate.language import LanguageCode
 
 VERIFICATION, COMPENSATION = "verification/1", "compensation/1"
@@ -69,6 +74,11 @@ class Certificate:
     number: str = ""
 
     @property
+    def left_verdict(self) -> Verdict | None:
+        """What the result as left says of itself; None where there is none."""
+        return None if self.left is None else judge_as_left(self.left.result.verdict)
+
+    @property
     def shown_number(self) -> str:
         """The number, or one made of the dates and digest of the result."""
         if self.number:
@@ -91,7 +101,9 @@ def gather_certificate(
     """Read what stands beside a result. Raises BundleError for what does not fit."""
     as_left = None if left is None else read_result_source(left)
     if as_left is not None:
-        require_same_machine(found, as_left)
+        require_same_machine(
+            found.result.machine, as_left.result.machine, file=as_left.name
+        )
         refuse_as_left(found.content, as_left.content, file=as_left.name)
     return Certificate(
         found,
@@ -126,17 +138,6 @@ def read_source(file: str | Path, schema: str) -> Source:
         remedy = f"give a file of {schema}"
         raise BundleError("is of another schema", file=shown, remedy=remedy)
     return Source(shown, content, _digest(data))
-
-
-def require_same_machine(found: ResultSource, left: ResultSource) -> None:
-    """Raise BundleError where a result as left is of another machine."""
-    one, other = found.result.machine, left.result.machine
-    if (one.name, one.chain) != (other.name, other.chain):
-        raise BundleError(
-            f"is of machine {other.name} ({other.chain}), not {one.name} ({one.chain})",
-            file=left.name,
-            remedy="give a result of the same machine",
-        )
 
 
 def _digest(data: bytes) -> str:
