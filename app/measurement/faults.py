@@ -105,7 +105,14 @@ STAYS_DAMAGED = Fault(
 SLOW_DISK = Fault(
     "slow-disk",
     "the disk cannot keep up; the feed is held until it has",
-    "nothing: it goes on by itself; use a local disk",
+    "nothing: it goes on by itself when the disk has caught up within seconds; use a "
+    "local disk",
+    latched=False,
+)
+DISK_STAYS_SLOW = Fault(
+    "disk-stays-slow",
+    "the disk has not caught up within 10 s; the feed stays held",
+    "look at the machine, then press Resume; use a local disk",
     latched=False,
 )
 SERVICE_SILENT = Fault(

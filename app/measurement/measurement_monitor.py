@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.app.measurement.controller_monitor import ControllerMonitor
+from truepath.app.measurement.disk_monitor import DiskMonitor
 from truepath.app.measurement.event_log import EventLog
 from truepath.app.measurement.faults import (
-    SLOW_DISK,
     Aborted,
     Fault,
     make_silence_fault,
     make_unable_fault,
 )
 from truepath.app.measurement.feed_hold import FeedHold
-from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
+from truepath.app.measurement.measurement_state import MeasurementState
 from truepath.app.measurement.messages import CellState, ReportEvent
 from truepath.app.measurement.motion_check import MotionCheck
 from truepath.app.measurement.progress import LiveView, ProgressEstimator, RowSchedule
@@ -73,6 +73,7 @@ class MeasurementMonitor:
         self.events = EventLog(recorder, report)
         self._machine = ControllerMonitor(motion, recorder, settings)
         self.feed = FeedHold(motion, self._machine, state, self.events, settings)
+        self._disk = DiskMonitor(self.feed, state, recorder, settings)
         self._motion_check = MotionCheck(self.events, settings)
         self.rows = RowsToRepeat(self.progress)
         self.stream = StreamMonitor(self.feed, state, self.events, self.rows, settings)
@@ -116,7 +117,7 @@ class MeasurementMonitor:
         """
         if self.state.aborted.wait(self.settings.poll_s):
             raise Aborted("aborted on request")
-        self._check_disk()
+        self._disk.check()
         self._report_tracker_events()
         self.stream.check(may_lose_beam=self._is_task_under_way)
         here, status = self._machine.position, self._machine.poll()
@@ -148,16 +149,6 @@ class MeasurementMonitor:
         """End the stream and record what waits. Idempotent, never raises."""
         self.stream.end()
         self._machine.flush()
-
-    def _check_disk(self) -> None:
-        if self.recorder.failure or self.recorder.is_space_low:
-            text = self.recorder.failure or "the disk is almost full"
-            action = "free some space, then measure again"
-            raise Fault("storage", text, action, latched=False)
-        if self.recorder.is_strained:
-            self.feed.hold(HoldReason.DISK, SLOW_DISK)
-        elif self.recorder.is_relaxed and HoldReason.DISK in self.state.holds:
-            self.feed.release(HoldReason.DISK, "the disk has caught up")
 
     def _report_tracker_events(self) -> None:
         """Record what happens at the tracker; report what somebody has to look at."""

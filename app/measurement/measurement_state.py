@@ -33,6 +33,7 @@ class HoldReason(StrEnum):
     BEAM = "beam"
     TARGET = "target"
     DISK = "disk"
+    DISK_STAYED_SLOW = "disk-stayed-slow"  # for a person to release
     SERVICE = "service"  # nobody could stop the machine by it
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
 
