@@ -49,6 +49,7 @@ _SECTIONS: dict[str, Callable[[Findings], View]] = {
 def render_calibration_report(findings: Findings) -> str:
     """Return the report."""
     before, after = findings.volumetric.before, findings.volumetric.after
+    both = findings.both_directions
     created = findings.provenance.created
     return render_page(
         "calibration.html",
@@ -59,6 +60,7 @@ def render_calibration_report(findings: Findings) -> str:
             "verdict": findings.verdict,
             "before": before.mean.value_um,
             "largest": state_figure(before.largest),
+            "both": both and state_figure(both.mean),
             "after": after.mean.value_um,
             "share": after.mean.value_um / max(before.mean.value_um, 1e-12),
             "ratio": residual_over_noise(findings),

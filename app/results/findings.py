@@ -22,10 +22,12 @@ from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Verdict
 from truepath.app.planning.grade import Grade
 from truepath.app.results.as_if_driven import judge_program
+from truepath.app.results.both_directions import compute_both_directions
 from truepath.app.results.error_tables import ErrorTables, build_error_tables
 from truepath.app.results.trial_results import TrialResults
 from truepath.app.results.verdict import judge, judge_gain
 from truepath.app.results.volumetric_error import (
+    Spread,
     VolumetricError,
     compute_volumetric_error,
 )
@@ -115,6 +117,7 @@ class Findings:
     left_out : of each Run given, what was not used; knocks : at which Runs were split
     contributions : what each Run given brought, if it was asked
     budget : what each source of uncertainty brings, if it was asked
+    both_directions : the volumetric error with lost motion, where that is determined
     """
 
     estimate: Estimate
@@ -129,6 +132,7 @@ class Findings:
     knocks: tuple[Knock, ...] = ()
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
+    both_directions: Spread | None = None
 
     @property
     def main(self) -> RunFindings:
@@ -201,6 +205,7 @@ def state_findings(
         ),
         trials,
         grade,
+        both_directions=compute_both_directions(estimate),
     )
 
 

@@ -99,6 +99,7 @@ def _volumetric_json(found: Findings) -> dict[str, Any]:
     return {
         "before": asdict(found.volumetric.before),
         "after_expected": asdict(found.volumetric.after),
+        "both_directions": found.both_directions and asdict(found.both_directions),
         "on": f"a grid of {len(found.volumetric.position_mm)} points over the travel, "
         "without the rigid motion of the whole volume",
     }

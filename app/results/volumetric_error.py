@@ -1,7 +1,7 @@
 """The volumetric error over the travel before and after compensation.
 
-Before is the estimated map on a grid. After is what the stated uncertainty leaves where
-−δ̂ is applied in full: errors drawn from the covariance of the estimate (JCGM 101).
+Before is the estimated map on a grid, the mean of both directions of travel. After is
+what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the covariance of the estimate (JCGM 101).
 Both are without the rigid motion of the whole volume. That the machine then does as
 promised is for a measurement of its own to show.
 """
@@ -76,11 +76,11 @@ def compute_volumetric_error(estimated: EstimatedModel) -> VolumetricError:
         error,
         np.sqrt(np.einsum("nip,pq,niq->ni", J, covariance, J, optimize=True)),
         np.quantile(np.linalg.norm(left, axis=1), np.linspace(0.0, 1.0, _QUANTILES)),
-        _make_spread(
+        make_spread(
             _measure_lengths(error[:, :, None])[:, 0],
             _measure_lengths(error[:, :, None] + left),
         ),
-        _make_spread(after.mean(axis=1), after),
+        make_spread(after.mean(axis=1), after),
     )
 
 
@@ -113,7 +113,8 @@ def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray,
     )
 
 
-def _make_spread(
+def make_spread(
     value: Float64[np.ndarray, "3"], drawn: Float64[np.ndarray, "3 d"]
 ) -> Spread:
+    """Return mean, 95 % and largest with the spread of those drawn."""
     return Spread(*map(Figure, value.tolist(), drawn.std(axis=1).tolist()))

@@ -85,8 +85,16 @@ class VolumetricSpreadOut(BaseModel):
 class VolumetricOut(BaseModel):
     """Volumetric error before compensation, and expected after it."""
 
-    before: VolumetricSpreadOut
+    before: VolumetricSpreadOut = Field(
+        description="Of the map, which is the mean of both directions of travel."
+    )
     after_expected: VolumetricSpreadOut
+    both_directions: VolumetricSpreadOut | None = Field(
+        default=None,
+        description="Before, every place come to in both directions: with lost motion. "
+        "Mean and 95 % over positions that fill the travel evenly, as in the account "
+        "of compensation files. Null where no lost motion is determined.",
+    )
     on: str
 
 

@@ -46,13 +46,15 @@ _REMEDIES = (
 def describe_brief(certificate: Certificate, language: Language) -> View:
     """Return the volumetric error as found, expected, and as left."""
     stated = certificate.found.content["volumetric_error"]
-    states = [
-        ("before", stated["before"]),
-        ("after_expected", stated["after_expected"]),
-    ]
+    states = [("before", stated["before"])]
+    if both := stated.get("both_directions"):
+        states.append(("before_both_directions", both))
+    states.append(("after_expected", stated["after_expected"]))
     if certificate.left is not None:
-        left = certificate.left.content["volumetric_error"]["before"]
-        states.append(("after_left", left))
+        left = certificate.left.content["volumetric_error"]
+        states.append(("after_left", left["before"]))
+        if both := left.get("both_directions"):
+            states.append(("after_left_both_directions", both))
     return {
         "rows": [
             (
@@ -176,7 +178,8 @@ def describe_limits(certificate: Certificate, language: Language) -> View:
 def describe_positioning(certificate: Certificate, language: Language) -> View:
     """Return the figures of ISO 230-2 that an estimate can give."""
     halves = _read_halves(certificate.found.content)
-    every = compute_positioning_figures(certificate.found.result, halves)
+    found = certificate.found.result
+    every = compute_positioning_figures(found, halves, found.measured)
     return {"rows": [_state_positioning(one, language) for one in every]}
 
 
@@ -274,6 +277,7 @@ def _read_halves(content: Content) -> dict[str, HalfDifference]:
     halves: Mapping[str, Any] = content.get("direction", {}).get("half_difference", {})
     return {
         symbol: HalfDifference(
+            np.array(table.get("position_mm", table.get("position_deg")), float),
             np.array(table[f"value_{unit}"], float),
             np.array(table[f"uncertainty_{unit}"], float),
         )
@@ -333,8 +337,11 @@ def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str
             return "–"
         return language.write_expanded(stated.value, stated.uncertainty)
 
+    low, high = (language.number(end, 0) for end in one.range)
+    over = f"{low}\u00a0… {high}\u00a0{_POSITION_SIGN[one.position_unit]}"
     return (
         f"{one.symbol[2]},\u00a0{SIGN[one.unit]}",
+        over,
         say(one.mean_range),
         say(one.reversal),
         say(one.systematic_range),
