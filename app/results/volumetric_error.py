@@ -1,9 +1,9 @@
 """The volumetric error over the travel before and after compensation.
 
 Before is the estimated map on a grid, the mean of both directions of travel. After is
-what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the covariance of the estimate (JCGM 101).
-Both are without the rigid motion of the whole volume. That the machine then does as
-promised is for a measurement of its own to show.
+what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the
+covariance of the estimate (JCGM 101). Both are without the rigid motion of the whole
+volume. That the machine then does as promised is for a measurement of its own to show.
 """
 
 from __future__ import annotations

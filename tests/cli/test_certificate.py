@@ -181,10 +181,12 @@ def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
     file.write_text(json.dumps({**result, "direction": direction}))
     page = read_page(issue("c.html", result=file)[1])
     rows = {row[0][0]: row for row in page.tables["iso"][0][1:]}
-    assert numbers(rows["Y"][2])[0] == pytest.approx(6.0, abs=0.01)
-    wider = numbers(rows["Y"][3])[0] - numbers(rows["Y"][1])[0]
+    assert numbers(rows["Y"][3])[0] == pytest.approx(6.0, abs=0.01)
+    wider = numbers(rows["Y"][4])[0] - numbers(rows["Y"][2])[0]
     assert wider == pytest.approx(6.0, abs=0.11)
-    assert rows["X"][2] == "–"
+    assert rows["X"][3] == "–"
+    own = result["measured_range"]["Y"]
+    assert rows["Y"][1] == f"{own['from_mm']:.0f}\u00a0… {own['to_mm']:.0f}\u00a0mm"
 
 
 def test_what_nobody_has_stated_is_shown_as_not_stated(issue, capsys):
