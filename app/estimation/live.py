@@ -8,17 +8,15 @@ mean, no more than a second addition of each.
 What contradicts the rest does not go in (`live_gate`). Where the set-up has moved, what
 came before goes on as knowledge of the machine, its own pose integrated out.
 
-A weak prior keeps tables finite before the lines determine them: errors of a tenth of a
-millimetre and a milliradian, a hundred times what they are known to at the end.
+A weak prior keeps tables finite before the lines determine them (`weak_prior`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from truepath.app.alignment.cell_blocks import CellBlock
 from truepath.app.alignment.observations import Observations
@@ -36,6 +34,7 @@ from truepath.app.estimation.information import (
 )
 from truepath.app.estimation.knots import add_hidden_variance, join_cells
 from truepath.app.estimation.known_effects import KnownEffects
+from truepath.app.estimation.live_estimate import LiveEstimate, LiveFindings
 from truepath.app.estimation.live_gate import (
     LineGate,
     LiveCheck,
@@ -49,15 +48,14 @@ from truepath.app.estimation.normal_equations import RecursiveEstimator
 from truepath.app.estimation.notices import ChangeWatch, Notice
 from truepath.app.estimation.prior import widen_by_unknown_precision
 from truepath.app.estimation.runs import RunInput
+from truepath.app.estimation.weak_prior import list_weak_precisions
 from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.coarse_model import (
     add_bends,
     add_half_widths,
     build_coarse_model,
 )
-from truepath.app.kinematics.effects.base import Effect, Parameter, Role
 from truepath.app.kinematics.effects.nuisance import TrackerPose
-from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,
@@ -72,44 +70,6 @@ from truepath.drivers.interfaces.records import Path, TrackerSamples
 _FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
 _FORETELL = 8  # lines or points; fewer foretell too little of the next
 _HELD = 3  # lines in a row that do not fit, or 6, 12 …: look at all lines together
-_WEAK = {"mm": 0.1, "rad": 1e-3}
-# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
-# that it drowns in the rounding of what is known.
-_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
-_WEAK_SPEED = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class LiveEstimate(EstimatedModel):
-    """What is known so far.
-
-    volumetric_sigma_mm : root mean square over the axis travel of the standard
-        uncertainty (k = 1) of the volumetric error vector of the first target, the
-        rigid motion of the whole volume left out; `volumetric_uncertainty_um` outside
-    done : finished lines or points; cells : of them; time_s : tracker's clock
-    check : what it says of itself
-    """
-
-    volumetric_sigma_mm: float
-    done: int
-    cells: int
-    time_s: float
-    check: LiveCheck = field(default_factory=LiveCheck)
-
-
-@dataclass(frozen=True, slots=True)
-class LiveFindings:
-    """What a measurement under way has shown of itself.
-
-    rows : whose line or standstill has been recognised
-    station_mm : (3,) of the tracker, in the frame that it stands on
-    prior_precision : by the effect's name
-    """
-
-    rows: frozenset[int]
-    station_mm: Float64[np.ndarray, "3"]
-    noise: NoiseModel
-    prior_precision: Mapping[str, float]
 
 
 class LiveEstimator:
@@ -147,9 +107,7 @@ class LiveEstimator:
         self._gram = compute_volumetric_gram(self._model)
         self._tracker = TrackerPose(_middle_of_travel(machine))
         effects = (*self._model.effects, self._tracker)
-        self._weak = np.array(
-            [_weak_sigma(e, p) ** -2 for e in effects for p in e.parameters]
-        )
+        self._weak = list_weak_precisions(effects)
         self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
@@ -366,9 +324,3 @@ def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
     middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
     x, y, z = (*middle, 0.0, 0.0)[:3]
     return x, y, z
-
-
-def _weak_sigma(effect: Effect, parameter: Parameter) -> float:
-    if effect.role is Role.NUISANCE:
-        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
-    return _WEAK.get(parameter.unit, 1.0)

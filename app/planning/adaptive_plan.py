@@ -16,7 +16,7 @@ import numpy as np
 
 from truepath.app.errors import PlanningError
 from truepath.app.estimation.earlier_runs import EarlierRun
-from truepath.app.estimation.live import LiveFindings
+from truepath.app.estimation.live_estimate import LiveFindings
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded, append_part, select_rows
 from truepath.app.motion.motion_times import Legs, row_times_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.estimation.live import LiveEstimate
+from truepath.app.estimation.live_estimate import LiveEstimate
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.jobs.live_process import estimate_json
 from truepath.app.kinematics.effects.location_error import AxisLocation
