@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import random
 
+import numpy as np
 import pytest
 from service_process import (
     acknowledge,
@@ -22,6 +23,9 @@ from service_process import (
 )
 
 from truepath.app.cli.demo import compare_with_truth
+from truepath.app.compensation.remaining_error import remove_rigid_motion
+from truepath.app.files.run import digest_run
+from truepath.app.measurement.run_reading import open_run
 from truepath.simulators.rig import running_rig
 from truepath.simulators.scenario import load_machine
 
@@ -38,6 +42,11 @@ ROWS = [
     }
     for _ in range(24)
 ]
+MANY_ROWS = [
+    *ROWS,
+    *({**row, "x_mm": 500.0 - row["x_mm"], "z_mm": 300 - row["z_mm"]} for row in ROWS),
+]
+MINUTES = 4.0  # of an adaptive measurement, by the clock of the machine
 
 AREAS = {
     "tracker": {
@@ -159,6 +168,127 @@ def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size
         assert client.get(f"/api/v1/runs/{job_id}/bundle").status_code == 200
         assert acknowledge(client, job_id)["error"] is None
         client.post("/api/v1/stop")
+
+
+def read_rows(client, job_id):
+    return client.get(f"/api/v1/jobs/{job_id}/plan").json()["position"]
+
+
+def go_on(client, rig, job_id):
+    """Acknowledge a job and arm it anew, and only then does the machine move.
+
+    Return the job once it has ended, and the row of its plan that it went on from.
+    """
+    before = rig.read_position()["position"]
+    ready = acknowledge(client, job_id)
+    plan = client.get(f"/api/v1/jobs/{job_id}/plan").json()
+    assert rig.read_position()["position"] == before, "it moved unarmed"
+    arm(client, ready)
+    ended = follow(client, job_id, "succeeded")
+    assert ended["run_ids"][0] == job_id
+    assert len(ended["run_ids"]) == 2
+    return ended, plan["resumption"]["first_row"]
+
+
+def list_digests(folder, run_ids):
+    """Return what results name Runs by: the digest of what was commanded and seen."""
+    files = [folder / "data" / "runs" / f"{run_id}.sqlite" for run_id in run_ids]
+    return [digest_run(open_run(file)) for file in files]
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(400)
+def test_an_adaptive_measurement_whose_service_was_killed_plans_on_and_is_right(
+    start, rig, tmp_path
+):
+    planning = {"mode": "otf", "minutes": MINUTES}
+    with start() as (service, client):
+        job = create(client, kind="measure-adaptive", planning=planning)
+        arm(client, job)
+        first_part = len(read_rows(client, job["id"])) - 1
+        wait_until_done(client, job["id"], first_part + 1)  # of those chosen meanwhile
+        kill(service)
+    with start() as (_, client):
+        chosen = read_rows(client, job["id"])
+        ended, first_row = go_on(client, rig, job["id"])
+        assert 0 < first_row < len(chosen)
+        driven = read_rows(client, job["id"])
+        assert driven[: len(chosen)] == chosen
+        assert len(driven) > len(chosen), "nothing more was planned"
+        result = client.get(ended["result"]["result"]).json()
+        used = [run["input_sha256"] for run in result["provenance"]["runs"]]
+        assert used == list_digests(tmp_path, ended["run_ids"])
+        assert share_covered(client, ended, rig) > 0.8
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(400)
+def test_what_acts_on_notices_goes_on_after_its_service_was_killed_and_is_right(
+    start, rig
+):
+    with start() as (service, client):
+        job = create(client, path=MANY_ROWS, on_notice="check")
+        arm(client, job)
+        wait_until_done(client, job["id"], 14)
+        rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
+        wait_for(
+            lambda: len(read_rows(client, job["id"])) > len(MANY_ROWS),
+            "lines that are driven again",
+        )
+        wait_until_done(client, job["id"], 22)  # the places that the check compares
+        kill(service)
+    with start() as (_, client):
+        kept = client.get(f"/api/v1/jobs/{job['id']}").json()["notices"]
+        assert kept
+        ended, first_row = go_on(client, rig, job["id"])
+        assert first_row > 14
+        assert ended["notices"][: len(kept)] == kept
+        assert share_covered(client, ended, rig) > 0.8
+
+
+def compare_with_places(found, rig, first_row):
+    """Return by how much each place is measured off the truth, µm, and U of that.
+
+    Each Run has a pose of its own, so that a rigid motion is no difference.
+    """
+    places = found["places"]
+    position = np.array(places["position"])
+    off_um = np.array(places["measured_um"]) - rig.truth_at(position)
+    is_later = np.array(places["row"]) >= first_row
+    for part in (is_later, ~is_later):
+        off_um[part] = remove_rigid_motion(position[part], off_um[part])
+    return off_um, 2.0 * np.array(places["measured_uncertainty_um"])
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(25)
+@pytest.mark.timeout(400)
+def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_right(
+    start, rig, tmp_path
+):
+    verify = {"kind": "verify", "what": ["random-points"], "seed": 5}
+    with start() as (service, client):
+        calibrated = create(client, path=ROWS)
+        arm(client, calibrated)
+        result_id = follow(client, calibrated["id"], "succeeded")["id"]
+        job = create(client, **verify, result_id=result_id)
+        arm(client, job)
+        wait_until_done(client, job["id"], DONE, "measure-standstill")
+        kill(service)
+    with start() as (_, client):
+        rows = read_rows(client, job["id"])
+        ended, first_row = go_on(client, rig, job["id"])
+        assert DONE - 1 <= first_row <= DONE + 4
+        found = client.get(ended["verification"]["verification"]).json()
+        used = [run["input_sha256"] for run in found["runs"]]
+        assert used == list_digests(tmp_path, ended["run_ids"])
+        assert found["places"]["row"] == list(range(len(rows)))
+        assert found["agreement"]["chance"] > 0.001
+        off_um, expanded_um = compare_with_places(found, rig, first_row)
+        print(f"off {np.abs(off_um).mean():.2f} of {expanded_um.mean():.2f}")
+        assert (np.abs(off_um) <= expanded_um).mean() > 0.8
 
 
 def plan_stations(client):
