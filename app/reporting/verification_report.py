@@ -12,8 +12,9 @@ from markupsafe import Markup
 from truepath.app.files.file_model import encode_json
 from truepath.app.files.whole_files import write_files
 from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame
-from truepath.app.reporting.circle_figures import draw_circle, state_moving_circle
+from truepath.app.reporting.circle_figures import state_moving_circle
 from truepath.app.reporting.error_figures import draw_legend
+from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles
 from truepath.app.reporting.svg import (
     WIDTH,
     Colour,
@@ -25,6 +26,7 @@ from truepath.app.reporting.svg import (
 )
 from truepath.app.reporting.templating import View, render_page
 from truepath.app.results.circle_figures import FIGURES as MOVING_FIGURES
+from truepath.app.results.circles_json import circles_json
 from truepath.app.results.driven_figures import (
     CIRCLE_FIGURES,
     LINE_FIGURES,
@@ -93,7 +95,9 @@ def render_verification_report(found: Verification) -> str:
             "moving_circles": [
                 row for one in found.circles.circles for row in state_moving_circle(one)
             ],
-            "round_figures": [draw_circle(one) for one in found.circles.circles],
+            "polar_circles": draw_polar_circles(
+                circles_json(found.circles)["circles_in_motion"], ENGLISH
+            ),
             "runs": [_draw_line(one) for one in found.driven.lines],
             "components": "in all three components"
             if found.places.is_whole

@@ -143,6 +143,23 @@ def reduce_to_sectors(
     )
 
 
+def fit_centre(radial: Float64[np.ndarray, "s e"]) -> Float64[np.ndarray, "2 e"]:
+    """Return the centres of the circles of least squares, from the commanded one.
+
+    radial : radius less the commanded one, in one sense or the mean of both; the
+        centre is in its unit
+    """
+    # Equal sectors all round: sine, cosine and the mean do not tell of each other.
+    return 2.0 / SECTORS * (_list_outwards().T @ radial)
+
+
+def take_centre_off(
+    radial: Float64[np.ndarray, "s e"], centre: Float64[np.ndarray, "2 e"]
+) -> Float64[np.ndarray, "s e"]:
+    """Return the radius less the commanded one about another centre, to first order."""
+    return radial - _list_outwards() @ centre
+
+
 def compute_figures(
     both: dict[str, Float64[np.ndarray, "s e"]],
 ) -> dict[str, Float64[np.ndarray, " e"]]:
@@ -150,17 +167,13 @@ def compute_figures(
 
     both : radius less the commanded one by sense
     """
-    angle = np.radians(list_sector_angles())
-    columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones(SECTORS)])
-    fit = np.linalg.pinv(columns)
-    fit[2] = 0.0  # the centre alone is taken off
-    mean = sum(both.values()) / len(both)
-    centred = {sense: one - columns @ (fit @ mean) for sense, one in both.items()}
+    centre = fit_centre(sum(both.values()) / len(both))
+    centred = {sense: take_centre_off(one, centre) for sense, one in both.items()}
     every = np.concatenate(list(centred.values()))
     figures = {"G": np.ptp(every, axis=0)}
     figures |= {"F_max": every.max(axis=0), "F_min": every.min(axis=0)}
     for sense, one in both.items():
-        figures[f"G_{sense}"] = np.ptp(one - columns @ (fit @ one), axis=0)
+        figures[f"G_{sense}"] = np.ptp(take_centre_off(one, fit_centre(one)), axis=0)
     if len(both) == 2:
         there, back = both.values()
         figures["H"] = np.abs(there - back).max(axis=0)
@@ -200,6 +213,11 @@ def state_figures(
         uncertainty[name] = UM_PER_MM * spread
     by_noise = {name: UM_PER_MM * float(one.mean()) for name, one in own.items()}
     return StatedFigures(value, uncertainty, by_noise)
+
+
+def _list_outwards() -> Float64[np.ndarray, "s 2"]:
+    angle = np.radians(list_sector_angles())
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _find_shape(

@@ -81,6 +81,10 @@ def _circle_json(one: CircleInMotion) -> dict[str, Any]:
         "angle_deg": list_sector_angles().tolist(),
         "radial_um": {sense: r.tolist() for sense, r in one.radial_um.items()},
         "predicted_radial_um": {s: r.tolist() for s, r in one.expected_um.items()},
+        "centre_um": {
+            "measured": one.centre_um.tolist(),
+            "predicted": one.expected_centre_um.tolist(),
+        },
         "figures_um": one.measured.value_um,
         "uncertainty_um": one.measured.uncertainty_um,
         "by_the_noise_alone_um": one.measured.own_um,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from datetime import date
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from truepath.app.reporting.certificate.closing_sections import (
@@ -14,6 +16,8 @@ from truepath.app.reporting.certificate.closing_sections import (
 )
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import load_language
+from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles
+from truepath.app.results.circle_figures import SECTORS, list_sector_angles
 
 MEASURED = {
     "conformity": "outside",
@@ -119,3 +123,60 @@ def test_a_decision_says_whether_the_compensation_was_active(decision, language,
     )
     assert words in with_it
     assert words not in without
+
+
+FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
+ANGLE = np.radians(list_sector_angles())
+SENSES = {
+    "counterclockwise": 4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE),
+    "clockwise": 4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE),
+}
+CIRCLE = {
+    "plane": "ZX",
+    "diameter_mm": 230.4,
+    "feed_mm_min": 3000.0,
+    "angle_deg": list_sector_angles().tolist(),
+    "radial_um": {name: one.tolist() for name, one in SENSES.items()},
+    "predicted_radial_um": {name: [0.0] * SECTORS for name in SENSES},
+    "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
+    "figures_um": FIGURES_UM,
+    "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
+    "predicted_um": FIGURES_UM,
+    "predicted_uncertainty_um": dict.fromkeys(FIGURES_UM, 0.2),
+}
+CIRCLES = {"circles_in_motion": [CIRCLE], "circles_missing": [9]}
+
+
+def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate(issued):
+    content = VERIFICATION | NUMBERS | CIRCLES
+    view = describe_verification(issued(content), load_language("de"))["circles"]
+    heading, h, g, *_ = view["rows"][0]
+    assert heading == "ZX, Durchmesser 230,4 mm, 3000 mm/min"
+    assert (h, g) == ("3,2 ± 1,8", "12,5 ± 1,8")
+    assert view["rows"][1][0] == "vorhergesagt"
+    assert "Zeilen des Plans" in view["missing"]
+    assert view["missing"].endswith(": 10.")
+    for text in ("+Z", "+X", "H 3,2 ± 1,8 µm", "Ringabstand 2 µm", "F min −6,0"):
+        assert text in view["figure"]
+
+
+def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers():
+    figure = str(draw_polar_circles([CIRCLE], ENGLISH))
+    curves = re.findall(r'd="M([\d. L]+)Z"', figure)
+    points = np.array([pair.split() for pair in curves[-1].split("L")], float)
+    assert len(points) == SECTORS
+    rings = re.findall(r"M([\d.]+) ([\d.]+)a([\d.]+)", figure)
+    left, level, nominal = map(float, rings[-1])  # drawn last, and darker
+    radii = sorted({float(ring[2]) for ring in rings})
+    per_um = (radii[1] - radii[0]) / 2.0
+    out = np.linalg.norm(points - [left + nominal, level], axis=1)
+    expected = nominal + per_um * 4.0 * np.cos(2 * ANGLE)
+    assert np.allclose(out, expected, atol=0.02)
+
+
+def test_circles_of_an_earlier_version_are_stated_without_a_figure(issued):
+    earlier = {key: value for key, value in CIRCLE.items() if key != "centre_um"}
+    content = VERIFICATION | NUMBERS | {"circles_in_motion": [earlier]}
+    view = describe_verification(issued(content), load_language("en"))["circles"]
+    assert view["figure"] == ""
+    assert len(view["rows"]) == 2

@@ -20,9 +20,11 @@ from truepath.app.results.circle_figures import (
     SECTORS,
     CommandedCircle,
     compute_figures,
+    fit_centre,
     list_sector_angles,
     reduce_to_sectors,
     state_figures,
+    take_centre_off,
 )
 from truepath.app.results.circles_in_motion import read_commanded
 from truepath.app.results.measured_places import correlate_means
@@ -136,6 +138,12 @@ def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(record, tmp_p
     document = VerificationOut.model_validate(write_verification(found, tmp_path))
     assert [one.plane for one in document.circles_in_motion] == ["XY", "YZ", "ZX"]
     assert document.circles_missing == []
+    for one in document.circles_in_motion:
+        mean = np.mean(list(one.radial_um.values()), axis=0)
+        columns = np.column_stack([np.cos(ANGLE), np.sin(ANGLE), np.ones(SECTORS)])
+        fitted = np.linalg.lstsq(columns, mean)[0]
+        assert one.centre_um is not None
+        assert one.centre_um["measured"] == pytest.approx(fitted[:2])
     within = [
         difference.within
         for one in document.circles_in_motion
@@ -221,3 +229,63 @@ def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
     assert not reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
     stream = time_s, pose.apply(points * [1.0, -1.0, 1.0])
     assert reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
+
+
+def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0)):
+    """Return the sectors of a circle driven without noise, by its radius at an angle.
+
+    radial_mm : radius less the commanded one by the angle, rad; it grows by 50 µm over
+        run-in and run-out, so that these would be seen
+    """
+    commanded = CommandedCircle(
+        "XY", np.zeros(3), np.eye(2, 3), 100.0, 0.0, turn_deg, 3000.0
+    )
+    time_s = np.arange(0.0, 24.0, 2e-3)
+    turned = np.radians(turn_deg) * time_s / time_s[-1]
+    radius = 100.0 + radial_mm(turned)
+    out = np.abs(np.degrees(turned - 0.5 * np.radians(turn_deg))) > 180.5
+    radius[out] += 0.05
+    places = np.column_stack([radius * np.cos(turned), radius * np.sin(turned)])
+    points = np.column_stack([places + centre_mm, np.zeros(len(time_s))])
+    pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
+    noise = NoiseModel((1.0, 1.0), (0.1, 0.1), 1.0, 0.0)
+    arc = ArcDrive(2, 0, len(time_s))
+    stream = time_s, pose.apply(points)
+    driven = reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
+    assert driven is not None
+    return driven.radial_mm
+
+
+@pytest.mark.parametrize("turn_deg", [732.0, -732.0])
+def test_an_ellipse_is_in_the_sectors_it_belongs_to_and_run_in_is_in_none(
+    demo, turn_deg
+):
+    radial = turn(demo, lambda t: 0.005 * np.cos(2 * t), turn_deg=turn_deg)
+    # The first sector and the last one meet: a little of what is driven past is there.
+    assert np.allclose(radial, 0.005 * np.cos(2 * ANGLE), atol=1e-4)
+
+
+def test_a_spike_at_a_reversal_is_in_the_sectors_after_the_quadrant(demo):
+    def spike(t):
+        return 0.006 * np.exp(-(np.degrees(t) % 180.0) / 5.0)  # X turns back at 0, 180
+
+    for sign, first in ((1.0, 0), (-1.0, SECTORS - 1)):
+        radial = turn(demo, lambda t, s=sign: spike(s * t), turn_deg=sign * 732.0)
+        step = int(sign)
+        for quadrant in (first, (first + SECTORS // 2) % SECTORS):
+            seen = radial[quadrant + step * np.arange(3)]
+            assert seen == pytest.approx([4.51e-3, 2.48e-3, 1.36e-3], rel=0.03)
+            assert abs(radial[(quadrant - step) % SECTORS]) < 1e-4
+
+
+def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
+    both = {
+        "counterclockwise": turn(demo, lambda t: 0.0 * t, centre_mm=(0.012, -0.02)),
+        "clockwise": turn(
+            demo, lambda t: 0.0 * t, centre_mm=(0.012, -0.02), turn_deg=-732.0
+        ),
+    }
+    centre = fit_centre(np.mean(list(both.values()), axis=0)[:, None])
+    assert centre[:, 0] == pytest.approx([0.012, -0.02], abs=1e-4)
+    for one in both.values():
+        assert np.abs(take_centre_off(one[:, None], centre)).max() < 2e-4

@@ -562,6 +562,51 @@ def verification(result_id: str, conformity: str | None = "within") -> dict[str,
     }
 
 
+def circles_in_motion() -> dict[str, Any]:
+    """A circle off its centre with play where X turns back, and one that is missing."""
+    angle_deg = np.arange(1.5, 360.0, 3.0)
+    angle = np.radians(angle_deg)
+    half_um = 3.0 * np.sign(np.sin(angle))  # of the play: by the sense of X
+    shift_um = 20.0 * np.cos(angle) - 5.0 * np.sin(angle)
+    oval_um = 4.0 * np.cos(2.0 * angle)
+    figures = {
+        "H": 6.1,
+        "G": 13.6,
+        "G_counterclockwise": 12.2,
+        "G_clockwise": 12.4,
+        "F_max": 7.0,
+        "F_min": -7.0,
+    }
+
+    def both(there: np.ndarray, back: np.ndarray) -> dict[str, list[float]]:
+        return {"counterclockwise": there.tolist(), "clockwise": back.tolist()}
+
+    circle = {
+        "plane": "XY",
+        "standard": "iso-230-4",
+        "diameter_mm": 307.2,
+        "feed_mm_min": 3000.0,
+        "driven_feed_mm_min": {"counterclockwise": 2999.2, "clockwise": 3000.6},
+        "row": {"counterclockwise": 2, "clockwise": 3},
+        "samples": {"counterclockwise": 9600, "clockwise": 9600},
+        "sector_deg": 3.0,
+        "angle_deg": angle_deg.tolist(),
+        "radial_um": both(shift_um + oval_um + half_um, shift_um + oval_um - half_um),
+        "predicted_radial_um": both(oval_um, oval_um),
+        "centre_um": {"measured": [20.0, -5.0], "predicted": [0.0, 0.0]},
+        "figures_um": figures,
+        "uncertainty_um": dict.fromkeys(figures, 0.9),
+        "by_the_noise_alone_um": dict.fromkeys(figures, 1.2),
+        "predicted_um": figures | {"H": 0.0},
+        "predicted_uncertainty_um": dict.fromkeys(figures, 0.1),
+        "difference_um": {
+            name: {"value": 0.0, "expanded_uncertainty": 1.8, "within": name != "H"}
+            for name in figures
+        },
+    }
+    return {"circles_in_motion": [circle], "circles_missing": [9]}
+
+
 def comparison() -> dict[str, Any]:
     """A result held against a direct measurement: of two errors one differs."""
     compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}

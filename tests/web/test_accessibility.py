@@ -9,7 +9,13 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
-from scripted_data import certificate, compensation, machine_history, verification
+from scripted_data import (
+    certificate,
+    circles_in_motion,
+    compensation,
+    machine_history,
+    verification,
+)
 from test_trend import trend_of
 
 pytestmark = [
@@ -93,7 +99,7 @@ def views_of_a_calibration(service) -> dict[str, str]:
     job = service.new_job("measure-otf", state="running", stage="measuring")["id"]
     service.finish(job)
     proof = service.new_job("verify", state="running", stage="measuring")["id"]
-    service.verifications[proof] = verification(job)
+    service.verifications[proof] = verification(job) | circles_in_motion()
     service.finish(proof)
     found = service.new_job("discover", run_id="run-1")["id"]
     service.finish(found)
@@ -112,7 +118,7 @@ def views_of_a_calibration(service) -> dict[str, str]:
         f"discover/{found}": "[data-effect]",
         f"export/{job}": "[data-card=export]",
         f"verify/{job}": "#verify-tolerance",
-        f"verify/{proof}": ".proof",
+        f"verify/{proof}": ".circle-plot",
         f"certificate/{job}": "iframe.preview",
         "records": "tbody tr",
         f"trend/{trend}": "main .card",

@@ -108,6 +108,15 @@ class CircleInMotionOut(BaseModel):
         description="Radius less the commanded one, about the commanded centre."
     )
     predicted_radial_um: dict[str, list[float]]
+    centre_um: dict[Literal["measured", "predicted"], tuple[float, float]] | None = (
+        Field(
+            None,
+            description="Of the circle of least squares of both senses, from the "
+            "commanded centre, along the axes of the plane. The figures are about it, "
+            "and so is what a chart shows: the radius less cos(angle) and sin(angle) "
+            "times it. Verifications of earlier versions do not have it.",
+        )
+    )
     figures_um: Numbers = Field(
         description="H, G of both senses and of each, F_max and F_min, less what the "
         "noise adds to them. H where both senses were driven."

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from truepath.app.files.file_model import as_object
+from truepath.app.reporting.certificate.circle_section import describe_circles
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.templating import View
@@ -52,6 +53,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         "statements": word_findings(source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
+        "circles": describe_circles(source.content, language),
     }
 
 

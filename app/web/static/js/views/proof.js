@@ -6,6 +6,7 @@ import { card, linkButton, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { circlesCard } from "./circles-card.js";
 
 const DOUBTFUL = 0.01; // chance below which no machine explains a measurement, as in the service
 const LOOKS = 5; // newest verifications that are looked through
@@ -32,7 +33,7 @@ export function decisionOf({ conformity, agreement }) {
 
 /** The verdict, and the numbers that it rests on. */
 export function proofCards({ job, verification }) {
-  return [verdict(job, verification), numbers(verification)];
+  return [verdict(job, verification), numbers(verification), circlesCard(verification)].filter(Boolean);
 }
 
 function verdict(job, verification) {

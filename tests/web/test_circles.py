@@ -1,0 +1,85 @@
+"""Circles that a verification drove on the fly, as a ballbar shows them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from playwright.sync_api import Locator, Page, expect
+from scripted_data import circles_in_motion, verification
+from scripted_service import ScriptedService
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+
+def show(panel, service: ScriptedService, circles, **more) -> tuple[Page, Locator]:
+    """Open the verification of a result that drove circles."""
+    result = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    service.finish(result)
+    proof = service.new_job("verify")["id"]
+    service.verifications[proof] = verification(result) | circles
+    service.finish(proof)
+    page = panel.open(f"#/verify/{proof}", **more)
+    card = page.locator("[data-card=circles]")
+    expect(card).to_be_visible()
+    return page, card
+
+
+def read_radii(path: Locator) -> np.ndarray:
+    """Return how far the points of a curve are from the middle of its chart."""
+    points = re.findall(r"([\d.]+) ([\d.]+)", path.get_attribute("d") or "")
+    return np.linalg.norm(np.array(points, float) - 210.0, axis=1)
+
+
+def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
+    panel, service
+):
+    _, card = show(panel, service, circles_in_motion())
+    chart = card.get_by_role("img", name=re.compile("circle XY, diameter 307.2 mm"))
+    expect(chart).to_have_accessible_name(re.compile(r"H 6\.1 ± 1\.8 µm; G 13\.6"))
+    there = read_radii(chart.locator("path.is-counterclockwise"))
+    back = read_radii(chart.locator("path.is-clockwise"))
+    predicted = read_radii(chart.locator("path.is-predicted").first)
+    assert len(there) == len(back) == 120
+    assert chart.locator("path").first.get_attribute("d").endswith("Z")
+    nominal = float(chart.locator("circle.base").get_attribute("r"))
+    rings = sorted(float(c.get_attribute("r")) for c in chart.locator("circle").all())
+    marks = chart.locator("text.ring").all_text_contents()
+    assert marks == ["−10", "−5", "0", "5", "10"]
+    per_um = (rings[-1] - nominal) / 10.0
+    angle = np.radians(np.arange(1.5, 360.0, 3.0))
+    half_um, oval_um = 3.0 * np.sign(np.sin(angle)), 4.0 * np.cos(2.0 * angle)
+    assert np.allclose(there, nominal + per_um * (oval_um + half_um), atol=0.05)
+    assert np.allclose(back, nominal + per_um * (oval_um - half_um), atol=0.05)
+    assert np.allclose(predicted, nominal + per_um * oval_um, atol=0.05)
+    expect(card.locator("[data-figure=H] td").first).to_have_text("6.1 ± 1.8")
+    expect(card).to_contain_text("The result does not predict H within")
+    expect(card.locator("figcaption")).to_contain_text("Ring to ring 5.0 µm")
+    card.get_by_text("Deviation by angle as a table").click()
+    row = card.locator(".map-table tbody tr").nth(1)
+    expect(row).to_have_text(re.compile(r"^4\.5\s*7\.0\s*1\.0\s*4\.0\s*4\.0$"))
+
+
+@pytest.mark.parametrize(("size", "dark"), [((390, 844), True), ((1280, 800), False)])
+def test_circles_fit_a_phone_and_a_panel_and_speak_german(panel, service, size, dark):
+    more = {"size": size, "dark": dark, "language": "de"}
+    page, card = show(panel, service, circles_in_motion(), **more)
+    expect(card).to_contain_text("XY, Durchmesser 307,2 mm, 3.000 mm/min")
+    expect(card).to_contain_text("G im Uhrzeiger")
+    expect(card.locator(".notice")).to_contain_text("Zeilen des Plans")
+    chart = card.locator(".circle-plot")
+    box = chart.bounding_box()
+    assert box["width"] == pytest.approx(box["height"], abs=1.0)
+    assert min(420, 0.75 * size[0]) <= box["width"] + 1.0
+    assert box["x"] + box["width"] <= size[0]
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+
+
+def test_a_circle_without_its_centre_is_stated_and_not_drawn(panel, service):
+    circles = circles_in_motion() | {"circles_missing": []}
+    circles["circles_in_motion"][0]["centre_um"] = None
+    _, card = show(panel, service, circles)
+    expect(card).to_contain_text("An earlier version computed this circle")
+    expect(card.locator("[data-figure=G] td").first).to_have_text("13.6 ± 1.8")
+    expect(card.locator("svg.circle-plot, .notice")).to_have_count(0)
