@@ -167,7 +167,7 @@ def compute_figures(
 
     both : radius less the commanded one by sense
     """
-    centre = fit_centre(sum(both.values()) / len(both))
+    centre = fit_centre(np.mean(list(both.values()), axis=0))
     centred = {sense: take_centre_off(one, centre) for sense, one in both.items()}
     every = np.concatenate(list(centred.values()))
     figures = {"G": np.ptp(every, axis=0)}
