@@ -18,7 +18,7 @@ class LastLine:
     """The line at whose end a motion ends.
 
     number : of its row, as the controller counts
-    begin, end : positions of the axes
+    begin, end : positions of the axes, or corners of what they stay within on an arc
     """
 
     number: int

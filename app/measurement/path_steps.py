@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from truepath.app.measurement.faults import NO_TIMES, POINTS_ONLY, STAYS_DAMAGED
 from truepath.app.measurement.last_line import LastLine
@@ -12,7 +14,8 @@ from truepath.app.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.by_target import Stretch, cut_by_target
 from truepath.app.motion.configurations import Commanded
-from truepath.app.motion.driven_again import drive_again
+from truepath.app.motion.driven_again import drive_again, drive_arcs_again
+from truepath.drivers.interfaces.arcs import find_reach
 from truepath.drivers.interfaces.records import MotionState, MotionStatus, Path
 
 _AGAIN = 3  # times that lines are driven again: a measurement has to end
@@ -101,19 +104,42 @@ class PathSteps(MeasurementSteps):
                 self.checkpoint()
 
     def _choose_part(self) -> Commanded | None:
-        """Return what comes next: lines with a damaged stream again, or a new part."""
-        row = self._monitor.rows.take()
-        if row is None or self.is_concluding:
+        """Return what comes next: lines that were lost meanwhile again, or a new part.
+
+        Broken arcs alone are given up after some tries: the others stand without them.
+        """
+        row, arcs = self._monitor.rows.take(), self._take_broken_arcs()
+        if self.is_concluding or (row is None and not (arcs and self._again_left)):
             return self.request_part()
         self._again_left -= 1
         if self._again_left < 0:
             raise STAYS_DAMAGED
-        first = max(row, 1)
+        if row is None:
+            return self._repeat_arcs(arcs)
+        first = max(min(row, *arcs), 1) if arcs else max(row, 1)
         self._recorder.event("again", f"from row {first + 1} on")
+        return self._repeat(first, lambda: drive_again(self._commanded, first))
+
+    def _take_broken_arcs(self) -> list[int]:
+        """Return the rows of arcs that were not driven or seen whole of late."""
+        rows, path = self._monitor.rows.take_broken(), self._commanded
+        if not isinstance(path, Path):
+            return []
+        return sorted(row for row in rows if row and any(path.arc[row : row + 1]))
+
+    def _repeat_arcs(self, rows: list[int]) -> Commanded | None:
+        driven = self._commanded
+        assert isinstance(driven, Path)  # noqa: S101 (it has arcs)
+        numbers = ", ".join(str(row + 1) for row in rows)
+        self._recorder.event("again", f"circles to rows {numbers}")
+        return self._repeat(rows[0], lambda: drive_arcs_again(driven, rows))
+
+    def _repeat(self, first: int, make: Callable[[], Commanded]) -> Commanded | None:
+        """Return rows that are driven again; who extends the order makes its own."""
         if self._order.grows:
             self._monitor.report(LinesDamaged(first, None))
             return self.request_part()
-        again = drive_again(self._commanded, first)
+        again = make()
         self._monitor.report(LinesDamaged(first, again))
         return self._extend(again)
 
@@ -123,8 +149,11 @@ class PathSteps(MeasurementSteps):
         self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
         self.motion.start()
-        last = LastLine(len(path) - 1, path.position[-2:][0], path.position[-1])
-        self.wait_motion(last.end, last, lambda now: self._is_line_done(now, path))
+        places, rows = find_reach(path)
+        around = np.vstack([path.position[-2:], places[rows == len(path) - 1]])
+        last = LastLine(len(path) - 1, around.min(axis=0), around.max(axis=0))
+        end = path.position[-1]
+        self.wait_motion(end, last, lambda now: self._is_line_done(now, path))
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
         """Tell whether the line that was under way at `conclude` has been driven."""

@@ -10,17 +10,27 @@ _TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed
 
 
 class RowsToRepeat:
-    """Keeps the first row whose stream was damaged, or whose target was lost."""
+    """Keeps the first row whose stream was damaged, or whose target was lost.
+
+    Beside it the rows on which the machine stood or samples are missing: nothing to a
+    line, of which what was seen counts, but an arc then tells nothing.
+    """
 
     def __init__(self, progress: ProgressEstimator) -> None:
         self._progress = progress
         self._rows: deque[int] = deque(maxlen=_TICKS_HIT)
         self._hit_row: int | None = None
         self._lost_row: int | None = None
+        self._broken_rows: set[int] = set()
 
-    def follow(self) -> None:
-        """Take note of the row under way, once a look."""
+    def follow(self, *, is_broken: bool) -> None:
+        """Take note of the row under way, once a look.
+
+        is_broken : the machine is held, or samples are missing that were due of late
+        """
         self._rows.append(self._progress.row)
+        if is_broken and self._progress.stage == "measuring":
+            self._broken_rows.update(self._rows)
 
     def note_damage(self) -> None:
         """The stream is damaged: keep the row that it began in."""
@@ -45,3 +55,8 @@ class RowsToRepeat:
         """Return the first row since the last call that has to be driven again."""
         row, self._hit_row = self._hit_row, None
         return row
+
+    def take_broken(self) -> frozenset[int]:
+        """Return the rows since the last call that were not driven or seen whole."""
+        rows, self._broken_rows = frozenset(self._broken_rows), set()
+        return rows

@@ -72,6 +72,8 @@ class StreamReader:
         self.device_time_s: float | None = None
         self.has_valid = self.is_seen = False
         self.place_mm: NDArray[np.float64] | None = None
+        self._seen_s: float | None = None  # device time of the newest valid sample
+        self._gap_s = 0.0
 
     def start(self, rate_hz: float) -> None:
         """Start the stream. Raises as `Tracker.start`."""
@@ -107,6 +109,15 @@ class StreamReader:
             return StreamState.BEAM_LOST
         return StreamState.GOOD
 
+    def take_gap_s(self) -> float:
+        """Return the longest time of the tracker's clock without a valid sample.
+
+        Since the last call; a gap counts once a valid sample has ended it.
+        """
+        with self._lock:
+            gap_s, self._gap_s = self._gap_s, 0.0
+        return gap_s
+
     def _run(self) -> None:
         """Body of the thread."""
         try:
@@ -141,6 +152,12 @@ class StreamReader:
             if len(valid):
                 self._valid_s, self.has_valid = now_s, True
                 self.place_mm = block.position_mm[valid[-1]]
+                self._note_gaps(block.device_time_s[valid])
+
+    def _note_gaps(self, valid_s: NDArray[np.float64]) -> None:
+        before_s = valid_s[0] if self._seen_s is None else self._seen_s
+        longest_s = float(np.diff(valid_s, prepend=before_s).max())
+        self._gap_s, self._seen_s = max(self._gap_s, longest_s), float(valid_s[-1])
 
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
         self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())

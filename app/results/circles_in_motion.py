@@ -7,7 +7,7 @@ and following errors are in it where the result's model has them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,7 +83,8 @@ class CircleInMotion:
 class CirclesInMotion:
     """Circles of a Run.
 
-    whole, broken : rows of the plan whose arcs tell something, and nothing
+    whole : rows of the plan whose arcs tell something
+    broken : rows of circles that tell nothing, however often they were driven
     """
 
     circles: tuple[CircleInMotion, ...] = ()
@@ -119,7 +120,7 @@ def evaluate_circles(
         if driven is not None:
             whole.add(first_row + drive.row)
             groups.setdefault(_key(commanded), {})[commanded.sense] = driven
-    arcs = {first_row + row for row, arc in enumerate(path.arc) if arc and row}
+    missing = _list_missing(run, path, groups)
     found = [
         _evaluate(senses, run, path, observations, result, displace)
         for senses in groups.values()
@@ -127,8 +128,22 @@ def evaluate_circles(
     return CirclesInMotion(
         tuple(replace(one, first_row=first_row) for one in found),
         tuple(sorted(whole)),
-        tuple(sorted(arcs - whole)),
+        tuple(first_row + row for row in missing),
     )
+
+
+def _list_missing(
+    run: Run, path: Path, groups: Mapping[tuple[object, ...], Collection[str]]
+) -> list[int]:
+    """Return the rows of the circles that no drive shows whole, the first of each."""
+    missing: dict[tuple[object, ...], int] = {}
+    for row, arc in enumerate(path.arc):
+        if arc is None or row == 0:
+            continue
+        commanded = read_commanded(run, path, row)
+        if commanded.sense not in groups.get(_key(commanded), ()):
+            missing.setdefault((_key(commanded), commanded.sense), row)
+    return list(missing.values())
 
 
 def join_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:

@@ -53,7 +53,8 @@ def state_circles(found: CirclesInMotion) -> Iterator[str]:
     for row in found.broken:
         yield (
             f"The circle to row {row + 1} was not driven whole, without a stop and in "
-            "its sense, or not seen all round: it tells nothing. Drive it again."
+            "its sense, or not seen all round, as often as it was driven: it tells "
+            "nothing. Drive it again."
         )
 
 

@@ -1,6 +1,7 @@
 """Arcs of a path: where they reach, how long they take, as files, and driven again."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,13 +15,13 @@ from truepath.app.files.commanded_file import (
 )
 from truepath.app.motion.circle_path import TURN_DEG, make_circle_path
 from truepath.app.motion.configurations import append_part
-from truepath.app.motion.driven_again import drive_again
+from truepath.app.motion.driven_again import drive_again, drive_arcs_again
 from truepath.app.motion.line_of_sight import Box
 from truepath.app.motion.motion_times import row_times_s
 from truepath.app.motion.nc_programs.programs import write_program
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.workspace import Workspace
-from truepath.drivers.cnc.travel import arrange_path
+from truepath.drivers.cnc.travel import arrange_path, check_arcs
 from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.errors import Refused
 from truepath.drivers.interfaces.records import Arc, Path
@@ -88,6 +89,43 @@ def test_a_circle_is_driven_back_and_forth_when_it_is_driven_again(circles):
     half = len(added) // 2
     assert list(added[half:]) == back[:half][::-1]
     assert list(added[half:]) == list(circles.arc[3:])
+
+
+@pytest.mark.parametrize("broken", [{2}, {3}, {2, 3}, {2, 11}, {6}])
+def test_a_broken_circle_is_driven_again_whole_and_no_other_one(mill, circles, broken):
+    part = drive_arcs_again(circles, broken)
+    check_travel(mill, part)
+    whole = append_part(circles, part)
+    arrange_path(whole, circles.axes, drives_arcs=True)
+    travel = [(axis.low, axis.high) for axis in mill.axes]
+    check_arcs(part, travel)
+    again = [(row, arc) for row, arc in enumerate(part.arc) if arc]
+    # Each of them from where it began to where it ended, in its sense and at its feed.
+    for row in broken:
+        begin, end = circles.position[row - 1], circles.position[row]
+        assert any(
+            arc == circles.arc[row]
+            and np.array_equal(part.position[k - 1], begin)
+            and np.array_equal(part.position[k], end)
+            and part.feed_mm_min[k] == circles.feed_mm_min[row]
+            for k, arc in again
+        )
+    planes = {circles.arc[row].axes for row in broken}
+    assert {arc.axes for _, arc in again} == planes
+    assert len(again) <= 2 * len(planes)
+    # Straight lines are those that were driven.
+    driven = [{tuple(a), tuple(b)} for a, b in pairwise(circles.position.tolist())]
+    for k in range(1, len(part)):
+        ends = [tuple(at) for at in part.position[k - 1 : k + 1].tolist()]
+        assert part.arc[k] or set(ends) in driven
+
+
+def test_circles_are_driven_again_after_one_has_been_already(circles):
+    once = append_part(circles, drive_arcs_again(circles, {2}))
+    (row,) = [k for k in range(len(circles), len(once)) if once.arc[k]]
+    twice = drive_arcs_again(once, {row})
+    assert len(twice) == 3
+    assert twice.arc[1:] == (replace(circles.arc[2], turn_deg=-732.0), circles.arc[2])
 
 
 def test_what_drives_no_arcs_says_so(mill, circles):

@@ -12,6 +12,8 @@ from truepath.app.estimation.noise import NoiseModel
 from truepath.app.files.result_file import result_from_json
 from truepath.app.files.run import Run
 from truepath.app.motion.circle_path import make_circle_path
+from truepath.app.motion.configurations import append_part
+from truepath.app.motion.driven_again import drive_arcs_again
 from truepath.app.numerics.rigid import RigidTransform
 from truepath.app.reporting.verification_report import write_verification
 from truepath.app.results.analysis import analyse
@@ -48,9 +50,14 @@ HIDDEN = (
 ANGLE = np.radians(list_sector_angles())
 
 
-def drive(machine, *, hidden=(), holds=(), seed=7, setting=None):
-    """Return the Run of the circle path on a machine that errs by these effects."""
+def drive(machine, *, hidden=(), holds=(), seed=7, setting=None, again=()):
+    """Return the Run of the circle path on a machine that errs by these effects.
+
+    again : rows of circles that are driven a second time at its end
+    """
     path = make_circle_path(machine)
+    if again:
+        path = append_part(path, drive_arcs_again(path, again))
     arcs = tuple(
         arc
         and Arc(
@@ -170,6 +177,26 @@ def test_a_circle_with_a_stop_in_it_is_missing_and_the_others_stand(demo):
     plane = run.commanded.arc[row].axes
     assert len(planes[plane]) == 1
     assert sum(len(senses) for senses in planes.values()) == 5
+
+
+def test_a_circle_that_was_driven_again_whole_is_not_missing(record):
+    run, _ = record(1, rows=24)
+    result = result_from_json(json.loads(json.dumps(result_json(analyse(run)))))
+    setting = synthetic.Setting(
+        machine_seed=1, defects=synthetic.Defects(holds=((30.0, 2.0),))
+    )
+    rows = len(make_circle_path(run.machine))
+    lost = verify(result, drive(run.machine, seed=12, setting=setting)).circles
+    (row,) = lost.broken
+    found = verify(
+        result, drive(run.machine, seed=12, setting=setting, again={row})
+    ).circles
+    assert found.broken == ()
+    assert [one.commanded.plane for one in found.circles] == ["XY", "YZ", "ZX"]
+    first = found.circles[0]
+    assert set(first.driven) == {"counterclockwise", "clockwise"}
+    assert max(first.row.values()) >= rows
+    assert "H" in first.measured.value_um
 
 
 def _noise():

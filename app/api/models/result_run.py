@@ -170,7 +170,9 @@ class InterruptionsOut(BaseModel):
     lost_samples: int
     searches: int
     found: int
-    driven_again: list[int] = Field(description="Rows.")
+    driven_again: list[str] = Field(
+        description="What, each time.", examples=[["from row 4 on"]]
+    )
 
 
 class SampleQualityOut(BaseModel):

@@ -1,0 +1,253 @@
+"""Circles that were held or not seen whole are driven again by themselves."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from tests.measurement.conftest import FakeMotion
+from truepath.app.alignment.align import align
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import summarize_run
+from truepath.app.measurement.cell import Cell
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
+    CellConfig,
+    CellVerb,
+    FaultReported,
+    LinesDamaged,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+)
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.motion.configurations import append_part
+from truepath.drivers.interfaces.arcs import turn_about
+from truepath.drivers.interfaces.records import Arc, Path
+from truepath.simulators.bench import Bench
+from truepath.simulators.scenario import load_machine
+
+HALF = Arc("XY", (210.0, 110.0), 180.0)
+ARC_ROW = 2
+
+
+class SlowMotion(FakeMotion):
+    """A controller that begins each part slowly, so that a test is in time for it."""
+
+    begins_slowly = True
+
+    def start(self) -> None:
+        self.speed = 3.0 if self.begins_slowly else self.speed
+        super().start()
+
+
+@pytest.fixture
+def motion() -> SlowMotion:
+    return SlowMotion()
+
+
+@pytest.fixture
+def arc_order(mill, tmp_path) -> MeasurementOrder:
+    """A straight line, half a turn, and straight lines; the last row has no arc."""
+    corners = [[10, 110, -10], [110, 110, -10], [310, 110, -10], [310, 10, -10]]
+    path = Path(
+        ("X", "Y", "Z"),
+        np.array(corners, float),
+        np.full(4, 3000.0),
+        np.zeros(4),
+        arc=(None, None, HALF, None),
+    )
+    return MeasurementOrder(
+        "arcs", str(tmp_path / "arcs.sqlite"), mill, path, reserve_bytes=0
+    )
+
+
+class Under:
+    """A measurement under way in a thread."""
+
+    def __init__(self, measurement, journal, motion, order) -> None:
+        self.measurement, self.journal = measurement, journal
+        self.motion, self.order = motion, order
+        self.thread = threading.Thread(target=measurement.run)
+        self.thread.start()
+
+    def until_line(self, line: int) -> None:
+        """Wait for the motion along a line, counted from 1."""
+        told = self.journal.of
+        self.journal.wait(
+            lambda: any(p.done == line - 1 for p in told(MeasurementProgress)[-1:])
+        )
+
+    def pause_and_resume(self) -> None:
+        self.measurement.obey(CellVerb.PAUSE)
+        self.journal.wait(lambda: self.journal.states[-1] == "paused")
+        self.measurement.obey(CellVerb.RESUME)
+        self.journal.wait(lambda: self.journal.states[-1] == "running")
+
+    def finished(self):
+        self.motion.begins_slowly, self.motion.speed = False, 2000.0
+        self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
+        self.thread.join(5.0)
+        assert self.journal.states[-1] == "finished"
+        return open_run(self.order.run_file)
+
+
+@pytest.fixture
+def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Under]]:
+    begun: list[Under] = []
+
+    def start(order: MeasurementOrder) -> Under:
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        made = Measurement(order, tracker, motion, devices, journal.report, calm)
+        begun.append(Under(made, journal, motion, order))
+        return begun[-1]
+
+    yield start
+    for one in begun:
+        if one.thread.is_alive():
+            one.measurement.obey(CellVerb.ABORT)
+            one.thread.join(5.0)
+
+
+def list_again(path: Path, rows: int) -> list[Arc]:
+    """Return the arcs that were driven after so many rows."""
+    return [arc for arc in path.arc[rows:] if arc]
+
+
+def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(begin, arc_order):
+    running = begin(arc_order)
+    running.until_line(ARC_ROW)
+    running.pause_and_resume()
+    run = running.finished()
+    rows = len(arc_order.commanded)
+    (damaged,) = running.journal.of(LinesDamaged)
+    assert damaged.row == ARC_ROW
+    assert isinstance(run.commanded, Path)
+    assert list_again(run.commanded, rows)[-1] == HALF
+    assert np.array_equal(
+        run.commanded.position[-2:], arc_order.commanded.position[ARC_ROW - 1 :][:2]
+    )
+    assert summarize_run(run).driven_again == (f"circles to rows {ARC_ROW + 1}",)
+    assert running.journal.faults == []
+    assert running.motion.calls.count("start") == 2
+
+
+def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
+    begin, arc_order, tracker, journal
+):
+    running = begin(arc_order)
+    running.until_line(ARC_ROW)
+    tracker.beam = False
+    blocks, deadline_s = {tracker.health.frames}, time.monotonic() + 25.0
+    while len(blocks) < 3:  # of some 0.4 s of its clock each; one at least is without
+        assert time.monotonic() < deadline_s
+        blocks.add(tracker.health.frames)
+        time.sleep(0.001)
+    tracker.beam = True
+    run = running.finished()
+    assert "paused" not in journal.states
+    assert list_again(run.commanded, len(arc_order.commanded))[-1] == HALF
+
+
+def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order):
+    running = begin(arc_order)
+    running.until_line(1)
+    running.pause_and_resume()
+    run = running.finished()
+    assert running.journal.of(LinesDamaged) == []
+    assert len(run.commanded) == len(arc_order.commanded)
+
+
+def read_driven(journal, order: MeasurementOrder) -> Path:
+    """Return all rows that are driven so far."""
+    driven = order.commanded
+    for each in journal.of(LinesDamaged):
+        driven = append_part(driven, each.again)
+    assert isinstance(driven, Path)
+    return driven
+
+
+def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
+    begin, arc_order, journal
+):
+    running = begin(arc_order)
+    running.until_line(ARC_ROW)
+    for times in range(1, 4):
+        running.pause_and_resume()
+        running.motion.speed = 2000.0
+        journal.wait(lambda n=times: len(journal.of(LinesDamaged)) == n)
+        running.until_line(len(read_driven(journal, arc_order)) - 1)
+    running.pause_and_resume()
+    running.finished()
+    assert len(running.journal.of(LinesDamaged)) == 3
+    assert running.journal.faults == []
+
+
+def make_small_circles() -> Path:
+    """Return two circles of 60 mm radius, six seconds each, between straight lines."""
+    centre, turn_deg = (250.0, 200.0), 732.0
+    begin = np.array([310.0, 200.0, -150.0])
+    arcs = [Arc("XY", centre, turn_deg), Arc("XY", centre, -turn_deg)]
+    axes = ("X", "Y", "Z")
+    (end,) = turn_about(axes, begin, arcs[0], np.array([turn_deg]))
+    corners = np.array([[100.0, 100.0, -50.0], [400.0, 320.0, -250.0]])
+    more = np.array([[100.0, 320.0, -250.0], [400.0, 100.0, -50.0]])
+    rows = np.vstack([corners, begin, end, begin, more, corners])
+    count = len(rows)
+    arc = (None, None, None, *arcs, *(None,) * (count - 5))
+    return Path(axes, rows, np.full(count, 7500.0), np.full(count, 1.0), arc=arc)
+
+
+def drive(cell: Cell, order: MeasurementOrder) -> list[LinesDamaged]:
+    """Return what was driven again."""
+    damaged: list[LinesDamaged] = []
+    cell.start()
+    try:
+        cell.connect()
+        cell.begin(order)
+        deadline_s = time.monotonic() + 120.0
+        while time.monotonic() < deadline_s:
+            for event in cell.poll(0.1):
+                assert not isinstance(event, FaultReported), event
+                if isinstance(event, LinesDamaged):
+                    damaged.append(event)
+                if isinstance(event, RunClosed):
+                    return damaged
+        raise AssertionError("the run was not closed")
+    finally:
+        cell.close()
+
+
+@pytest.mark.long
+def test_a_beam_break_in_a_circle_of_simulated_devices_costs_nothing(
+    tmp_path: FilePath,
+) -> None:
+    content = load_machine("demo")
+    machine = machine_from_json(content)
+    path = make_small_circles()
+    order = MeasurementOrder(
+        "circles", str(tmp_path / "run.sqlite"), machine, path, feed_mm_min=20_000.0
+    )
+    faults = ["tracker:beam-break@14s+0.2s"]
+    with Bench(
+        content, seed=3, speed=4.0, workdir=tmp_path / "b", rtu=False, faults=faults
+    ) as bench:
+        config = CellConfig(
+            "streaming", bench.tracker_options, "modbus", bench.motion_options
+        )
+        damaged = drive(Cell(config), order)
+    run = open_run(order.run_file)
+    seen = align(run)
+    (first,) = damaged
+    assert isinstance(run.commanded, Path)
+    assert path.arc[first.row]
+    again = [
+        row for row in range(len(path), len(run.commanded)) if run.commanded.arc[row]
+    ]
+    whole = {run.commanded.arc[arc.row] for arc in seen.arcs if arc.row in again}
+    assert path.arc[first.row] in whole
