@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from tests.measurement.conftest import FakeMotion
 from truepath.app.alignment.align import align
+from truepath.app.api.models.result_run import InterruptionsOut
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.run import summarize_run
 from truepath.app.measurement.cell import Cell
@@ -132,7 +134,13 @@ def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(begin, arc_orde
     assert np.array_equal(
         run.commanded.position[-2:], arc_order.commanded.position[ARC_ROW - 1 :][:2]
     )
-    assert summarize_run(run).driven_again == (f"circles to rows {ARC_ROW + 1}",)
+    summary = summarize_run(run)
+    assert summary.driven_again == (f"circles to rows {ARC_ROW + 1}",)
+    stated = {
+        **asdict(summary.interruptions),
+        "driven_again": list(summary.driven_again),
+    }
+    InterruptionsOut.model_validate(stated)
     assert running.journal.faults == []
     assert running.motion.calls.count("start") == 2
 
