@@ -157,6 +157,8 @@ def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
         blocks.add(tracker.health.frames)
         time.sleep(0.001)
     tracker.beam = True
+    looks = len(journal.of(MeasurementProgress))
+    journal.wait(lambda: len(journal.of(MeasurementProgress)) > looks + 8)
     run = running.finished()
     assert "paused" not in journal.states
     assert list_again(run.commanded, len(arc_order.commanded))[-1] == HALF
@@ -199,12 +201,12 @@ def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
 def make_small_circles() -> Path:
     """Return two circles of 60 mm radius, six seconds each, between straight lines."""
     centre, turn_deg = (250.0, 200.0), 732.0
-    begin = np.array([310.0, 200.0, -150.0])
+    begin = np.array([310.0, 200.0, 150.0])
     arcs = [Arc("XY", centre, turn_deg), Arc("XY", centre, -turn_deg)]
     axes = ("X", "Y", "Z")
     (end,) = turn_about(axes, begin, arcs[0], np.array([turn_deg]))
-    corners = np.array([[100.0, 100.0, -50.0], [400.0, 320.0, -250.0]])
-    more = np.array([[100.0, 320.0, -250.0], [400.0, 100.0, -50.0]])
+    corners = np.array([[100.0, 100.0, 50.0], [400.0, 320.0, 250.0]])
+    more = np.array([[100.0, 320.0, 250.0], [400.0, 100.0, 50.0]])
     rows = np.vstack([corners, begin, end, begin, more, corners])
     count = len(rows)
     arc = (None, None, None, *arcs, *(None,) * (count - 5))
