@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.workspace import Workspace
 from truepath.drivers.interfaces.records import Path
+
+_REPLAN = "plan other lines, or correct the workspace"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +78,60 @@ class Arming:
 def judge_path(
     machine: Machine, parts: Sequence[Commanded], workspace: Workspace
 ) -> Finding:
-    """Tell whether all parts stay in the travel and out of what is kept clear."""
+    """Tell whether all parts stay in the travel and out of what is kept clear.
+
+    So do the ways from one to the next. What the tracker sees was judged in planning.
+    """
+    clear = workspace.without_sight
     try:
         for part in parts:
             check_travel(machine, part)
-            workspace.refuse(machine, part)
+            clear.refuse(machine, part)
+        for number, (before, after) in enumerate(pairwise(parts), start=2):
+            begin, end = before.position[-1], after.position[0]
+            clear.refuse_way(
+                machine, begin, end, f"the way on to part {number}", _REPLAN
+            )
     except OutOfTravel as error:
         return Finding(Level.FALSE, "out-of-travel", str(error))
     except PlanningError as error:
         return Finding(Level.FALSE, "keep-out", str(error))
+    return Finding(Level.TRUE)
+
+
+def judge_approach(
+    machine: Machine,
+    parts: Sequence[Commanded],
+    workspace: Workspace,
+    here: Mapping[str, float],
+) -> Finding:
+    """Tell whether the way to the first row is clear from where the machine stands.
+
+    here : position by axis, mm or deg, as the controller shows it; empty if unknown
+    """
+    first = parts[0]
+    if not workspace.keep_out:
+        return Finding(Level.TRUE)
+    if not set(first.axes) <= set(here):
+        text = (
+            "the controller has not told where the machine stands, so the way to the "
+            "first row is not known to be clear; wait a moment, or connect again"
+        )
+        return Finding(Level.FALSE, "place-not-told", text)
+    begin, way = (
+        np.array([here[name] for name in first.axes]),
+        "the way to the first row",
+    )
+    try:
+        workspace.without_sight.refuse_way(
+            machine,
+            begin,
+            first.position[0],
+            way,
+            "jog the machine to where it is clear",
+        )
+    except PlanningError as error:
+        return Finding(Level.FALSE, "approach-blocked", str(error))
     return Finding(Level.TRUE)
 
 
@@ -113,14 +161,22 @@ def hash_commanded(parts: Sequence[Commanded]) -> str:
 
 
 def summarise_motion(
-    machine: Machine, kind: JobKind, parts: Sequence[Commanded]
+    machine: Machine,
+    kind: JobKind,
+    parts: Sequence[Commanded],
+    here: Mapping[str, float] | None = None,
 ) -> MotionSummary:
-    """Return what parts command, and where the machine goes in doing so."""
+    """Return what parts command, and where the machine goes in doing so.
+
+    here : as `judge_approach` takes it; the way from there is in the envelope
+    """
     grows = kind is JobKind.MEASURE_ADAPTIVE
     named = {name for part in parts for name in part.target}
     return MotionSummary(
         targets=tuple(t for t in machine.targets if not named or t.name in named),
-        envelope=_list_travel(machine) if grows else _list_ranges(machine, parts),
+        envelope=_list_travel(machine)
+        if grows
+        else _list_ranges(machine, parts, here or {}),
         max_feed_mm_min=max(_find_highest_feed(part) for part in parts),
         duration_s=sum(
             float(row_times_s(part, limits=machine.motion).sum()) for part in parts
@@ -143,11 +199,18 @@ def _list_travel(machine: Machine) -> tuple[AxisRange, ...]:
     )
 
 
-def _list_ranges(machine: Machine, parts: Sequence[Commanded]) -> tuple[AxisRange, ...]:
-    """Return the box of all rows; lines between them never leave it."""
+def _list_ranges(
+    machine: Machine, parts: Sequence[Commanded], here: Mapping[str, float]
+) -> tuple[AxisRange, ...]:
+    """Return the box of all rows and of here; lines between them never leave it."""
     position = np.concatenate([part.position for part in parts])
-    low, high = position.min(axis=0), position.max(axis=0)
+    axes, low, high = parts[0].axes, position.min(axis=0), position.max(axis=0)
     return tuple(
-        AxisRange(name, position_unit(machine.axis(name)), float(least), float(most))
-        for name, least, most in zip(parts[0].axes, low, high, strict=True)
+        AxisRange(
+            name,
+            position_unit(machine.axis(name)),
+            float(min(least, here.get(name, least))),
+            float(max(most, here.get(name, most))),
+        )
+        for name, least, most in zip(axes, low, high, strict=True)
     )

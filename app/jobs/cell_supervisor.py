@@ -92,11 +92,19 @@ class ControllerLevels:
     """What the controller showed last while nothing was measured.
 
     read_s : when, by the monotonic clock
+    axes : names of the axes of its position, in their order
     """
 
     status: MotionStatus | None
     text: str
     read_s: float
+    axes: tuple[str, ...] = ()
+
+    @property
+    def position_by_axis(self) -> dict[str, float]:
+        """Where the machine stands, mm or deg; empty where that is not known."""
+        place = () if self.status is None else self.status.position
+        return dict(zip(self.axes, place, strict=True)) if self.axes and place else {}
 
 
 class CellSupervisor:
@@ -308,8 +316,9 @@ class CellSupervisor:
                 self.samples.publish(block)
             case FaultReported(text=text):
                 self.status = replace(self.status, text=text)
-            case ControllerRead(status, text):
-                self.controller = ControllerLevels(status, text, time.monotonic())
+            case ControllerRead(status, text, axes):
+                now_s = time.monotonic()
+                self.controller = ControllerLevels(status, text, now_s, axes)
                 return
             case TemperaturesRead():
                 return

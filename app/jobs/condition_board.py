@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import structlog
@@ -33,6 +33,7 @@ class ConditionBoard:
     look_s : between two looks, once it has been started
     on_change : receives each condition whose level has changed; returns at once
     path : of the job that waits to be armed, as its thread has judged it
+    judge_approach : judges the way to that path from where the machine stands
     wants_compensation : what that job asks of the control, None for nothing
     """
 
@@ -41,6 +42,7 @@ class ConditionBoard:
     look_s: float = LOOK_S
     on_change: Callable[[Condition], None] = lambda _: None
     path: Finding = NO_JOB
+    judge_approach: Callable[[Mapping[str, float]], Finding] | None = None
     wants_compensation: bool | None = None
     _since: dict[ConditionType, tuple[Level, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -69,9 +71,18 @@ class ConditionBoard:
             wants = self.wants_compensation
             found = {
                 **find_conditions(seen, now_s, wants_compensation=wants),
-                ConditionType.PATH_WITHIN_TRAVEL: self.path,
+                ConditionType.PATH_WITHIN_TRAVEL: self._find_path(seen),
             }
             return [self._note(kind, one, seen) for kind, one in found.items()]
+
+    def _find_path(self, seen: Observed) -> Finding:
+        """Return how the path lies; where that is well, how the way to it does."""
+        judge = self.judge_approach
+        if self.path.level is not Level.TRUE or judge is None:
+            return self.path
+        return judge(
+            {} if seen.controller is None else seen.controller.position_by_axis
+        )
 
     def list_obstacles(self) -> list[Condition]:
         """Return what keeps the machine from being let move."""

@@ -146,12 +146,13 @@ class Dispatcher:
         apply_verb(Verb.ARM, job.state)
         driven = self._context.machines.choose(job.machine)
         parts = list_commanded(self._context.store.read_plan(job_id))
-        board = driven.conditions
+        board, read = driven.conditions, driven.cell.controller
+        here = {} if read is None else read.position_by_axis
         purpose = self._make_purpose(job, parts, by)
         return Arming(
             job,
             driven,
-            summarise_motion(driven.machine, job.kind, parts),
+            summarise_motion(driven.machine, job.kind, parts, here),
             () if board is None else tuple(board.read()),
             purpose.plan_sha256,
             self._arm_tokens.issue(purpose),

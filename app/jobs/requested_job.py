@@ -303,6 +303,9 @@ def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
     An analysis decides itself: of a model of its own Runs it takes no numbers.
     """
     order = dict(request.plan_request or {})
+    if request.plan_id is not None:  # what the plan avoids is avoided on the way to it
+        planned = context.store.read_plan_request(request.plan_id)
+        order |= {key: planned[key] for key in ("workspace",) if key in planned}
     if request.feed_mm_min is not None:
         order["feeds_mm_min"] = [request.feed_mm_min]
     if request.model_id is not None:

@@ -12,7 +12,7 @@ rows that are left of its station (`station_resumption`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,6 +91,7 @@ class StationSteps:
 
     compute : lets the executor compute a task
     look : at the devices, again and again while the tracker is moved
+    show_path : shows what waits to be armed; nothing once it has been
     """
 
     job: Job
@@ -98,6 +99,7 @@ class StationSteps:
     context: JobContext
     compute: Callable[..., Any]
     look: Callable[[], None]
+    show_path: Callable[[Sequence[Commanded]], None]
 
     def prepare(self) -> None:
         """Find how far the station has got that was cut short; keep it in the plan."""
@@ -141,9 +143,13 @@ class StationSteps:
             )
         )
         log.info("the tracker is to be moved", station=number)
-        self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
         parts = list_commanded(self._read_plan())
-        self.active.wait_until_armed(hash_commanded(parts), self.look)
+        self.show_path(parts)
+        self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
+        try:
+            self.active.wait_until_armed(hash_commanded(parts), self.look)
+        finally:
+            self.show_path(())
 
     def _agrees(self, number: int) -> bool:
         """Measure the known points; tell whether the station can be used."""

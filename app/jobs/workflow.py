@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,12 @@ from truepath.app.errors import TruepathError
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.arming import hash_commanded, judge_path, list_commanded
+from truepath.app.jobs.arming import (
+    hash_commanded,
+    judge_approach,
+    judge_path,
+    list_commanded,
+)
 from truepath.app.jobs.conditions import NO_JOB
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.driving_steps import DrivingSteps
@@ -220,11 +226,12 @@ class _JobSteps:
             return
         order = self._plan_order()
         workspace = workspace_from_json(order.get("workspace") or {})
-        driven.conditions.path = (
-            judge_path(driven.machine, parts, workspace) if parts else NO_JOB
-        )
+        machine, board = driven.machine, driven.conditions
+        if parts:
+            board.judge_approach = partial(judge_approach, machine, parts, workspace)
+        board.path = judge_path(machine, parts, workspace) if parts else NO_JOB
         asked = {"on": True, "off": False}.get(order.get("control_compensation", ""))
-        driven.conditions.wants_compensation = asked if parts else None
+        board.wants_compensation = asked if parts else None
 
     def _hear_tracker(self) -> None:
         """Let the conditions show beam and stream, where somebody looks at them."""
@@ -261,8 +268,14 @@ class _JobSteps:
 
     @property
     def _station_steps(self) -> StationSteps:
-        look = self._hear_tracker
-        return StationSteps(self.job, self.active, self.context, self._compute, look)
+        return StationSteps(
+            self.job,
+            self.active,
+            self.context,
+            self._compute,
+            self._hear_tracker,
+            self._show_path,
+        )
 
     @property
     def _is_adaptive(self) -> bool:

@@ -120,7 +120,8 @@ class _CellServer:
         if now_s < self._controller_s:
             return
         try:
-            read = ControllerRead(self._motion.status())
+            status = self._motion.status()
+            read = ControllerRead(status, axes=self._motion.axes)
         except DeviceError as error:
             read = ControllerRead(None, str(error))
         pause_s = CONTROLLER_S if read.status else AWAY_S

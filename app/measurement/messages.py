@@ -265,10 +265,12 @@ class ControllerRead:
     """Event: what the controller shows while nothing is measured.
 
     status : None where it did not answer; `text` then says why
+    axes : names of the axes of its position, in their order
     """
 
     status: MotionStatus | None
     text: str = ""
+    axes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

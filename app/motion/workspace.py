@@ -102,12 +102,27 @@ class Workspace:
         bad = ~self.allows(machine, begin, end)
         if bad.any():
             index = int(np.argmax(bad))
-            rules = self._check_rules(machine, begin[index, None], end[index, None])
-            reason = next(reason for breaks, reason in rules if breaks[0])
-            raise PlanningError(
-                f"the way to row {row[index + (len(position) > 1)] + 1} {reason}; plan "
-                "other lines, or correct the workspace"
-            )
+            way = f"the way to row {row[index + (len(position) > 1)] + 1}"
+            remedy = "plan other lines, or correct the workspace"
+            self.refuse_way(machine, begin[index], end[index], way, remedy)
+
+    def refuse_way(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, " a"],
+        end: Float64[np.ndarray, " a"],
+        name: str,
+        remedy: str,
+    ) -> None:
+        """Raise PlanningError if one straight motion breaks it; says which and why."""
+        for breaks, reason in self._check_rules(machine, begin[None], end[None]):
+            if breaks[0]:
+                raise PlanningError(f"{name} {reason}; {remedy}")
+
+    @property
+    def without_sight(self) -> Workspace:
+        """Only what no motion may touch: the beam may be lost on the way."""
+        return replace(self, tracker_mm=None)
 
     def _check_rules(
         self,

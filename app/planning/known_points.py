@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -44,7 +43,7 @@ def choose_known_points(
             "station to check one against the other; plan fewer stations, or correct "
             "the workspace"
         )
-    unseen = replace(workspace, tracker_mm=None)
+    unseen = workspace.without_sight
     for order in permutations(chosen.tolist()):
         way = np.array(order)
         if unseen.allows(machine, *_list_moves(way, lines)).all():

@@ -206,6 +206,14 @@ def test_the_summary_is_that_of_the_rows(machine):
     assert 29.9 < motion.duration_s < 31.0
 
 
+def test_the_way_from_where_the_machine_stands_is_in_the_envelope(machine):
+    rows = command_rows(machine, ROWS, is_path=True)
+    here = {"X": 450.0, "Y": 200.0, "Z": 0.0, "W": 900.0}
+    motion = summarise_motion(machine, JobKind.MEASURE_OTF, [rows], here)
+    ranges = {one.axis: (one.low, one.high) for one in motion.envelope}
+    assert ranges == {"X": (10.0, 450.0), "Y": (30.0, 300.0), "Z": (0.0, 10.0)}
+
+
 def test_a_measurement_that_grows_may_go_anywhere_in_the_travel(machine):
     rows = command_rows(machine, ROWS, is_path=True)
     motion = summarise_motion(machine, JobKind.MEASURE_ADAPTIVE, [rows])

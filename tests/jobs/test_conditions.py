@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from scripted_cell import wait_until
 
+from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.workspace_file import workspace_from_json
-from truepath.app.jobs.arming import judge_path
+from truepath.app.jobs.arming import judge_approach, judge_path, list_commanded
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
@@ -260,6 +262,68 @@ def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machin
         assert obstacle.reason == reason
     board.path = judge_path(machine, [rows], workspace_from_json({}))
     assert not board.list_obstacles()
+
+
+VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
+AVOIDS_VICE = workspace_from_json({"schema": "workspace/1", "keep_out": [VICE]})
+
+
+def points_at(machine, *places):
+    rows = [{"x_mm": x, "y_mm": y, "z_mm": 10} for x, y in places]
+    return command_rows(machine, rows, is_path=False)
+
+
+def test_the_way_from_one_part_to_the_next_is_kept_clear_as_well(machine):
+    left = points_at(machine, (10, 10), (50, 10))
+    right = points_at(machine, (300, 10), (400, 10))
+    behind = points_at(machine, (50, 300), (300, 300))
+    for part in (left, right, behind):
+        assert judge_path(machine, [part], AVOIDS_VICE).level is Level.TRUE
+    found = judge_path(machine, [left, right], AVOIDS_VICE)
+    assert (found.level, found.reason) == (Level.FALSE, "keep-out")
+    assert "the way on to part 2 enters the keep-out box vice" in found.message
+    assert judge_path(machine, [left, behind, right], AVOIDS_VICE).level is Level.TRUE
+
+
+def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):
+    """Its first row is on this side of the vice, the row where it goes on beyond."""
+    points = encode_commanded_json(points_at(machine, (10, 10), (50, 10)))
+    rows = points_at(machine, (50, 300), (300, 300), (300, 10), (400, 10))
+    station = encode_commanded_json(rows)
+    for first_row, level in ((0, Level.TRUE), (2, Level.FALSE)):
+        left = {**station, "resumption": {"first_row": first_row}}
+        parts = list_commanded({"known_points": points, "stations": [left]})
+        assert judge_path(machine, parts, AVOIDS_VICE).level is level
+
+
+@pytest.mark.parametrize(
+    ("here", "reason"),
+    [
+        ((50.0, 10.0, 10.0), ""),
+        ((300.0, 300.0, 10.0), ""),
+        ((300.0, 10.0, 10.0), "approach-blocked"),
+        ((150.0, 10.0, 10.0), "approach-blocked"),  # within it
+        (None, "place-not-told"),
+    ],
+)
+def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
+    machine, here, reason
+):
+    """By the names of the controller's axes, in whatever order it has them."""
+    axes = machine.axis_names
+    place = None if here is None else MotionStatus(MotionState.IDLE, here[::-1], 0)
+    read = ControllerLevels(place, "", NOW_S, axes[::-1])
+    seen = replace(GOOD, controller=read)
+    parts = [points_at(machine, (10, 10), (50, 10))]
+    board = ConditionBoard(lambda: seen, lambda: NOW_S)
+    board.path = judge_path(machine, parts, AVOIDS_VICE)
+    board.judge_approach = partial(judge_approach, machine, parts, AVOIDS_VICE)
+    (found,) = [
+        one for one in board.read() if one.type is ConditionType.PATH_WITHIN_TRAVEL
+    ]
+    assert (found.reason, found.is_obstacle) == (reason, bool(reason))
+    without = judge_approach(machine, parts, workspace_from_json({}), {})
+    assert without.level is Level.TRUE
 
 
 def test_a_change_of_a_level_is_told_once():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -13,11 +14,17 @@ from scripted_cell import wait_until
 from truepath.app.errors import IllegalTransition, NotFound, PlanningError
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.machine_file import machine_to_json
+from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.condition_board import ConditionBoard
+from truepath.app.jobs.conditions import Observed
 from truepath.app.jobs.dispatcher import Dispatcher
+from truepath.app.jobs.errors import NotInOrder
 from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.transitions import State
 from truepath.app.motion.commanded_rows import command_rows
+from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
 PLACES = ([1200.0, 0.0, 0.0], [0.0, -900.0, 50.0], [-500.0, 300.0, 0.0])
 ROWS = (
@@ -183,6 +190,55 @@ def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
     assert asked.station.checks[-1].problem == "not-seen"
     assert "beam" in asked.station.checks[-1].text
     assert "abort" in make_cell.cell.heard
+
+
+VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
+
+
+class Standing:
+    """Says where the machine stands while nothing is measured."""
+
+    place = (300.0, 10.0, 10.0)  # the vice is between here and the known points
+
+    def __call__(self):
+        status = MotionStatus(MotionState.IDLE, self.place, 0, override=1.0)
+        read = ControllerLevels(status, "", time.monotonic(), ("X", "Y", "Z"))
+        devices = {"motion": {"has_watchdog": True}}
+        return Observed(CellStatus("ready", devices=devices), read, False, 10**9, 1)
+
+
+@pytest.fixture
+def standing():
+    return Standing()
+
+
+@pytest.fixture
+def watched(context, standing):
+    """The service, with a board of conditions that stand as the test says."""
+    cell = replace(context.machines.get("default"), conditions=ConditionBoard(standing))
+    return replace(context, machines=Machines([cell]))
+
+
+def test_what_a_plan_avoids_is_avoided_on_the_way_to_its_rows(
+    watched, event_bus, planner, checker, measure, until, standing, make_cell
+):
+    dispatcher = Dispatcher(
+        replace(watched, planner=planner, checker=checker), event_bus
+    )
+    asked = {"mode": "otf", "stations": 2, "workspace": {"keep_out": [VICE]}}
+    plan, _ = dispatcher.create(RequestedJob(JobKind.PLAN, plan_request=asked))
+    until(plan, State.SUCCEEDED)
+    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, plan_id=plan.id))
+    ready = until(job, State.READY)
+    with pytest.raises(NotInOrder, match="keep-out box vice"):
+        arm_at_once(dispatcher, ready.id, ready.version)
+    assert "begin" not in make_cell.cell.heard
+    standing.place = (10.0, 300.0, 10.0)
+    waits = measure(ready, POINTS, LINES, dispatcher=dispatcher)
+    standing.place = (300.0, 10.0, 10.0)  # jogged while the tracker was moved
+    with pytest.raises(NotInOrder, match="keep-out box vice"):
+        arm_at_once(dispatcher, waits.id, waits.version)
+    dispatcher.close()
 
 
 def test_abort_works_while_the_tracker_is_moved(begin, measure, dispatcher, until):

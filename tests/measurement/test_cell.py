@@ -33,6 +33,7 @@ from truepath.app.measurement.messages import (
     CellState,
     CellVerb,
     Connected,
+    ControllerRead,
     FaultReported,
     LivePoints,
     MeasurementOrder,
@@ -187,6 +188,10 @@ def test_at_rest_thermometers_are_read_and_the_tracker_can_be_heard(bench):
         readings = driven.of(TemperaturesRead)[0].readings
         assert readings
         assert all(10.0 < value < 40.0 for value in readings.values()), readings
+        driven.until(lambda: bool(driven.of(ControllerRead)))
+        read = driven.of(ControllerRead)[0]
+        assert len(read.status.position) == len(read.axes)
+        assert read.axes == ("X", "Y", "Z")
         tried = driven.cell.try_tracker(TrackerTrial(500.0, 0.2, streams_only=True))
         assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
         assert tried.usable == tried.samples

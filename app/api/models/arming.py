@@ -44,9 +44,9 @@ class ArmingOut(BaseModel):
     machine_version: int = Field(examples=[1])
     targets: list[ArmingTarget]
     envelope: list[AxisRangeOut] = Field(
-        description="Swept box of all axes from the first row to the last. The machine "
-        "first goes straight from where it stands to the first row; axes that are not "
-        "named stay where they are."
+        description="Swept box of all axes: of the rows, and of the straight way from "
+        "where the machine stands to the first of them. Axes that are not named stay "
+        "where they are."
     )
     max_feed_mm_min: float = Field(
         examples=[6000.0], description="The largest of the plan."
