@@ -17,6 +17,7 @@ from truepath.app.kinematics.effects.error_motion import reference_position_mm
 from truepath.app.kinematics.machine import LinearAxis, Machine
 from truepath.app.kinematics.symbols import DIRECTION, LINEAR, is_turn
 from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.app.results.lost_motion_across import complete_across, find_across_mm
 
 _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
@@ -55,6 +56,7 @@ class ErrorMap:
             error = self.volumetric_map.displacement_mm(at, self.result.theta)
         else:
             error = self.volumetric_map.error_mm(at, self.result.theta)
+        error += direction * find_across_mm(self.result, at)
         for column, axis in enumerate(self.axes):
             half = direction * self.half_difference_mm(
                 axis.name, position_mm[:, column]
@@ -139,7 +141,7 @@ class ErrorMap:
 
 def map_errors(result: CalibrationResult) -> ErrorMap:
     """Return the error map of a result."""
-    return ErrorMap(result, build_volumetric_map(result.model))
+    return ErrorMap(complete_across(result), build_volumetric_map(result.model))
 
 
 def tabulate_axis(
@@ -158,7 +160,10 @@ def tabulate_axis(
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
     seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
-    forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
+    # Of both directions a table has what the axis itself loses, along itself.
+    mean, half = errors.error_mm(place), np.zeros((count, 3))
+    half[:, DIRECTION[axis.name]] = errors.half_difference_mm(axis.name, seen_mm)
+    forward, backward = mean + half, mean - half
     zero = forward[reference]
     translation, rotation = _tabulate_motions(errors, axis, seen_mm)
     pair = _tabulate_pair(errors, axis, seen_mm, most_points // count)

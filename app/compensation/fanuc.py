@@ -50,7 +50,9 @@ class Fanuc(TableFormat):
     most_points = 300
     resolution_um = 1.0
     carries = "positioning of each axis, in both directions where it loses motion"
-    not_carried = "straightness, angular errors, squareness"
+    not_carried = (
+        "straightness, angular errors, squareness, lost motion across or about an axis"
+    )
     units = "detection units of 1 um, positions mm"
     sign = "the sum of the increments is added to the command"
     sign_is_verified = False

@@ -59,7 +59,10 @@ class GenericTables(CompensationFormat):
         "all error motions and squareness, with their lever arms in the whole volume; "
         "positioning in both directions"
     )
-    not_carried = "what an axis does with another one, as sag"
+    not_carried = (
+        "what an axis does with another one, as sag; lost motion across or about "
+        "an axis"
+    )
     temperature = (
         "the change of each row per kelvin, in columns of its own: at a temperature T "
         "a row is its value + (T - the stated temperature) times its change"

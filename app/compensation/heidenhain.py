@@ -51,7 +51,10 @@ class Heidenhain(TableFormat):
         "positioning with backlash, straightness and squareness along the middle of "
         "the travel"
     )
-    not_carried = "angular errors away from the middle (KinematicsComp has them)"
+    not_carried = (
+        "angular errors away from the middle (KinematicsComp has them); "
+        "lost motion across or about an axis"
+    )
     directions = "each by itself"
     sign = "the value is added to the commanded position: minus the error"
     sign_is_verified = False

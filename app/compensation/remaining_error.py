@@ -26,6 +26,7 @@ from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.model import CatalogueEffect
 from truepath.app.kinematics.symbols import DIRECTION, is_positioning
 from truepath.app.numerics.rigid import cross_matrix
+from truepath.app.results.lost_motion_across import draw_across_mm, remove_across
 from truepath.app.results.volumetric_error import draw_parameters
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
@@ -192,6 +193,7 @@ def _draw_errors_mm(
     )
     both = np.stack([drawn] * len(_SIDES))
     rng = np.random.default_rng(1)
+    both += draw_across_mm(errors.result, at, drawn.shape[2])
     for column, axis in enumerate(errors.axes):
         sigma = errors.half_difference_sigma_mm(axis.name, position[:, column])
         half = np.outer(sigma, rng.standard_normal(drawn.shape[2]))
@@ -228,10 +230,15 @@ def evaluate_effects(
             "name": effect.family,
             **dict(effect.keys),
             "rms_um": {"before": UM_PER_MM * before, "after": UM_PER_MM * after},
-            "note": "depends on more than place and direction: no table has it"
-            if beyond
-            else "",
+            "note": _explain_nothing(effect) if beyond else "",
         }
+
+
+def _explain_nothing(effect: CatalogueEffect) -> str:
+    """Return why an effect is not in the numbers."""
+    if effect.half_difference:
+        return "lost motion of a rotary axis: in the account of that axis"
+    return "depends on more than place and direction: no table has it"
 
 
 def _compute_rms(
@@ -267,4 +274,6 @@ def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
     if lost and is_positioning(lost.symbol):
         half_um.pop(lost.axis.name, None)
     result = replace(errors.result, theta=theta, half_difference_um=half_um)
+    if lost:
+        result = remove_across(result, lost.symbol)
     return replace(errors, result=result)

@@ -124,7 +124,10 @@ class SiemensLec(Siemens):
         "positioning of each axis, mean of both directions, of rotary axes modulo "
         "a turn"
     )
-    not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
+    not_carried = (
+        "backlash (MD32450 has it), straightness, angular errors, squareness, "
+        "lost motion across or about an axis"
+    )
     carries_rotary = True
     units = "mm, of rotary axes deg"
     sign = (
@@ -182,7 +185,8 @@ class SiemensCec(Siemens):
         "and sag"
     )
     not_carried = (
-        "positioning (siemens-lec has it); what is beyond the tables of the control"
+        "positioning (siemens-lec has it); lost motion across or about an axis; what "
+        "is beyond the tables of the control"
     )
     sign = "the value is the error of the output axis, as in leadscrew tables"
     sign_is_verified = False
@@ -235,7 +239,9 @@ class SiemensOrder(CompensationFormat):
         f"positioning in both directions, of rotary axes the mean of both, modulo a "
         f"turn; {SiemensCec.carries}"
     )
-    not_carried = "what is beyond the tables of the control"
+    not_carried = (
+        "lost motion across or about an axis; what is beyond the tables of the control"
+    )
     carries_rotary = True
     units = "mm, of rotary axes deg"
     directions = "each by itself"

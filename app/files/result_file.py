@@ -22,6 +22,13 @@ from truepath.app.files.verdict import State, Verdict, verdict_from_json
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import (
+    LINEAR,
+    TURNS,
+    find_unit,
+    is_positioning,
+    list_error_motions,
+)
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
@@ -43,6 +50,9 @@ class CalibrationResult(EstimatedModel):
         slow noise; None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
     verdict : what the result says of itself; of a file that says nothing, usable
+    half_across, half_across_u : half the difference of both directions of error motions
+        across or about an axis, and its standard uncertainty where it is stated: by
+        symbol, over mm or deg, in µm or µrad
     """
 
     mode: str = "otf"
@@ -58,6 +68,10 @@ class CalibrationResult(EstimatedModel):
     noise_freedom: float | None = None
     version: int = 1
     verdict: Verdict = field(default_factory=Verdict)
+    half_across: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_across_u: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
 
     @property
     def machine(self) -> Machine:
@@ -119,6 +133,61 @@ class _Verdict(FileModel):
     details: Any = ()
 
 
+class _HalfAcross(FileModel):
+    """Of one error motion; which columns it has its symbol says."""
+
+    position_mm: list[float] = Field(default_factory=list[float])
+    position_deg: list[float] = Field(default_factory=list[float])
+    value_um: list[float] = Field(default_factory=list[float])
+    value_urad: list[float] = Field(default_factory=list[float])
+    uncertainty_um: list[float] = Field(default_factory=list[float])
+    uncertainty_urad: list[float] = Field(default_factory=list[float])
+
+    def read(self, symbol: str) -> tuple[Table, Float64[np.ndarray, " m"]]:
+        """Return positions with values, and uncertainties; empty without any."""
+        unit, along = find_unit(symbol), "deg" if symbol[2] in TURNS else "mm"
+        columns = self.model_dump()
+        at, value, sigma = (
+            np.array(columns[key], float)
+            for key in (f"position_{along}", f"value_{unit}", f"uncertainty_{unit}")
+        )
+        if len(at) == 0 or len(at) != len(value):
+            problem = f"are {len(value)} for {len(at)} in position_{along}"
+            place = "half_difference", symbol, f"value_{unit}"
+            raise refuse(problem, "write one a position", *place)
+        return (at, value), sigma
+
+
+def _keep_across(content: object) -> object:
+    """Leave out what is not across or about an axis."""
+    if not isinstance(content, Mapping):
+        return content
+    every = [s for axis in LINEAR + TURNS for s in list_error_motions(axis)]
+    return {s: content[s] for s in every if s in content and not is_positioning(s)}
+
+
+class _DirectionAcross(FileModel):
+    half_difference: Annotated[
+        dict[str, _HalfAcross], BeforeValidator(_keep_across)
+    ] = Field(default_factory=dict[str, _HalfAcross])
+
+    @model_validator(mode="after")
+    def _require_columns(self) -> _DirectionAcross:
+        for symbol, half in self.half_difference.items():
+            half.read(symbol)
+        return self
+
+    def read(self) -> tuple[dict[str, Table], dict[str, Float64[np.ndarray, " m"]]]:
+        """Return tables and uncertainties, by symbol."""
+        read = {s: half.read(s) for s, half in self.half_difference.items()}
+        tables = {symbol: table for symbol, (table, _) in read.items()}
+        return tables, {
+            symbol: sigma
+            for symbol, (table, sigma) in read.items()
+            if len(sigma) == len(table[0])
+        }
+
+
 class _MachineOfResult(FileModel):
     machine: MachineFile
 
@@ -134,6 +203,7 @@ class _Document(_MachineOfResult):
     provenance: dict[str, Any]
     model: Any
     verdict: _Verdict | None = None
+    across: _DirectionAcross = Field(_DirectionAcross(), alias="direction")
 
     @model_validator(mode="before")
     @classmethod
@@ -252,4 +322,5 @@ def result_from_json(
         document.count_noise_freedom(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
+        *document.across.read(),
     )

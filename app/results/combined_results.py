@@ -13,6 +13,7 @@ from truepath.app.files.result_file import CalibrationResult, Table
 from truepath.app.files.verdict import State, Verdict
 from truepath.app.kinematics.effects.base import Effect
 from truepath.app.kinematics.model import MachineModel
+from truepath.app.results.lost_motion_across import average_across
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
     parts = [_select(result, model) for result in results]
     theta = np.stack([theta for theta, _ in parts])
     covariance = np.stack([covariance for _, covariance in parts])
+    across, across_u = average_across(results)
     half, half_u = _average_half_differences(results)
     joined = replace(
         results[0],
@@ -57,6 +59,8 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
         half_difference_um=half,
         half_difference_u_um=half_u,
         verdict=Verdict.merge(r.verdict for r in results),
+        half_across=across,
+        half_across_u=across_u,
     )
     left_out = _list_left_out(results, names)
     return CombinedResults(model, theta, covariance, joined, left_out)
@@ -136,5 +140,9 @@ def _list_left_out(
     some = [a for a in axes if not all(a in r.half_difference_um for r in results)]
     if some:
         text = f"Left out, as not all results state lost motion of {', '.join(some)}."
+        told.append(("usable", text))
+    across = [set(r.half_across) for r in results]
+    if some := sorted(set.union(*across) - set.intersection(*across)):
+        text = f"Left out, as not all results state lost motion in {', '.join(some)}."
         told.append(("usable", text))
     return tuple(told)

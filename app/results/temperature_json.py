@@ -17,6 +17,7 @@ from truepath.app.files.temperature_file import SCHEMA, TemperatureModel
 from truepath.app.files.verdict import verdict_json
 from truepath.app.results.error_table_files import tables_json
 from truepath.app.results.error_tables import ErrorTable, build_error_tables
+from truepath.app.results.lost_motion_across import list_across_tables
 from truepath.app.results.temperature_model import Dependence, TemperatureStudy
 
 NOT_TOLD = (
@@ -55,7 +56,11 @@ def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
         ],
         **_findings_json(study),
         **tables_json(
-            tables, _list_halves(reference), "none", reference.measured, machine
+            tables,
+            [*_list_halves(reference), *list_across_tables(reference)],
+            "none",
+            reference.measured,
+            machine,
         ),
         "coefficients": coefficients_json(model),
         "observability": {"unobservable": list(reference.unobservable)},
