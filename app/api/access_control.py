@@ -12,6 +12,7 @@ from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Protocol
 
+from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from starlette.datastructures import Headers, State
 from starlette.requests import HTTPConnection
@@ -22,6 +23,7 @@ from truepath.app.api.problems import make_error_response
 from truepath.app.api.route_roles import (
     ABORT,
     ANYBODY,
+    HOLDS,
     MOVES,
     NEVER_LIMITED,
     STOPS,
@@ -39,6 +41,8 @@ COOKIE = "truepath_session"
 AUDIT_PATIENCE_S = 1.0
 """How long an answer waits for its row of the audit log."""
 
+# Apart from all other work: whose abort it is waits for no bundle and no log-in.
+_IDENTIFYING, _IDENTIFYING_TO_STOP = CapacityLimiter(8), CapacityLimiter(8)
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
 _NOT_LOGGED_IN = 401
 
@@ -87,7 +91,8 @@ async def _let_in(
     if is_open and (route in STOPS or not scope["path"].startswith(PREFIX)):
         return None
     try:
-        actor = await run_sync(access.identify, read_token(scope))
+        limiter = _IDENTIFYING_TO_STOP if route in HOLDS else _IDENTIFYING
+        actor = await run_sync(access.identify, read_token(scope), limiter=limiter)
     except StorageUnavailable:
         if route == ABORT:  # not refused because of a disk
             return None

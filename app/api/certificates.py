@@ -9,6 +9,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
 
+from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
@@ -24,6 +25,7 @@ from truepath.app.api.problems import declare_problems
 from truepath.app.api.results import send_page
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep
+from truepath.app.api.thread_pools import on_threads
 from truepath.app.errors import NotFound
 from truepath.app.files.identity_file import Identity
 from truepath.app.jobs.executor import WorkerProcess
@@ -36,6 +38,7 @@ router = APIRouter(tags=["certificates"])
 
 # One at a time: each is laid out in a process of its own.
 _TURN = Lock()
+_ISSUING = CapacityLimiter(2)
 
 
 def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
@@ -54,6 +57,7 @@ def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
     status_code=201,
     responses=declare_problems(404, 422),
 )
+@on_threads(_ISSUING)
 def issue_certificate(
     job_id: JobId,
     body: CertificateRequest,

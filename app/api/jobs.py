@@ -54,6 +54,7 @@ from truepath.app.api.request_headers import (
 from truepath.app.api.route_roles import LEAST_ROLES
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
+from truepath.app.api.thread_pools import STOPPING, on_threads
 from truepath.app.errors import NotFound, TruepathError
 from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import Job, JobKind
@@ -89,8 +90,6 @@ _ROUTED = frozenset(
 
 _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
-# Threads of their own: those of other requests may all wait for a device or a disk.
-_STOPPING = CapacityLimiter(8)
 _LOOKING_UP = CapacityLimiter(8)
 _LOOK_UP_S = 1.0  # of whoever stops
 
@@ -198,6 +197,7 @@ def arm_job(
 
 
 @router.post("/{job_id}/pause", status_code=202, responses=declare_problems(404, 409))
+@on_threads(STOPPING)
 def pause_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """Hold the feed; `paused` once the machine has confirmed. Twice is once."""
     return _describe(service.dispatcher.pause(job_id), response)
@@ -265,16 +265,16 @@ def take_control(
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))
-async def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
+@on_threads(STOPPING)
+def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
-    job = await run_sync(service.dispatcher.abort, job_id, limiter=_STOPPING)
-    return _describe(job, response)
+    return _describe(service.dispatcher.abort(job_id), response)
 
 
 @stop.post("/stop", status_code=202)
 async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
-    jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
+    jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
     stopped = _describe_stop(jobs, service.machines.list_all())
     return await _hide_from_strangers(stopped, request, service)
 
@@ -286,7 +286,7 @@ async def stop_machine(
     machine_id: MachinePath, request: Request, service: ServiceDep
 ) -> Stopped:
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
-    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=_STOPPING)
+    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
     stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
     return await _hide_from_strangers(stopped, request, service)
 

@@ -18,6 +18,7 @@ from truepath.app.api.models.machine_file import (
 )
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from truepath.app.api.thread_pools import CONNECTING, on_threads
 from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.cell_supervisor import CellStatus
@@ -122,6 +123,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
 
 
 @machines.post("/current:connect", responses=declare_problems(409, 502, 503, 504))
+@on_threads(CONNECTING)
 def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.machines.first is None:

@@ -28,6 +28,7 @@ from truepath.app.api.models.machine import (
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.request_headers import Version
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.thread_pools import CONNECTING, on_threads
 from truepath.app.jobs.machine_registry import IDENTITY, MachineRecord
 from truepath.app.jobs.machine_setup import show_devices
 from truepath.app.measurement.messages import TrackerTried
@@ -118,6 +119,7 @@ def set_machine_devices(
 @router.post(
     "/{machine_id}/devices:try", responses=declare_problems(404, 409, 502, 503, 504)
 )
+@on_threads(CONNECTING)
 def try_machine_devices(machine_id: MachinePath, service: ServiceDep) -> TrialOut:
     """Connect, and listen to the tracker for a second. Moves nothing."""
     return _describe_trial(service.setup.try_devices(machine_id))
@@ -126,6 +128,7 @@ def try_machine_devices(machine_id: MachinePath, service: ServiceDep) -> TrialOu
 @router.post(
     "/{machine_id}:connect", responses=declare_problems(404, 409, 502, 503, 504)
 )
+@on_threads(CONNECTING)
 def connect_one_machine(machine_id: MachinePath, service: ServiceDep) -> Connection:
     """Open the ports of a machine and return who answers. Moves nothing."""
     return describe_connection(service.machines.get(machine_id).cell.connect())

@@ -27,6 +27,9 @@ STOPS = frozenset({STOP, STOP_MACHINE})
 NEVER_LIMITED = STOPS | {ABORT}
 """Whatever the rate, and before the audit log is written."""
 
+HOLDS = NEVER_LIMITED | {f"POST {PREFIX}/jobs/{{job_id}}/pause"}
+"""Brings a machine to a stand: on threads that other requests do not have."""
+
 MOVES = frozenset(
     {
         f"POST {PREFIX}/jobs/{{job_id}}/arming",

@@ -23,6 +23,7 @@ from truepath.app.api.models.naming import Name, RunNaming
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from truepath.app.api.thread_pools import on_threads
 from truepath.app.errors import NotFound
 from truepath.app.jobs.errors import DiskFull
 from truepath.app.jobs.runs import RunRecord
@@ -34,6 +35,11 @@ UNPACKED_SHARE = 8
 """How many times its own size a bundle may unpack to: a stream in CSV packs 3:1."""
 _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
+
+
+# Threads of their own: what is slow to read keeps nobody else waiting.
+_UPLOADING = CapacityLimiter(4)
+_PACKING = CapacityLimiter(2)
 
 
 class RunLinks(Links):
@@ -138,6 +144,7 @@ def delete_run(
     response_class=FileResponse,
     responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
 )
+@on_threads(_PACKING)
 def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
     """Return the Run as a zipped measurement bundle."""
     record = service.runs.get(run_id)
@@ -147,10 +154,6 @@ def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
         media_type="application/zip",
         filename=f"run-{run_id}.zip",
     )
-
-
-# Threads of their own: what is slow to read keeps nobody else waiting.
-_UPLOADING = CapacityLimiter(4)
 
 
 @uploads.post("", status_code=201, responses=declare_problems(413, 422, 507))

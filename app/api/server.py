@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import structlog
 import uvicorn
+from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
@@ -76,7 +77,8 @@ class Server(uvicorn.Server):
         """Hold the feed, let streams end, then wait for answers under way."""
         log.info("ending: motion first")
         self._manager.end()
-        await run_sync(self._service.dispatcher.close)
+        close = self._service.dispatcher.close
+        await run_sync(close, limiter=CapacityLimiter(1))
         self._service.end_streams()
         await super().shutdown(sockets)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from anyio import CapacityLimiter
 from fastapi import APIRouter, Depends, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,10 +17,13 @@ from truepath.app.api.access_control import (
 from truepath.app.api.models.base import RequestBody
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
+from truepath.app.api.thread_pools import on_threads
 from truepath.app.users.access import Access
 from truepath.app.users.roles import Actor, Role
 
 router = APIRouter(prefix="/session", tags=["users"])
+
+_LOGGING_IN = CapacityLimiter(4)
 
 
 class LogIn(RequestBody):
@@ -86,6 +90,7 @@ def get_session(actor: ActorDep, service: ServiceDep) -> SessionOut:
 
 
 @router.post("", responses=declare_problems(401, 422, 429))
+@on_threads(_LOGGING_IN)
 def log_in(
     given: LogIn, request: Request, response: Response, access: AccessDep
 ) -> SessionOpened:
