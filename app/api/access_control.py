@@ -45,6 +45,7 @@ AUDIT_PATIENCE_S = 1.0
 _IDENTIFYING, _IDENTIFYING_TO_STOP = CapacityLimiter(8), CapacityLimiter(8)
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
 _NOT_LOGGED_IN = 401
+_REFUSED = 400
 
 
 class AccessControl:
@@ -169,7 +170,9 @@ class _AuditedAnswer:
         status = message["status"]
         if self._scope["method"] in _READS and status == _NOT_LOGGED_IN:
             return  # a page whose session has ended asks again and again
-        done = self._access.audit_writer.record(self._make_entry(message))
+        entry = self._make_entry(message)
+        may_repeat = not entry.who or status >= _REFUSED or self._route in NEVER_LIMITED
+        done = self._access.audit_writer.record(entry, may_repeat=may_repeat)
         if self._route not in NEVER_LIMITED:
             with suppress(TimeoutError):
                 waiting = asyncio.shield(asyncio.wrap_future(done))

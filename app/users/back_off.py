@@ -6,11 +6,23 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from truepath.app.users.errors import TooManyRequests, TooManyTries
 
 LONGEST_WAIT_S = 900.0
+FORGET_S = 3600.0
+"""After so long without a failure earlier ones count no more."""
 _REMEMBERED = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Failures:
+    """Those of one key: how many, when the newest, and until when it waits."""
+
+    count: int = 0
+    last_s: float = 0.0
+    until_s: float = 0.0
 
 
 class BackOff:
@@ -24,13 +36,13 @@ class BackOff:
     ) -> None:
         self._free, self._read_s = free, read_s
         self._lock = threading.Lock()
-        self._failed: OrderedDict[str, tuple[int, float]] = OrderedDict()
+        self._failed: OrderedDict[str, _Failures] = OrderedDict()
 
     def check(self, key: str) -> None:
         """Raise TooManyTries while the key has to wait."""
         with self._lock:
-            _, until_s = self._failed.get(key, (0, 0.0))
-        left_s = until_s - self._read_s()
+            failures = self._failed.get(key, _Failures())
+        left_s = failures.until_s - self._read_s()
         if left_s > 0:
             raise TooManyTries(
                 f"too many log-ins have failed; try again in {left_s:.0f} s", left_s
@@ -38,11 +50,14 @@ class BackOff:
 
     def fail(self, key: str) -> None:
         """Count a failure."""
+        now_s = self._read_s()
         with self._lock:
-            count = self._failed.pop(key, (0, 0.0))[0] + 1
+            before = self._failed.pop(key, _Failures())
+            is_forgotten = now_s - before.last_s >= FORGET_S
+            count = 1 if is_forgotten else before.count + 1
             over = count - self._free
             wait_s = min(2.0 ** min(over, 20), LONGEST_WAIT_S) if over >= 0 else 0.0
-            self._failed[key] = count, self._read_s() + wait_s
+            self._failed[key] = _Failures(count, now_s, now_s + wait_s)
             if len(self._failed) > _REMEMBERED:
                 self._failed.popitem(last=False)
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 import pytest
 
 from truepath.app.users.access import FREE_TRIES, Access, AccessRules
-from truepath.app.users.back_off import LONGEST_WAIT_S, BackOff, RateLimit
+from truepath.app.users.back_off import (
+    FORGET_S,
+    LONGEST_WAIT_S,
+    BackOff,
+    RateLimit,
+)
 from truepath.app.users.errors import TooManyRequests, TooManyTries, WrongPassword
 from truepath.app.users.roles import LOCAL, Actor, Role
 
@@ -71,6 +76,20 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit(seconds):
     back_off.forget("anna")
     back_off.fail("anna")
     back_off.check("anna")
+
+
+def test_a_typo_a_day_never_makes_anybody_wait(seconds):
+    back_off = BackOff(3, read_s=seconds)
+    for _ in range(31):
+        back_off.fail("anna")
+        back_off.check("anna")
+        seconds.now_s += 24 * 3600
+    for _ in range(3):
+        back_off.fail("anna")
+        seconds.now_s += FORGET_S - 1
+    back_off.fail("anna")
+    with pytest.raises(TooManyTries):
+        back_off.check("anna")
 
 
 def test_a_rate_is_a_burst_and_then_so_many_a_second(seconds):

@@ -8,7 +8,9 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
+from structlog.testing import capture_logs
 
+from truepath.app.users import audit_writer
 from truepath.app.users.audit import Entry
 from truepath.app.users.audit_writer import AuditWriter
 
@@ -109,3 +111,67 @@ def test_entries_wait_for_a_locked_catalogue_in_their_order(audit_log, database)
     writer.close()
     assert [row.entry.outcome for row in audit_log.read()] == ["0", "1", "2"]
     assert audit_log.verify() == []
+
+
+STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
+
+
+def test_what_a_stranger_repeats_is_counted_in_few_rows(audit_log):
+    writer = AuditWriter(audit_log)
+    for _ in range(5000):
+        writer.record(STRANGER, may_repeat=True)
+    writer.record(ENTRY).result(timeout=10)
+    writer.record(replace(STRANGER, outcome="401"), may_repeat=True)
+    writer.close()
+    rows = [row.entry for row in audit_log.read()]
+    of_stops = [one for one in rows if one.outcome == "202" and not one.who]
+    assert len(of_stops) < 20
+    assert sum((one.new or {"times": 1})["times"] for one in of_stops) == 5000
+    (change,) = (one for one in rows if one.who)
+    assert replace(change, at="") == ENTRY, "a change stays as it is"
+    assert rows.index(of_stops[0]) < rows.index(change)
+    assert audit_log.verify() == []
+
+
+def test_strangers_of_many_kinds_are_counted_together(audit_log):
+    writer = AuditWriter(audit_log)
+    for number in range(1000):
+        what = f"POST /api/v1/{number}"
+        writer.record(replace(STRANGER, what=what), may_repeat=True)
+    writer.close()
+    assert len(list(audit_log.read())) <= audit_writer.MOST_KINDS + 20
+
+
+def test_what_could_not_be_written_is_counted_at_the_end(
+    audit_log, database, monkeypatch
+):
+    monkeypatch.setattr(audit_writer, "MOST_WAITING", 3)
+    monkeypatch.setattr(audit_writer, "_CLOSE_S", 0.1)
+    writer = AuditWriter(audit_log)
+    with (
+        database.engine.connect() as raw,
+        raw.execution_options(truepath_writes=True).begin(),
+        capture_logs() as logs,
+    ):
+        for _ in range(5):
+            writer.record(ENTRY)
+        writer.close()
+    (said,) = (one for one in logs if "complete" in one["event"])
+    assert said["not_written"] == 5
+
+
+def test_an_unforeseen_error_costs_one_row_and_not_the_writer(audit_log, monkeypatch):
+    append = audit_log.append
+
+    def fail_once(entry):
+        monkeypatch.setattr(audit_log, "append", append)
+        raise ValueError(entry.what)
+
+    monkeypatch.setattr(audit_log, "append", fail_once)
+    writer = AuditWriter(audit_log)
+    for outcome in ("1", "2"):
+        writer.record(replace(ENTRY, outcome=outcome)).result(timeout=10)
+    with capture_logs() as logs:
+        writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["2"]
+    assert logs[-1]["not_written"] == 1
