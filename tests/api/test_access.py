@@ -130,7 +130,7 @@ def test_an_address_leads_to_the_role_of_its_route():
 def test_each_route_refuses_each_role_that_is_too_low_and_takes_the_others(
     reached, tokens, monkeypatch, access
 ):
-    monkeypatch.setattr(access.audit_writer, "record", lambda _: done())
+    monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: done())
     wrong = []
     for route, least in LEAST_ROLES.items():
         for role in (None, *Role):
@@ -431,7 +431,7 @@ def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
     reached, access, tokens, monkeypatch
 ):
     monkeypatch.setattr("truepath.app.api.access_control.AUDIT_PATIENCE_S", 0.05)
-    monkeypatch.setattr(access.audit_writer, "record", lambda _: Future())
+    monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     headers = bearer(tokens[Role.OPERATOR])
     assert reached.post(f"{API}/plans", headers=headers).status_code == 200
 
