@@ -9,6 +9,7 @@ from pathlib import Path
 
 from truepath.app.errors import TruepathError
 from truepath.app.jobs.catalogue_rebuild import check_against_disk
+from truepath.app.jobs.data_folder import MOUNTS, find_file_system, is_network_share
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.operation.finding import Finding, Grade
@@ -17,7 +18,6 @@ from truepath.app.settings import Settings
 LEAST_FREE_BYTES = 500 << 20
 """Below it no measurement begins."""
 AMPLE_BYTES = 5 << 30
-_AWAY = frozenset({"nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "fuse.sshfs", "afs"})
 
 
 def look_at_storage(settings: Settings) -> Iterator[Finding]:
@@ -25,7 +25,7 @@ def look_at_storage(settings: Settings) -> Iterator[Finding]:
     folder = settings.data_dir
     place = find_existing(folder)
     yield look_at_rights(folder, place)
-    yield look_at_file_system(place, Path("/proc/mounts"))
+    yield look_at_file_system(place)
     yield look_at_room(place)
     yield look_at_catalogue(settings)
 
@@ -50,21 +50,12 @@ def look_at_rights(folder: Path, place: Path) -> Finding:
     return Finding("data folder", Grade.OK, text)
 
 
-def look_at_file_system(place: Path, mounts: Path) -> Finding:
-    """Return whether the folder is on a disk of this computer; `mounts` as of Linux.
-
-    A Run is a SQLite file with a write-ahead log, which needs memory that several
-    processes share: no network share has that.
-    """
-    try:
-        rows = [line.split()[1:3] for line in mounts.read_text().splitlines()]
-    except OSError:
+def look_at_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
+    """Return whether the folder is on a disk of this computer."""
+    kind = find_file_system(place.resolve(), mounts)
+    if kind is None:
         return Finding("file system", Grade.UNTOLD, "the system does not tell")
-    above = [row for row in rows if place.is_relative_to(row[0].replace("\\040", " "))]
-    if not above:
-        return Finding("file system", Grade.UNTOLD, "the system does not tell")
-    _, kind = max(above, key=lambda row: len(row[0]))
-    if kind in _AWAY:
+    if is_network_share(kind):
         remedy = "set data_dir to a disk of this computer"
         text = f"{place} is on a share of the network ({kind})"
         return Finding("file system", Grade.WRONG, text, remedy)

@@ -13,6 +13,8 @@ from types import SimpleNamespace
 import pytest
 
 from truepath.app.cli.command import run
+from truepath.app.errors import BadInput
+from truepath.app.jobs.data_folder import hold_folder
 from truepath.app.operation import computer, devices, storage
 from truepath.app.operation.finding import Grade
 from truepath.app.operation.running_service import (
@@ -90,6 +92,18 @@ def test_a_data_folder_on_a_network_share_is_wrong(tmp_path, kind):
     assert kind in found.text
     elsewhere = storage.look_at_file_system(Path("/"), mounts)
     assert (elsewhere.grade, elsewhere.text) == (Grade.OK, "ext4")
+
+
+def test_no_service_starts_in_a_data_folder_on_a_network_share(tmp_path):
+    mounts, folder = tmp_path / "mounts", tmp_path / "data"
+    mounts.write_text(f"/dev/sda1 / ext4 rw 0 0\nserver:/x {folder} nfs4 rw 0 0\n")
+    with (
+        pytest.raises(BadInput, match=r"data_dir.*\(nfs4\).*give a disk of this comp"),
+        hold_folder(folder, mounts),
+    ):
+        pass
+    with hold_folder(tmp_path / "elsewhere", mounts):
+        pass
 
 
 def test_a_file_in_place_of_the_data_folder_is_wrong(tmp_path):
