@@ -37,6 +37,7 @@ from truepath.app.files.machine_file import (
 )
 from truepath.app.jobs.arm_tokens import ArmTokens
 from truepath.app.jobs.calibrations import Calibrations
+from truepath.app.jobs.catalogue_lock import hold_catalogue
 from truepath.app.jobs.cell_setup import (
     CellSetup,
     configure_cell,
@@ -112,6 +113,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         database = Database(settings.database)
         stack.callback(database.close)
         database.migrate()
+        stack.enter_context(hold_catalogue(database))
         event_bus = EventBus()
         context, setup = _make_context(settings, database, event_bus, stack)
         dispatcher = Dispatcher(context, event_bus, ArmTokens(settings.arm_token_s))
