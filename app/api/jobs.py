@@ -103,10 +103,9 @@ def create_job(
     idempotency_key: IdempotencyKeyHeader = None,
 ) -> JobOut:
     """Take on a job. A measuring job then waits, `ready`, until it is armed."""
-    key = make_key(idempotency_key, "", request)
-    job, _ = service.dispatcher.create(
-        request.to_requested_job(), key, owner=owner_of(actor)
-    )
+    owner = owner_of(actor)
+    key = make_key(idempotency_key, "", request, owner)
+    job, _ = service.dispatcher.create(request.to_requested_job(), key, owner=owner)
     response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
     return _describe(job, response)
 

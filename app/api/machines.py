@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
+from truepath.app.api.access_control import note_change
 from truepath.app.api.machine import (
     ConditionList,
     Connection,
@@ -26,7 +27,7 @@ from truepath.app.api.models.machine import (
     TrialOut,
 )
 from truepath.app.api.problems import declare_problems
-from truepath.app.api.request_headers import Version
+from truepath.app.api.request_headers import Version, VersionIfGiven
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.thread_pools import CONNECTING, on_threads
 from truepath.app.jobs.machine_registry import IDENTITY, MachineRecord
@@ -34,6 +35,8 @@ from truepath.app.jobs.machine_setup import show_devices
 from truepath.app.measurement.messages import TrackerTried
 
 router = APIRouter(prefix="/machines", tags=["machines"])
+
+_JUDGED_BY = "tolerance_um", "reference_job"
 
 
 @router.get("")
@@ -53,13 +56,14 @@ def list_machines(service: ServiceDep) -> MachineList:
 
 @router.post("", status_code=201, responses=declare_problems(409, 422))
 def add_machine(
-    request: NewMachine, response: Response, service: ServiceDep
+    request: NewMachine, response: Response, service: ServiceDep, http: Request
 ) -> MachineDetail:
     """Add a machine by its machine file. Its devices are chosen next."""
     _check_reference(request.id, request.identity, service)
     texts = request.identity.model_dump(include=set(IDENTITY), exclude_none=True)
     service.setup.add(request.id, request.machine_file, texts)
     _change(request.id, request.identity, service)
+    _note_change(http, None, service.setup.registry.get(request.id))
     response.headers["Location"] = f"{PREFIX}/machines/{request.id}"
     return _read_detail(request.id, service)
 
@@ -72,12 +76,16 @@ def get_machine_record(machine_id: MachinePath, service: ServiceDep) -> MachineD
 
 @router.patch("/{machine_id}", responses=declare_problems(404, 422))
 def change_machine(
-    machine_id: MachinePath, request: MachineIdentity, service: ServiceDep
+    machine_id: MachinePath,
+    request: MachineIdentity,
+    service: ServiceDep,
+    http: Request,
 ) -> MachineDetail:
     """Say who the machine is, what it may err by, and what it is held against."""
-    service.setup.registry.get(machine_id)
+    before = service.setup.registry.get(machine_id)
     _check_reference(machine_id, request, service)
     _change(machine_id, request, service)
+    _note_change(http, before, service.setup.registry.get(machine_id))
     return _read_detail(machine_id, service)
 
 
@@ -87,32 +95,48 @@ def change_machine(
     responses=declare_problems(404, 409, 412, 428),
 )
 def remove_machine(
-    machine_id: MachinePath, version: Version, service: ServiceDep
+    machine_id: MachinePath, version: Version, service: ServiceDep, http: Request
 ) -> None:
     """Drive a machine no more. Its Runs, results and history stay.
 
     By the version of its configuration that was read. Not while a job holds it, or it
     moves. The same identifier can be added again.
     """
+    before = service.setup.registry.get(machine_id)
     service.setup.remove(machine_id, version)
+    _note_change(http, before, None)
 
 
-@router.put("/{machine_id}/machine-file", responses=declare_problems(404, 409, 422))
+@router.put(
+    "/{machine_id}/machine-file", responses=declare_problems(404, 409, 412, 422)
+)
 def set_machine_file(
-    machine_id: MachinePath, request: MachineDescription, service: ServiceDep
+    machine_id: MachinePath,
+    request: MachineDescription,
+    version: VersionIfGiven,
+    service: ServiceDep,
+    http: Request,
 ) -> MachineDetail:
     """Describe a machine anew, as a new version; its cell is started anew."""
-    service.setup.set_machine_file(machine_id, request.machine_file)
+    before = service.setup.registry.get(machine_id)
+    after = service.setup.set_machine_file(machine_id, request.machine_file, version)
+    _note_change(http, before, after)
     service.calibrations.judge(machine_id)
     return _read_detail(machine_id, service)
 
 
-@router.put("/{machine_id}/devices", responses=declare_problems(404, 409, 422))
+@router.put("/{machine_id}/devices", responses=declare_problems(404, 409, 412, 422))
 def set_machine_devices(
-    machine_id: MachinePath, request: MachineDevices, service: ServiceDep
+    machine_id: MachinePath,
+    request: MachineDevices,
+    version: VersionIfGiven,
+    service: ServiceDep,
+    http: Request,
 ) -> MachineDetail:
     """Choose drivers and options; the cell is started anew. No port is opened yet."""
-    service.setup.set_devices(machine_id, request)
+    before = service.setup.registry.get(machine_id)
+    after = service.setup.set_devices(machine_id, request, version)
+    _note_change(http, before, after)
     return _read_detail(machine_id, service)
 
 
@@ -155,6 +179,31 @@ def _change(machine_id: str, request: MachineIdentity, service: Service) -> None
     values = {k: "" if v is None and k in IDENTITY else v for k, v in given.items()}
     service.setup.registry.change(machine_id, **values)
     service.calibrations.judge(machine_id)
+
+
+def _note_change(
+    request: Request, before: MachineRecord | None, after: MachineRecord | None
+) -> None:
+    """Say for the audit log what changed of a machine, without passwords."""
+    old, new = _list_values(before), _list_values(after)
+    changed = {key for key in old | new if old.get(key) != new.get(key)}
+    note_change(
+        request,
+        old={key: old[key] for key in sorted(changed & set(old))},
+        new={key: new[key] for key in sorted(changed & set(new))},
+    )
+
+
+def _list_values(record: MachineRecord | None) -> dict[str, Any]:
+    if record is None:
+        return {}
+    values = {key: getattr(record, key) for key in (*IDENTITY, *_JUDGED_BY)}
+    for version in record.versions[:1]:
+        devices = show_devices(version.devices)
+        values["version"] = version.number
+        values |= {f"machine_file.{k}": v for k, v in version.machine_file.items()}
+        values |= {f"devices.{k}": v for k, v in devices.items()}
+    return values
 
 
 def _find_holders(service: Service) -> Mapping[str | None, str]:

@@ -98,8 +98,9 @@ def create_plan(
         model_id=request.model_id,
         plan_request=request.order(),
     )
-    key = make_key(idempotency_key, "plan ", request)
-    job, _ = service.dispatcher.create(requested, key, owner=owner_of(actor))
+    owner = owner_of(actor)
+    key = make_key(idempotency_key, "plan ", request, owner)
+    job, _ = service.dispatcher.create(requested, key, owner=owner)
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
     return _describe(job, response, service)
 

@@ -26,10 +26,12 @@ IdempotencyKeyHeader = Annotated[
 _TAG = re.compile(r'^"?(\d{1,9})"?$')  # a weak tag matches nothing (RFC 9110)
 
 
-def make_key(key: str | None, kind: str, request: BaseModel) -> IdempotencyKey | None:
-    """Return the key of a request with the body it came with."""
+def make_key(
+    key: str | None, kind: str, request: BaseModel, owner: str | None
+) -> IdempotencyKey | None:
+    """Return the key of a request with the body it came with, and whose it is."""
     body = f"{kind}{request.model_dump_json(exclude_defaults=True)}".encode()
-    return IdempotencyKey(key, body) if key else None
+    return IdempotencyKey(key, body, owner) if key else None
 
 
 def format_etag(job: Job) -> str:
@@ -53,3 +55,20 @@ def _version(
 
 
 Version = Annotated[int, Depends(_version)]
+
+
+def _version_if_given(
+    if_match: Annotated[
+        str,
+        Header(
+            description='Version that was read, `"<version>"`; without it any.',
+            examples=['"3"'],
+        ),
+    ] = "",
+) -> int | None:
+    """Return the version that If-Match names, None without. 412 if it names none."""
+    is_any = not if_match or if_match.strip() == "*"
+    return None if is_any else _version(if_match)
+
+
+VersionIfGiven = Annotated[int | None, Depends(_version_if_given)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
+from truepath.app.api.access_control import note_change
 from truepath.app.api.models.base import MachinePath
 from truepath.app.api.models.simulated_tables import (
     SimulatedTablesOut,
@@ -28,7 +29,10 @@ def get_simulated_tables(
 
 @router.put("", responses=declare_problems(404, 409, 422))
 def load_simulated_tables(
-    machine_id: MachinePath, request: SimulatedTablesRequest, service: ServiceDep
+    machine_id: MachinePath,
+    request: SimulatedTablesRequest,
+    service: ServiceDep,
+    http: Request,
 ) -> SimulatedTablesOut:
     """Give a simulated control the files of a result in place of those it has.
 
@@ -40,19 +44,30 @@ def load_simulated_tables(
     service.setup.refuse_while_measuring(machine_id)
     job_id = service.store.get(request.job_id).id
     folder = service.results / job_id / "compensations"
+    before = _describe(machine_id, service)
     controls.load(machine_id, machine, folder, job_id, request.compensation_id)
-    return _describe(machine_id, service)
+    after = _describe(machine_id, service)
+    note_change(http, old=_name_tables(before), new=_name_tables(after))
+    return after
 
 
 @router.delete("", status_code=204, responses=declare_problems(404, 409, 422))
-def clear_simulated_tables(machine_id: MachinePath, service: ServiceDep) -> Response:
+def clear_simulated_tables(
+    machine_id: MachinePath, service: ServiceDep, http: Request
+) -> Response:
     """Take the tables of a simulated control away: it is as it was found again."""
     service.machines.get(machine_id)
     controls = service.setup.simulated_controls
     controls.require(machine_id)
     service.setup.refuse_while_measuring(machine_id)
+    before = _describe(machine_id, service)
     controls.clear(machine_id)
+    note_change(http, old=_name_tables(before), new={})
     return Response(status_code=204)
+
+
+def _name_tables(tables: SimulatedTablesOut) -> dict[str, str | None]:
+    return {"job_id": tables.job_id, "compensation_id": tables.compensation_id}
 
 
 def _describe(machine_id: str, service: Service) -> SimulatedTablesOut:

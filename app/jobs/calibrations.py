@@ -8,7 +8,7 @@ since its reference, as its newest usable calibration says.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -104,9 +104,7 @@ class Calibrations:
                 newest[key] = self._describe(job, file)
         # The same Run may have come twice, under two names.
         once = {_list_inputs(c) or c.job_id: c for c in newest.values()}
-        return sorted(
-            once.values(), key=lambda c: (c.is_time_stated, c.measured, c.job_id)
-        )
+        return sort_by_time([(c, self._find_place(c)) for c in once.values()])
 
     def list_usable(self, machine_id: str) -> list[Calibration]:
         """Return those whose verdict lets them be used."""
@@ -175,6 +173,12 @@ class Calibrations:
             return catalogued
         return replace(catalogued, measured=started, is_time_stated=True)
 
+    def _find_place(self, one: Calibration) -> int | None:
+        """Return the place in the catalogue of what was recorded here, else None."""
+        runs = [self._runs.get(run_id) for run_id in one.run_ids]
+        recorded = [run.seq for run in runs if run.origin == "measured"]
+        return min(recorded) if recorded and len(recorded) == len(runs) else None
+
     def _find_standing(self, record: MachineRecord) -> Standing:
         usable = self.list_usable(record.id)
         if not usable:
@@ -208,6 +212,31 @@ class Calibrations:
             found.get("has_changed"),
             " ".join(found["text"]),
         )
+
+
+def sort_by_time(
+    found: Sequence[tuple[Calibration, int | None]],
+) -> list[Calibration]:
+    """Return calibrations, the oldest measured first.
+
+    Those of Runs recorded here stand in the order of their places in the catalogue: a
+    clock may have been wrong. Others, of place None, stand among them by their time.
+    """
+    recorded = sorted(
+        ((c, place) for c, place in found if place is not None),
+        key=lambda pair: (pair[1], pair[0].job_id),
+    )
+    keys: list[tuple[tuple[bool, str, int, str], Calibration]] = []
+    until = None
+    for n, (c, _) in reversed(list(enumerate(recorded))):
+        until = c.measured if until is None else min(until, c.measured)
+        keys.append(((True, until, n, c.job_id), c))
+    keys += [
+        ((c.is_time_stated, c.measured, len(recorded), c.job_id), c)
+        for c, place in found
+        if place is None
+    ]
+    return [c for _, c in sorted(keys, key=lambda pair: pair[0])]
 
 
 def _find_start(one: Calibration) -> str | None:

@@ -122,36 +122,46 @@ class MachineSetup:
         return self.registry.get(machine_id)
 
     def set_devices(
-        self, machine_id: str, devices: DeviceConfiguration
+        self,
+        machine_id: str,
+        devices: DeviceConfiguration,
+        version: int | None = None,
     ) -> MachineRecord:
         """Choose drivers and their options; the cell is started anew with them.
 
-        Raises NotFound, SetElsewhere, CellBusy, MachineKnown, BadInput.
+        version : of the configuration, as it was read; None for any
+
+        Raises NotFound, SetElsewhere, CellBusy, StaleMachine, MachineKnown, BadInput.
         """
-        record = self._get_changeable(machine_id)
+        record = self._get_changeable(machine_id, version)
         config = configure_cell(devices)
         _check_options(config)
         self._refuse_links(machine_id, config)
         content = record.versions[0].machine_file
         kept = devices.model_dump(mode="json")
-        version = self.registry.note(machine_id, CATALOGUE, content, kept)
+        number = self.registry.note(machine_id, CATALOGUE, content, kept)
         machine = machine_from_json(content)
-        self._put(machine_id, machine, config, version).start()
+        self._put(machine_id, machine, config, number).start()
         return self.registry.get(machine_id)
 
-    def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
+    def set_machine_file(
+        self, machine_id: str, machine_file: Json, version: int | None = None
+    ) -> MachineRecord:
         """Describe a machine anew; its cell, if it has one, is started anew.
 
-        Raises NotFound, SetElsewhere, CellBusy, MachineKnown, BundleError.
+        version : of the configuration, as it was read; None for any
+
+        Raises NotFound, SetElsewhere, CellBusy, StaleMachine, MachineKnown,
+        BundleError.
         """
-        before = self._get_changeable(machine_id).versions[0]
+        before = self._get_changeable(machine_id, version).versions[0]
         machine = machine_from_json(machine_file)
         self._refuse_name(machine_id, machine.name)
         content, devices = machine_to_json(machine), dict(before.devices)
-        version = self.registry.note(machine_id, CATALOGUE, content, devices)
-        if devices and version != before.number:
+        number = self.registry.note(machine_id, CATALOGUE, content, devices)
+        if devices and number != before.number:
             config = configure_cell(DeviceConfiguration(**devices))
-            self._put(machine_id, machine, config, version).start()
+            self._put(machine_id, machine, config, number).start()
         return self.registry.get(machine_id)
 
     def remove(self, machine_id: str, version: int) -> None:
@@ -161,9 +171,7 @@ class MachineSetup:
 
         Raises NotFound, SetElsewhere, CellBusy, IllegalTransition, StaleMachine.
         """
-        newest = self._get_changeable(machine_id).versions[0].number
-        if version != newest:
-            raise StaleMachine(machine_id, version, newest)
+        self._get_changeable(machine_id, version)
         for one in self.machines.list_all():
             if one.id == machine_id and one.cell.status.state in MOVING:
                 raise IllegalTransition(
@@ -197,7 +205,7 @@ class MachineSetup:
             if job.kind.measures and job.machine == machine_id:
                 raise CellBusy(job.id, job.state)
 
-    def _get_changeable(self, machine_id: str) -> MachineRecord:
+    def _get_changeable(self, machine_id: str, version: int | None) -> MachineRecord:
         """Return a machine whose configuration may change now."""
         record = self.registry.get(machine_id)
         if record.origin == REMOVED:
@@ -205,6 +213,9 @@ class MachineSetup:
         if record.origin != CATALOGUE:
             raise SetElsewhere(f"machine {machine_id} is configured in the settings")
         self.refuse_while_measuring(machine_id)
+        newest = record.versions[0].number
+        if version is not None and version != newest:
+            raise StaleMachine(machine_id, version, newest)
         return record
 
     def _load_kept(self, record: MachineRecord) -> None:

@@ -1,5 +1,7 @@
 """Deletes what is older than the settings keep, and nothing that is depended on.
 
+Keys and events that nobody can still ask for are forgotten on the way.
+
 A calibration in the history of a machine stays, and so does every Run of a result: an
 analysis that a newer one of the same Runs stands for, verifications, plans, what has
 failed and Runs of those go when they are old enough.
@@ -25,6 +27,8 @@ log = structlog.get_logger(__name__)
 
 EVERY_S = 3600.0
 FIRST_S = 60.0
+MOST_AHEAD = timedelta(days=30)
+"""How far the clock may be ahead of the newest job: else it may be wrong."""
 _PAGE = 200
 
 
@@ -69,9 +73,15 @@ class Retention:
             self._thread.join()
 
     def sweep(self, now: datetime | None = None) -> int:
-        """Delete what is too old; return how much. Raises StorageUnavailable."""
+        """Delete what is too old; return how much. Raises StorageUnavailable.
+
+        Nothing where the clock is behind the newest job, or `MOST_AHEAD` of it.
+        """
         now = now or datetime.now(UTC)
+        self._context.store.prune()
         self._deletion.remove_files()
+        if not self._is_plausible(now):
+            return 0
         count = 0
         if days := self._rules.keep_results_days:
             count += self._sweep_jobs(now - timedelta(days=days))
@@ -80,6 +90,20 @@ class Retention:
         if count:
             log.info("kept long enough", deleted=count)
         return count
+
+    def _is_plausible(self, now: datetime) -> bool:
+        """Return whether the clock goes with the newest job: a wrong one deletes."""
+        newest = self._context.store.find_newest_created()
+        if newest is None or newest <= now <= newest + MOST_AHEAD:
+            return True
+        if self._rules != RetentionRules():
+            log.warning(
+                "nothing is deleted: the clock does not go with the newest job; set it "
+                "right, or make any job where it is",
+                clock=format_utc(now),
+                newest_job=format_utc(newest),
+            )
+        return False
 
     def _sweep_jobs(self, before: datetime) -> int:
         history = self._list_history()

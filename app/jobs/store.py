@@ -58,10 +58,21 @@ Listener = Callable[[JobEvent], None]
 
 @dataclass(frozen=True, slots=True)
 class IdempotencyKey:
-    """An Idempotency-Key and the body it came with."""
+    """An Idempotency-Key, the body it came with, and whose it is.
+
+    owner : name of the user; None where nobody logs in
+    """
 
     value: str
     body: bytes
+    owner: str | None = None
+
+    @property
+    def kept(self) -> str:
+        """What it is kept as: two users may choose the same."""
+        if self.owner is None:
+            return self.value
+        return hashlib.sha256(f"{self.owner} {self.value}".encode()).hexdigest()
 
     @property
     def body_sha256(self) -> str:
@@ -207,6 +218,12 @@ class Store:
         with self._database.read() as connection:
             return sorted(str(one) for one in connection.execute(query).scalars())
 
+    def find_newest_created(self) -> datetime | None:
+        """Return when the newest job was created, None without any."""
+        with self._database.read() as connection:
+            newest = connection.execute(select(func.max(jobs.c.created))).scalar()
+        return None if newest is None else datetime.fromisoformat(newest)
+
     def list_without_run(self) -> list[Job]:
         """Return the measurements that have ended and name no Run, but have one."""
         has_run = exists().where(runs.c.id == jobs.c.id)
@@ -289,12 +306,11 @@ class Store:
 
     def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
         """Forget events and idempotency keys that nobody can still ask for."""
-        oldest_s = int(time.time()) - KEEP_KEYS_S
         last = self.read_last_event_id()
 
         def change(connection: Connection) -> None:
             connection.execute(delete(events).where(events.c.id <= last - keep_events))
-            old = idempotency_keys.c.created_s < oldest_s
+            old = idempotency_keys.c.created_s < _find_oldest_s()
             connection.execute(delete(idempotency_keys).where(old))
 
         self._database.write(change)
@@ -398,7 +414,9 @@ def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
 
 
 def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
-    query = select(idempotency_keys).where(idempotency_keys.c.key == key.value)
+    is_own = idempotency_keys.c.key == key.kept
+    is_young = idempotency_keys.c.created_s >= _find_oldest_s()
+    query = select(idempotency_keys).where(is_own & is_young)
     row = connection.execute(query).mappings().first()
     if row is None:
         return None
@@ -411,6 +429,13 @@ def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
 
 
 def _insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
-    row = {"key": key.value, "body_sha256": key.body_sha256, "job_id": job_id}
+    of_before = idempotency_keys.c.key == key.kept
+    connection.execute(delete(idempotency_keys).where(of_before))
+    row = {"key": key.kept, "body_sha256": key.body_sha256, "job_id": job_id}
     query = insert(idempotency_keys).values(**row, created_s=int(time.time()))
     connection.execute(query)
+
+
+def _find_oldest_s() -> int:
+    """Return since when a key counts, in seconds of the epoch."""
+    return int(time.time()) - KEEP_KEYS_S

@@ -15,7 +15,7 @@ from truepath.app.jobs.reconciliation import reconcile
 from truepath.app.jobs.retention import Retention, RetentionRules
 
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
-LATER = datetime.now(UTC) + timedelta(days=40)
+LATER = datetime.now(UTC) + timedelta(days=25)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def retention(service):
         context,
         service.calibrations,
         service.deletion,
-        RetentionRules(keep_runs_days=30, keep_results_days=30),
+        RetentionRules(keep_runs_days=20, keep_results_days=20),
         lambda _, deleted: rows.append((deleted.kind, deleted.id)),
         lambda: False,
     )
@@ -185,6 +185,17 @@ def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
     service.deletion.remove_files()
     assert not file.exists()
     assert service.runs.list_left_behind() == []
+
+
+@pytest.mark.parametrize("years", [10, -10])
+def test_nothing_is_deleted_by_a_clock_that_does_not_go_with_the_newest_job(
+    client, service, kept, analyse, run, retention, years
+):
+    analyse(run)
+    assert retention.sweep(datetime.now(UTC) + timedelta(days=365 * years)) == 0
+    assert retention.rows == []
+    retention.sweep(LATER)
+    assert ("job", kept["id"]) in retention.rows
 
 
 def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(

@@ -153,6 +153,43 @@ def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     is_problem(client.put(at, json=taken), 409, "machine-known")
 
 
+def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
+    def read_change():
+        row = client.get("/api/v1/audit").json()["items"][0]
+        return row["old"], row["new"]
+
+    old, new = read_change()
+    assert (old["version"], new["version"]) == (1, 2)
+    assert new["devices.tracker_options"] == {"port": "/dev/tracker-7"}
+    client.patch(f"{BASE}/mill-3", json={"tolerance_um": 15, "place": "hall 4"})
+    assert read_change() == (
+        {"place": "hall 3", "tolerance_um": None},
+        {"place": "hall 4", "tolerance_um": 15.0},
+    )
+    content = load_machine("demo") | {"name": "mill 3b"}
+    client.put(f"{BASE}/mill-3/machine-file", json={"machine_file": content})
+    old, new = read_change()
+    assert (old["machine_file.name"], new["machine_file.name"]) == ("mill 3", "mill 3b")
+    headers = {"If-Match": f'"{new["version"]}"'}
+    assert client.delete(f"{BASE}/mill-3", headers=headers).status_code == 204
+    assert read_change()[0]["machine_file.name"] == "mill 3b"
+
+
+def test_a_machine_is_changed_by_the_version_that_was_read_where_one_is_named(
+    client, chosen, is_problem
+):
+    at, content = f"{BASE}/mill-3", load_machine("demo") | {"name": "mill 3b"}
+    described = {"machine_file": content}
+    stale, newest = ({"If-Match": f'"{number}"'} for number in (1, 2))
+    refused = client.put(f"{at}/machine-file", json=described, headers=stale)
+    is_problem(refused, 412, "stale-version")
+    is_problem(
+        client.put(f"{at}/devices", json=DEVICES, headers=stale), 412, "stale-version"
+    )
+    taken = client.put(f"{at}/machine-file", json=described, headers=newest)
+    assert taken.status_code == 200
+
+
 def test_drivers_are_listed_with_the_options_that_a_choice_may_give(client):
     items = client.get("/api/v1/drivers").json()["items"]
     assert {one["device"] for one in items} == {"tracker", "motion", "thermometer"}

@@ -201,6 +201,21 @@ def test_a_job_that_is_refused_leaves_no_key(store):
     assert store.find_by_key(key) is None
 
 
+def test_a_key_is_that_of_one_user_and_of_one_day(store, database):
+    keys = [IdempotencyKey("k-1", b"body", owner) for owner in ("anna", "ben", None)]
+    jobs = [store.create(ANALYSE, key)[0] for key in keys]
+    assert len({job.id for job in jobs}) == 3
+    assert [store.create(ANALYSE, key) for key in keys] == [(j, False) for j in jobs]
+    past = int(time.time()) - 25 * 3600
+    query = update(idempotency_keys).values(created_s=past)
+    database.write(lambda c: c.execute(query).rowcount)
+    assert store.find_by_key(keys[0]) is None
+    again, is_new = store.create(ANALYSE, keys[0])
+    assert is_new
+    assert again.id != jobs[0].id
+    assert store.create(ANALYSE, keys[0]) == (again, False)
+
+
 def test_old_keys_and_events_are_forgotten(store, database):
     job, _ = store.create(ANALYSE, IdempotencyKey("old", b""))
     store.create(ANALYSE, IdempotencyKey("young", b""))
