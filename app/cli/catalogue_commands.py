@@ -27,7 +27,15 @@ DataDir = Annotated[
 
 
 @catalogue.command()
-def check(config: Config = None, data_dir: DataDir = None, json: Json = False) -> None:
+def check(
+    config: Config = None,
+    data_dir: DataDir = None,
+    with_hashes: Annotated[
+        bool,
+        typer.Option("--hash", help="Read every Run: was it changed since?"),
+    ] = False,
+    json: Json = False,
+) -> None:
     """Whether the catalogue can be used, and agrees with the Runs on disk."""
     settings = _load(config, data_dir)
     from truepath.app.jobs.catalogue_rebuild import check_against_disk
@@ -35,7 +43,9 @@ def check(config: Config = None, data_dir: DataDir = None, json: Json = False) -
 
     database = Database(settings.database)
     try:
-        found = check_against_disk(database, settings.data_dir / "runs")
+        found = check_against_disk(
+            database, settings.data_dir / "runs", with_hashes=with_hashes
+        )
     finally:
         database.close()
     if json:
@@ -53,6 +63,8 @@ def check(config: Config = None, data_dir: DataDir = None, json: Json = False) -
         say(f"Run {run_id} is on disk and in no row; the service adds it by itself")
     for run_id in found["rows_without_file"]:
         say(f"Run {run_id} is in the catalogue and its file has gone")
+    for run_id in found["changed_files"] or ():
+        say(f"Run {run_id} was changed since it was catalogued: SHA-256 differs")
 
 
 @catalogue.command()

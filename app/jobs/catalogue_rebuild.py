@@ -35,6 +35,7 @@ from truepath.app.jobs.run_reader import RunReader
 from truepath.app.jobs.runs import RunCatalogue, RunRecord
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
+from truepath.app.measurement.run_file import hash_file
 from truepath.app.results.model_history import DISCOVERY, MODEL, RESULT
 
 TREND, VERIFICATION = "trend.json", "verification.json"
@@ -92,8 +93,12 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
     )
 
 
-def check_against_disk(database: Database, runs: Path) -> dict[str, Any]:
+def check_against_disk(
+    database: Database, runs: Path, *, with_hashes: bool = False
+) -> dict[str, Any]:
     """Return the schema of a catalogue, what it holds, and where it and disk disagree.
+
+    with_hashes : read every Run, and name those that are not as they were catalogued
 
     Changes nothing. Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew.
     """
@@ -103,15 +108,21 @@ def check_against_disk(database: Database, runs: Path) -> dict[str, Any]:
     with database.read() as connection:
         count = select(func.count()).select_from(schema.jobs)
         jobs = connection.execute(count).scalar_one()
-        rows = connection.execute(select(schema.runs.c.id, schema.runs.c.file)).all()
-    known = {run_id for run_id, _ in rows}
+        query = select(schema.runs.c.id, schema.runs.c.file, schema.runs.c.sha256)
+        rows = connection.execute(query).all()
+    known = {run_id for run_id, _, _ in rows}
+    there = [(run_id, runs / name, sha) for run_id, name, sha in rows]
+    there = [row for row in there if row[1].is_file()]
     files = [*runs.glob("*.sqlite"), *runs.glob("*.zip")]
     return {
         "revision": revision,
         "jobs": jobs,
         "runs": len(rows),
         "runs_without_row": sorted({f.stem for f in files} - known),
-        "rows_without_file": [i for i, name in rows if not (runs / name).is_file()],
+        "rows_without_file": sorted(known - {run_id for run_id, _, _ in there}),
+        "changed_files": [i for i, file, sha in there if hash_file(file) != sha]
+        if with_hashes
+        else None,
     }
 
 

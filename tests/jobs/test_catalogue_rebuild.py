@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -24,7 +26,7 @@ from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
+from truepath.app.measurement.run_file import Batch, RunHeader
 from truepath.app.motion.commanded_rows import command_rows
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import TrackerSamples
@@ -269,3 +271,24 @@ def test_a_check_names_where_catalogue_and_disk_disagree(folder):
     assert (found["jobs"], found["runs"]) == (4, 5)
     assert found["runs_without_row"] == ["s3"]
     assert found["rows_without_file"] == ["s2"]
+
+
+def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
+    """One byte of one batch is another, and its CRC fits: only the digest tells."""
+    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
+    whole = check_against_disk(database, folder / "runs", with_hashes=True)
+    assert whole["changed_files"] == []
+    file = folder / "runs" / "s2.sqlite"
+    file.chmod(0o644)
+    with closing(sqlite3.connect(file)) as connection, connection:
+        named = "stream, seq0, n, mono_ns, wall_ns, payload"
+        *head, payload = connection.execute(f"SELECT {named} FROM batch").fetchone()
+        batch = Batch(*head, payload[:-1] + bytes([payload[-1] ^ 1]))
+        connection.execute(
+            "UPDATE batch SET payload = ?, crc32 = ? WHERE stream = ? AND seq0 = ?",
+            (batch.payload, batch.crc32, batch.stream, batch.seq0),
+        )
+    assert check_against_disk(database, folder / "runs")["changed_files"] is None
+    found = check_against_disk(database, folder / "runs", with_hashes=True)
+    database.close()
+    assert found["changed_files"] == ["s2"]
