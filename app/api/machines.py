@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,6 +37,7 @@ from truepath.app.measurement.messages import TrackerTried
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
+_NESTED = dict, list
 _JUDGED_BY = "tolerance_um", "reference_job"
 
 
@@ -203,7 +205,10 @@ def _list_values(record: MachineRecord | None) -> dict[str, Any]:
         values["version"] = version.number
         values |= {f"machine_file.{k}": v for k, v in version.machine_file.items()}
         values |= {f"devices.{k}": v for k, v in devices.items()}
-    return values
+    return {
+        key: json.dumps(value, sort_keys=True) if isinstance(value, _NESTED) else value
+        for key, value in values.items()
+    }
 
 
 def _find_holders(service: Service) -> Mapping[str | None, str]:

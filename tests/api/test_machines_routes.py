@@ -160,7 +160,7 @@ def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
 
     old, new = read_change()
     assert (old["version"], new["version"]) == (1, 2)
-    assert new["devices.tracker_options"] == {"port": "/dev/tracker-7"}
+    assert new["devices.tracker_options"] == '{"port": "/dev/tracker-7"}'
     client.patch(f"{BASE}/mill-3", json={"tolerance_um": 15, "place": "hall 4"})
     assert read_change() == (
         {"place": "hall 3", "tolerance_um": None},
