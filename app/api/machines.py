@@ -37,7 +37,7 @@ from truepath.app.measurement.messages import TrackerTried
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
-_NESTED = dict, list
+_PLAIN = str, int, float, type(None)
 _JUDGED_BY = "tolerance_um", "reference_job"
 
 
@@ -206,7 +206,7 @@ def _list_values(record: MachineRecord | None) -> dict[str, Any]:
         values |= {f"machine_file.{k}": v for k, v in version.machine_file.items()}
         values |= {f"devices.{k}": v for k, v in devices.items()}
     return {
-        key: json.dumps(value, sort_keys=True) if isinstance(value, _NESTED) else value
+        key: value if isinstance(value, _PLAIN) else json.dumps(value, sort_keys=True)
         for key, value in values.items()
     }
 
