@@ -360,7 +360,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.post(f"{API}/stop", status_code=202)
     def stop() -> Any:
-        return {"jobs": service.stop()}
+        jobs = service.stop()
+        known = service.user or not service.log_in_required
+        machines = [{"machine": "default", "stopped": service.stopped}]
+        return {"jobs": jobs if known else [], "machines": machines}
 
     @app.get(f"{API}/jobs/{{job_id}}/plan")
     def plan(job_id: str) -> Any:

@@ -55,6 +55,7 @@ class ScriptedService:
         self.user: tuple[str, str] | None = None
         self.conditions: list[dict[str, Any]] = []
         self.deaf_to_stop = False
+        self.stopped = "unknown"
         self.stops = 0
         self.requests: list[tuple[str, str, Any]] = []
         self.looks: list[tuple[str, Any]] = []
@@ -73,6 +74,7 @@ class ScriptedService:
         self.discovery: dict[str, Any] = DISCOVERY
         self.trend: dict[str, Any] = {}
         self.machines: list[dict[str, Any]] = [machine_entry()]
+        self.held_machine = ""
         self.histories: dict[str, dict[str, Any]] = {}
         self.standings: dict[str, dict[str, Any]] = {}
         self.comparison: dict[str, Any] = {}

@@ -103,9 +103,10 @@ def test_abort_without_motion_says_so(panel, service):
     assert service.stops == 1
 
 
-def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service):
+@pytest.mark.parametrize("kind", ["measure-otf", "verify"])
+def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service, kind):
     service.deaf_to_stop = True
-    running(service)
+    running(service, kind)
     page = panel.open()
     wait_unconfirmed(page, service)
     box = page.locator("#abort-sheet").bounding_box()
@@ -149,8 +150,8 @@ def test_a_dead_service_does_not_look_like_a_stop(panel, service, witness):
     expect(page.locator("#abort-sheet")).to_be_hidden()
 
 
-def running(service) -> str:
-    job = service.new_job("measure-otf", state="running", stage="measuring")
+def running(service, kind: str = "measure-otf") -> str:
+    job = service.new_job(kind, state="running", stage="measuring")
     return job["id"]
 
 

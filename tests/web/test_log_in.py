@@ -76,6 +76,21 @@ def test_the_end_of_a_session_asks_again_and_abort_still_stops(panel, closed):
     shoot(page, "abort-logged-out")
 
 
+def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
+    panel, closed
+):
+    closed.user = "operator", "operator"
+    closed.new_job("measure-otf", state="running", stage="measuring")
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    closed.user = None
+    page.locator("#abort").click()
+    title = page.locator("#abort-title")
+    expect(title).to_contain_text("NOT CONFIRMED")
+    closed.stopped = "true"
+    expect(title).to_have_text("Motion stopped")
+
+
 def test_where_nobody_logs_in_nobody_is_asked(panel, service):
     page = panel.open()
     expect(page.locator(".log-in")).to_have_count(0)

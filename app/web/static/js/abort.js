@@ -53,7 +53,7 @@
     }
   }
 
-  /** Ids of measuring jobs that may still move the machine; null if nobody lists them.
+  /** Ids of jobs that may still move the machine, verifications among them; null if nobody lists them.
    *
    * A job that faulted during the abort counts: the machine has not said that it stands.
    */
@@ -61,7 +61,7 @@
     const page = await ask(sheet.dataset.unsettledJobs, { cache: "no-store" });
     if (!Array.isArray(page?.items)) return null;
     return page.items
-      .filter((job) => job.kind.startsWith("measure-"))
+      .filter((job) => job.kind.startsWith("measure-") || job.kind === "verify")
       .filter((job) => job.state !== "faulted" || watched.has(job.id))
       .map((job) => job.id);
   }

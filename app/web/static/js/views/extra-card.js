@@ -1,6 +1,6 @@
 /* What a discovery asks of the machine: which names compete, and the lines that decide. */
 import { h } from "../dom.js";
-import { isActive, isConnected } from "../flow.js";
+import { isActive, isConnected, isMeasuring } from "../flow.js";
 import { card, pairs } from "../parts.js";
 import { duration, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -18,7 +18,7 @@ export function extraLead({ job, discovery, machine, jobs, busy }, actions) {
 function refusal(machine, jobs, busy) {
   if (busy) return t("plan.preparing");
   if (!isConnected(machine)) return t("extra.not_connected");
-  return jobs.some((job) => job.kind.startsWith("measure-") && isActive(job)) ? t("plan.busy") : "";
+  return jobs.some((job) => isMeasuring(job) && isActive(job)) ? t("plan.busy") : "";
 }
 
 /** A card with the questions and the lines; null where nothing is asked. */
