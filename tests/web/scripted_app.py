@@ -260,6 +260,16 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         known = {"machine_file": service.machine, "connected": service.connected}
         return known | found if found["origin"] == "catalogue" else found | known
 
+    @app.delete(f"{API}/machines/{{machine_id}}", status_code=204)
+    def remove_machine(machine_id: str, request: Request) -> Response:
+        version = request.headers.get("if-match")
+        service.requests.append(("DELETE", f"/machines/{machine_id}", version))
+        if machine_id == service.held_machine:
+            said = "job-7 (running) holds the machine"
+            return problem(409, "busy", "Busy", said, "Wait.")
+        service.machines = [m for m in service.machines if m["id"] != machine_id]
+        return Response(status_code=204)
+
     @app.get(f"{API}/drivers")
     def drivers() -> Any:
         return {"items": DRIVERS}

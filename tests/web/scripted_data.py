@@ -498,7 +498,8 @@ def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
     names = ("maker", "model", "serial_number", "control", "customer", "place")
     entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
     entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
-    return {**entry, "tolerance_um": None, "connected": True, "cell": "ready", **more}
+    entry |= {"tolerance_um": None, "connected": True, "cell": "ready", "version": 3}
+    return {**entry, **more}
 
 
 def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import re
 
 import pytest
 import scripted_data
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 from scripted_data import MACHINE, machine_entry, machine_history, verification
 
 NEXT = "#next button"
@@ -292,6 +292,54 @@ def test_a_machine_is_added_from_its_file_and_described_anew(
     assert (method, path) == ("PUT", "/machines/mill-5/machine-file")
     assert sent["machine_file"]["axes"]["X"]["max_mm"] == 700
     assert sent["machine_file"]["tool_offset_mm"] == content["tool_offset_mm"]
+
+
+REMOVING = {
+    "en": ("results, certificates and history stay", "VMC 700 is removed"),
+    "de": ("Kalibrierscheine und ihr Verlauf bleiben", "VMC 700 ist entfernt"),
+}
+
+
+@pytest.mark.parametrize(("language", "size"), [("en", (1280, 800)), ("de", PHONE)])
+def test_a_machine_is_removed_once_its_button_was_held_and_a_refusal_is_said(
+    panel, service, language, size
+):
+    kept, removed = REMOVING[language]
+    own = {"name": "VMC 700", "origin": "catalogue", "cell": "none"}
+    service.machines = [machine_entry(), machine_entry("mill-5", **own)]
+    service.held_machine = "mill-5"
+    panel.witness.expect("409")
+    page = panel.open("#/machine", size=size, language=language)
+    expect(page.locator("[data-card=who]")).to_be_visible()
+    expect(page.locator("[data-card=remove]")).to_have_count(0)  # of the settings
+    page.locator("[data-machine=mill-5] button").click()
+    card = page.locator("[data-card=remove]")
+    card.locator("summary").click()
+    expect(card).to_contain_text(kept)
+    expect(card).to_contain_text("mill-5")
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    button = card.locator("#machine-remove")
+    button.click()  # a touch is not enough
+    hold(page, button)
+    expect(card.get_by_role("alert")).to_contain_text("job-7 (running) holds")
+    sent = [one for one in service.requests if one[0] == "DELETE"]
+    assert sent == [("DELETE", "/machines/mill-5", '"3"')]
+    service.held_machine = ""
+    hold(page, button)
+    expect(page.locator("[role=status]", has_text=removed)).to_be_visible()
+    expect(page.locator("[data-machine]")).to_have_count(1)
+    expect(card).to_have_count(0)
+
+
+def hold(page: Page, button: Locator) -> None:
+    """Keep a button pressed until the service has answered."""
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 40, box["y"] + box["height"] / 2)
+    with page.expect_response(lambda answer: answer.request.method == "DELETE"):
+        page.mouse.down()
+    page.mouse.up()
 
 
 @pytest.mark.parametrize("language", ["en", "de"])

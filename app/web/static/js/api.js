@@ -100,6 +100,8 @@ export const changeMachine = (id, change) => call("PATCH", `/machines/${id}`, { 
 export const addMachine = (id, file) => call("POST", "/machines", { json: { id, machine_file: file } });
 /** Describe a machine anew; nothing moves. */
 export const describeMachine = (id, file) => call("PUT", `/machines/${id}/machine-file`, { json: { machine_file: file }, patience_ms: 60000 });
+/** Drive a machine no more, by the version that was read; what was measured of it stays. */
+export const removeMachine = ({ id, version }) => call("DELETE", `/machines/${id}`, { version, patience_ms: 60000 });
 /** The installed drivers and their options. */
 export const drivers = async () => items(await call("GET", "/drivers"));
 /** Choose drivers and options; no port is opened yet. */

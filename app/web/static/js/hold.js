@@ -1,4 +1,4 @@
-/* Hold to confirm: for what starts motion. */
+/* Hold to confirm: for what starts motion, or takes a machine away. */
 const HOLD_MS = 1500;
 
 /** Call `done` once the button was held for 1.5 s by finger, mouse, Enter or Space.

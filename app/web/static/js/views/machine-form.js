@@ -66,16 +66,17 @@ export function machineForm({ name, content = USUAL, asksId = false, label, save
       await save(id ? id.input.value.trim() : "", read());
     } catch (refused) {
       if (!(refused instanceof Problem) && !(refused instanceof RangeError)) throw refused;
-      write(error, refused instanceof Problem ? wordsOf(refused) : refused.message);
+      error.replaceChildren(...(refused instanceof Problem ? wordsOf(refused) : [refused.message]));
     }
     button.disabled = false;
   });
   return element;
 }
 
-function wordsOf(problem) {
+/** What a refusal says and what to do, as children; English sentences of the service are marked. */
+export function wordsOf(problem) {
   const { title, text, action } = wordProblem(problem);
-  return [text || title, action].filter(Boolean).join(" ");
+  return [text || title, " ", action].flat();
 }
 
 function textField(id, label, value, more = {}) {

@@ -8,6 +8,7 @@ import { dateTime, number, plain, t, typed } from "../texts.js";
 import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
 import { deviceCard } from "./device-card.js";
 import { machineForm, mayDescribe } from "./machine-form.js";
+import { removalCard } from "./machine-removal.js";
 
 const DAY_MS = 86400e3;
 const HOUR_MS = 3600e3;
@@ -25,13 +26,15 @@ export function mount(root, { store, actions }) {
   const list = h("div", { class: "machine-list" });
   const identity = h("div", { class: "stack" });
   const adding = h("div");
-  root.append(head(t("machine.title"), t("machine.text")), h("div", { class: "stack" }, list, identity, adding));
+  const removed = h("div", { role: "status" });
+  root.append(head(t("machine.title"), t("machine.text")), removed, h("div", { class: "stack" }, list, identity, adding));
 
   async function load(shown = null) {
     const entries = await api.machines();
     if (mayDescribe()) adding.replaceChildren(addCard(add));
     if (!entries.length) {
       list.replaceChildren(notice(null, t("connect.no_machine")));
+      identity.replaceChildren();
       return;
     }
     const known = await Promise.all(entries.map(async (entry) => ({ entry, ...await standingOf(entry.id) })));
@@ -44,6 +47,14 @@ export function mount(root, { store, actions }) {
     await api.addMachine(id, machineFile);
     await Promise.all([load(id), actions.loadSystem()]);
     identity.scrollIntoView({ block: "nearest" });
+  }
+
+  async function remove(record) {
+    await api.removeMachine(record);
+    await actions.loadSystem();
+    await load();
+    write(removed, t("machine.removed", { name: record.name || record.id }));
+    removed.scrollIntoView({ block: "nearest" });
   }
 
   async function choose(entry) {
@@ -65,18 +76,19 @@ export function mount(root, { store, actions }) {
     identity.replaceChildren(who, ...await configurationCards(entry));
   }
 
-  /** Of a machine that is configured here: its axes, and its devices while nothing drives it. */
+  /** Of a machine that is configured here: its axes, its devices while nothing drives it, its removal. */
   async function configurationCards(entry) {
     if (entry.origin !== "catalogue" || !mayDescribe()) return [];
-    const { machine_file: content } = await api.machineRecord(entry.id);
-    const axes = describeCard(content, async (_, described) => {
+    const record = await api.machineRecord(entry.id);
+    const removal = removalCard(record, () => remove(record));
+    const axes = describeCard(record.machine_file, async (_, described) => {
       await api.describeMachine(entry.id, described);
       await Promise.all([load(entry.id), actions.loadSystem()]);
     });
-    if (entry.cell !== "none") return [axes];
+    if (entry.cell !== "none") return [axes, removal];
     const devices = deviceCard({ actions });
     devices.update({ machine_id: entry.id, job: null });
-    return [axes, devices.element];
+    return [axes, devices.element, removal];
   }
 
   load().catch(actions.refuse);
