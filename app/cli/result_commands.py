@@ -141,6 +141,8 @@ def export(
             "note: the sign is not verified for this control "
             f"({sign['rule']}): try one deliberate value before first use"
         )
+    if warning := account["lengths"]["warning"]:
+        say(f"warning: {warning}")
     if json:
         print_json(account)
     else:
@@ -174,6 +176,7 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
         print(f"rotary axis {axis}: {_state_rotary(one)}")
     for statement in account["unmeasured"]:
         print(f"not measured: {statement}")
+    print(account["lengths"]["text"])
     print(f"do: {account['note']}")
     for statement in account["unobservable"]:
         print(f"not in the tables: {statement}")

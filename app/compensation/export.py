@@ -16,6 +16,10 @@ from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.error_over_axes import measure_over_axes
 from truepath.app.compensation.format import AxisTable, CompensationFormat
 from truepath.app.compensation.installed import load_format
+from truepath.app.compensation.length_reference import (
+    find_measured_degc,
+    state_lengths,
+)
 from truepath.app.compensation.remaining_error import (
     EVEN,
     GRID,
@@ -182,6 +186,11 @@ def export_result(
         "note": kind.note,
         "temperature": temperature and _state_temperature(temperature, kind),
         "effects": list(evaluate_effects(errors, made, correction)),
+        "lengths": state_lengths(
+            (temperature.at_degc, temperature.at_degc)
+            if temperature
+            else find_measured_degc(errors.result.provenance)
+        ),
     }
     return Export(files, account)
 

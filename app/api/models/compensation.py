@@ -174,6 +174,21 @@ class EffectLeftOut(EffectKeys):
     note: str
 
 
+class LengthsOut(BaseModel):
+    """At which temperature lengths of the files hold: no number is normalised."""
+
+    measured_degC: tuple[float, float] | None = Field(  # noqa: N815
+        description="Lowest and highest of the axis scales, else of all sensors; null "
+        "where unknown."
+    )
+    reference_degC: float = Field(examples=[20.0])  # noqa: N815
+    normalised: bool
+    text: str
+    warning: str | None = Field(
+        description="Where the measurement was more than 1 K off, or nobody knows."
+    )
+
+
 class CompensationLinks(Links):
     """Where the files are."""
 
@@ -216,6 +231,9 @@ class CompensationOut(BaseModel):
         description="What remains of each effect of a model."
     )
     note: str
+    lengths: LengthsOut | None = Field(
+        None, description="At which temperature lengths hold."
+    )
     links: CompensationLinks
 
 

@@ -11,6 +11,10 @@ from truepath.app.files.file_model import as_object
 from truepath.app.reporting.certificate.circle_section import describe_circles
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
+from truepath.app.reporting.certificate.lengths import (
+    say_lengths,
+    say_measured_lengths,
+)
 from truepath.app.reporting.templating import View
 from truepath.app.results.held_places import DOUBTFUL
 from truepath.app.results.number_format import SIGN
@@ -79,6 +83,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
             "compensation_after",
             f"{left} µm (k = 2)",
         ),
+        ("compensation_lengths", _say_lengths(account, language)),
         ("compensation_file", ", ".join(map(_base_name, account["files"]))),
     ]
     return {
@@ -90,6 +95,14 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
         "rows": [(language.say(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
+
+
+def _say_lengths(account: Mapping[str, Any], language: Language) -> str:
+    """Return at which temperature the files hold, also of accounts without it."""
+    stated = as_object(account.get("lengths")).get("measured_degC")
+    if stated:
+        return say_lengths((stated[0], stated[1]), language)
+    return say_measured_lengths(as_object(account.get("provenance")), language)
 
 
 def _say_named_files(certificate: Certificate, language: Language) -> str:

@@ -13,6 +13,7 @@ from truepath.app.kinematics.symbols import list_error_motions
 from truepath.app.reporting.certificate.as_left import is_compensation_confirmed
 from truepath.app.reporting.certificate.issue import Certificate, Content
 from truepath.app.reporting.certificate.language import Language
+from truepath.app.reporting.certificate.lengths import say_measured_lengths
 from truepath.app.reporting.certificate.map_figures import (
     compute_slices,
     draw_histograms,
@@ -180,7 +181,10 @@ def describe_positioning(certificate: Certificate, language: Language) -> View:
     halves = _read_halves(certificate.found.content)
     found = certificate.found.result
     every = compute_positioning_figures(found, halves, found.measured)
-    return {"rows": [_state_positioning(one, language) for one in every]}
+    return {
+        "rows": [_state_positioning(one, language) for one in every],
+        "lengths": say_measured_lengths(found.provenance, language),
+    }
 
 
 def _list_after(
