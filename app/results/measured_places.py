@@ -24,6 +24,7 @@ from truepath.app.numerics.rigid import RigidTransform
 
 PLACE_S = 1.0  # of a line: longer than most correlation times, shorter than a shape
 MOST_PLACES = 500
+_SEEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,15 @@ class MeasuredPlaces:
     def is_whole(self) -> bool:
         """Whether all three components were measured at every place."""
         return len(self.owner) == 3 * len(self)
+
+    @property
+    def unseen_directions(self) -> tuple[str, ...]:
+        """Directions that lie across no line and at no standstill: nothing tells them.
+
+        A component counts as along one that is less than 60° from it.
+        """
+        share = np.abs(self.component).max(axis=0, initial=0.0)
+        return tuple(n for n, one in zip("XYZ", share, strict=True) if one < _SEEN)
 
 
 def reduce_to_places(

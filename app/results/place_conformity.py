@@ -48,10 +48,14 @@ def decide_places(
     sigma_um: Float64[np.ndarray, " n"],
     known_by: float,
     tolerance_um: float,
+    *,
+    sees_all: bool = True,
 ) -> PlaceConformity:
     """Return whether lengths keep to a tolerance.
 
     sigma_um : their standard uncertainties; known_by : degrees of freedom of these
+    sees_all : whether every direction is measured somewhere; else what was seen may be
+        outside, but cannot prove that all is within
     """
     factor = compute_joint_factor(len(length_um), known_by)
     half = factor * sigma_um
@@ -63,6 +67,8 @@ def decide_places(
         (one for one in (Conformity.OUTSIDE, Conformity.UNDECIDED) if one in each),
         Conformity.WITHIN,
     )
+    if conformity is Conformity.WITHIN and not sees_all:
+        conformity = Conformity.UNDECIDED
     is_outside = conformity is Conformity.OUTSIDE
     worst = int(np.argmax(length_um - half if is_outside else length_um + half))
     return PlaceConformity(

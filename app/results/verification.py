@@ -201,7 +201,11 @@ def _state(
     consistency = judge_consistency(held, spread)
     conformity = {
         name: decide_places(
-            one.length_um, one.length_sigma_um, consistency.known_by, tolerance_um
+            one.length_um,
+            one.length_sigma_um,
+            consistency.known_by,
+            tolerance_um,
+            sees_all=not places.unseen_directions,
         )
         for name, one in (("measured", measured), ("deviation", deviation))
         if tolerance_um is not None

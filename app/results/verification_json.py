@@ -67,6 +67,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "components": "all three"
         if found.places.is_whole
         else "three at standstills, the two across the travel on lines",
+        "unseen_directions": list(found.places.unseen_directions),
         "gauge": "without the best-fit rigid motion over the measured places"
         f"{' of each Run' if len(found.runs) > 1 else ''}, each component counting "
         "the same",
@@ -156,6 +157,7 @@ def state_findings(found: Verification) -> Iterator[str]:
             f"(k = {one.coverage_factor:.1f}, so that all places lie within together "
             "in 95 % of cases)."
         )
+    yield from _state_unseen(found)
     yield _state_agreement(found)
     yield from _state_scale(found)
     yield from state_circles(found.circles)
@@ -167,6 +169,22 @@ def state_findings(found: Verification) -> Iterator[str]:
         f"{_um(K * measured.uncertainty_um)} µm, as stated by the result "
         f"{_um(predicted.value_um)} ± {_um(K * predicted.uncertainty_um)} µm (k = 2)."
     )
+
+
+def _state_unseen(found: Verification) -> Iterator[str]:
+    """Yield what the lines leave unseen: an error along its line is in no figure."""
+    if found.places.is_whole:
+        return
+    yield (
+        "On lines the two components across the travel are measured; an error along "
+        "a line is seen by lines in other directions only."
+    )
+    if unseen := found.places.unseen_directions:
+        yield (
+            f"Nothing was measured along {' and '.join(unseen)}: whether the tolerance "
+            "is kept there cannot be said; measure lines in other directions, or "
+            "points."
+        )
 
 
 def _state_agreement(found: Verification) -> str:

@@ -73,6 +73,14 @@ def test_a_german_certificate_words_a_verification_in_german(
     assert words in cause
 
 
+def test_what_lines_leave_unseen_is_said_in_german():
+    across = {"components": "three at standstills, the two across the travel on lines"}
+    content = VERIFICATION | across | {"unseen_directions": ["X"]}
+    _, across, unseen, _ = word_findings(content, load_language("de"))
+    assert "quer zur Fahrt" in across
+    assert unseen.startswith("Längs X wurde nichts gemessen")
+
+
 def test_a_scale_as_expected_is_not_commented():
     expected = VERIFICATION | {"map_scale": {"value": 0.0, "uncertainty": 0.01}}
     assert len(word_findings(expected, load_language("de"))) == 2

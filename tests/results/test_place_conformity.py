@@ -34,6 +34,15 @@ def test_one_place_that_fails_fails_all():
     assert (found.conformity, found.worst) == ("outside", 2)
 
 
+@pytest.mark.parametrize(
+    ("length_um", "decision"), [(3.0, "undecided"), (20.0, "outside")]
+)
+def test_what_was_not_looked_at_everywhere_is_never_within(length_um, decision):
+    length, sigma = np.array([length_um]), np.array([0.1])
+    found = decide_places(length, sigma, MANY, 10.0, sees_all=False)
+    assert found.conformity == decision
+
+
 def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
     k = compute_joint_factor(30, MANY)
     within = np.abs(rng.standard_normal((20_000, 30))).max(axis=1) <= k

@@ -236,3 +236,14 @@ def test_means_of_correlated_noise_are_correlated_as_their_samples_are(rng):
     span = np.full(4, step_s * samples)
     found = correlate_means(mean @ time_s, span, tau_s)
     np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+def test_a_direction_that_no_component_lies_along_is_named(calibrated, remeasured):
+    run, _ = remeasured(103, "otf")
+    found = verify(calibrated, run)
+    assert found.places.unseen_directions == ()
+    across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.places), 1))
+    along_x = replace(found.places, component=across)
+    assert along_x.unseen_directions == ("X",)
+    said = list(state_findings(replace(found, places=along_x)))
+    assert any("Nothing was measured along X" in one for one in said)

@@ -242,6 +242,11 @@ class VerificationOut(BaseModel):
     )
     places: PlacesOut
     components: str
+    unseen_directions: list[str] = Field(
+        [],
+        description="Directions along which nothing was measured: no tolerance is kept "
+        "there for certain.",
+    )
     gauge: str
     noise: NoiseOfStatedOut
     run: VerifyingRunOut = Field(description="The first of `runs`.")

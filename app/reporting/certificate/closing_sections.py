@@ -218,6 +218,11 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
             k=language.number(measured["coverage_factor"], 1),
             tolerance=_um(measured["tolerance_um"], language),
         )
+    if str(content.get("components", "")).startswith("three at standstills"):
+        yield language.say("verification_across")
+    if unseen := content.get("unseen_directions"):
+        axes = language.say("verification_and").join(unseen)
+        yield language.say("verification_unseen", axes=axes)
     if agreement := as_object(content.get("agreement")):
         yield _say_agreement(agreement, language)
     if scale := as_object(content.get("map_scale")):
