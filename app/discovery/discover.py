@@ -79,21 +79,27 @@ def _measure_way(run: Run) -> float:
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _add_surroundings(
-    run: Run, observations: Observations, number: int
-) -> Observations:
-    """Return observations of a Run with its number and their surroundings.
+def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
+    """Return the observations that a discovery may rest on.
 
     Ramps are left out, unless the Run has nothing but these: what acceleration does
     would pass for effects of place and speed. So is the first point of a standstill
-    Run: the side that the machine reached it from is unknown, and an axis with play
-    stands elsewhere from either side.
+    Run, and the stand before a path: the side that the machine reached it from is
+    unknown, and an axis with play stands elsewhere from either side.
     """
     if run.mode == "standstill":
-        later = np.flatnonzero(observations.row > 0)
-        observations = observations.select(later)
-    elif any(each.is_steady for each in observations.passes):
+        return observations.select(np.flatnonzero(observations.row > 0))
+    if any(each.is_steady for each in observations.passes):
         observations = observations.leave_out_ramps()
+    has_moved = (observations.at.approach != 0.0).any(axis=1)
+    return observations.select(np.flatnonzero(has_moved))
+
+
+def _add_surroundings(
+    run: Run, observations: Observations, number: int
+) -> Observations:
+    """Return observations of a Run with its number and their surroundings."""
+    observations = _leave_out_unlike(run, observations)
     return add_surroundings(observations, run.commanded, run.temperature, number)
 
 

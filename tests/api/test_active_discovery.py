@@ -166,6 +166,8 @@ def check_what_is_decided(
     effect, *others = found["effects"]
     assert effect["name"] == hidden.name
     assert effect["indistinguishable_from"] == []
+    # Before its first motion an axis with play stands as it was left: that is no step.
+    assert "setup-step" not in {e["name"] for e in others}
     assert not competing & {e["name"] for e in others}
     said = effect["parameters"][parameter]
     truth = getattr(hidden, parameter)

@@ -174,7 +174,9 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     both = json.loads(json.dumps(discovery_json(done.both)))
     assert [run["mode"] for run in both["runs"]] == ["standstill", "otf"]
     points, rows = (len(scene.run.commanded) for scene in done.both.aligned)
-    parts = (points - 1, 2 * rows - 1)  # lines, and the standstills at their ends
+    # Lines and the standstills at their ends: from where the first point, or the
+    # beginning of a path, was come to is unknown.
+    parts = (points - 1, 2 * (rows - 1))
     assert [len(run["where"]) for run in both["runs"]] == [min(20, p) for p in parts]
     worst = [segment["rms_um"] for segment in both["where"]]
     assert worst == sorted(worst, reverse=True)
