@@ -12,7 +12,7 @@ from truepath.app.planning.forecast import (
     forecast,
     predict_undetermined,
 )
-from truepath.simulators.timeline import Program
+from truepath.simulators.program import Program
 
 
 @pytest.fixture(
