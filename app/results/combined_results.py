@@ -141,8 +141,9 @@ def _list_left_out(
     if some:
         text = f"Left out, as not all results state lost motion of {', '.join(some)}."
         told.append(("usable", text))
-    across = [set(r.half_across) for r in results]
-    if some := sorted(set.union(*across) - set.intersection(*across)):
+    across = dict.fromkeys(symbol for r in results for symbol in r.half_across)
+    some = sorted(s for s in across if not all(s in r.half_across for r in results))
+    if some:
         text = f"Left out, as not all results state lost motion in {', '.join(some)}."
         told.append(("usable", text))
     return tuple(told)

@@ -35,7 +35,9 @@ def chosen(client, service):
     answer = client.put(f"{BASE}/mill-3/devices", json=DEVICES)
     assert answer.status_code == 200, answer.text
     yield answer.json()
-    service.machines.get("mill-3").close()
+    for cell in service.machines.list_all():
+        if cell.id == "mill-3":
+            cell.close()
 
 
 def test_the_only_machine_is_listed_with_its_version_and_its_cell(client):

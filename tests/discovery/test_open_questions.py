@@ -170,7 +170,7 @@ def test_lateral_backlash_and_squareness_are_told_apart_by_few_lines(leaning):
 
 
 def test_every_run_is_shown_where_it_disagrees(leaning):
-    _, done = leaning
+    name, done = leaning
     both = json.loads(json.dumps(discovery_json(done.both)))
     assert [run["mode"] for run in both["runs"]] == ["standstill", "otf"]
     points, rows = (len(scene.run.commanded) for scene in done.both.aligned)
@@ -185,6 +185,9 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     model = build_next_model(done.both, None)
     page = render_discovery_report(done.both, model, None, "ask/path.csv")
     assert page.count("Run 2: ") == 2
+    if name == "lateral-backlash":  # directions are two sides, not a scale from −1 to 1
+        assert "− direction" in page
+        assert "+ direction" in page
     assert page.count("Root mean square on every line") == 2
 
 
