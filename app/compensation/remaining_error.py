@@ -31,6 +31,7 @@ from truepath.app.results.volumetric_error import draw_parameters
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
 _NOTHING_MM = 1e-9
+_FEWEST = 12  # places that have a mean beside their rigid motion
 # Of a standard deviation that a file does not say how well it knows: 50 values.
 _UNSTATED_SCALE = 0.1
 _SIDES = (1.0, -1.0)  # + and − direction
@@ -57,23 +58,24 @@ def _sample_positions(
 
 def remove_rigid_motion(
     position_mm: Float64[np.ndarray, "n a"],
-    error_mm: Float64[np.ndarray, "n 3"],
+    error_mm: Float64[np.ndarray, "n 3 ..."],
     weight: Float64[np.ndarray, " n"] | None = None,
-) -> Float64[np.ndarray, "n 3"]:
+) -> Float64[np.ndarray, "n 3 ..."]:
     """Remove the best-fit rigid motion, which is not an error of the machine."""
     root = np.sqrt(np.ones(len(position_mm)) if weight is None else weight)
     point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
     shifts = np.broadcast_to(np.eye(3), (len(point), 3, 3))
-    columns = np.concatenate([shifts, cross_matrix(point)], axis=2)
-    weighted = (root[:, None, None] * columns).reshape(-1, 6)
-    fit, *_ = np.linalg.lstsq(weighted, (root[:, None] * error_mm).ravel(), rcond=None)
-    return error_mm - columns @ fit
+    columns = np.concatenate([shifts, cross_matrix(point)], axis=2).reshape(-1, 6)
+    rows, root = error_mm.reshape(len(columns), -1), np.repeat(root, 3)[:, None]
+    fit, *_ = np.linalg.lstsq(root * columns, root * rows, rcond=None)
+    return error_mm - (columns @ fit).reshape(error_mm.shape)
 
 
 @dataclass(frozen=True, slots=True)
 class RemainingError:
     """What the errors leave at positions over the travel, both directions, in mm.
 
+    position_mm : (n, axes)
     left_mm : (s, n, 3) of the map with the correction, without rigid motion
     drawn_mm : (s, n, 3, d) what the map may be wrong by, drawn from its covariance
     is_measured : (n,) where every axis was measured
@@ -81,6 +83,7 @@ class RemainingError:
     scale : how well the size of what was drawn is known itself, k = 1, of 1
     """
 
+    position_mm: Float64[np.ndarray, "n a"]
     left_mm: Float64[np.ndarray, "s n 3"]
     drawn_mm: Float64[np.ndarray, "s n 3 d"]
     is_measured: Bool[np.ndarray, " n"]
@@ -90,13 +93,13 @@ class RemainingError:
     def state_map(self, *, measured: bool = False) -> dict[str, float]:
         """Return mean and largest length of the map itself, µm.
 
-        measured : at the places alone where every axis was measured, if there are any
+        measured : at the places alone where every axis was measured, if there are
+            enough; what is left has no rigid motion of these
         """
-        kept = self._select(measured=measured)
-        if not self.weight[kept].any():
-            kept = self._select(measured=False)
-        every = UM_PER_MM * np.linalg.norm(self.left_mm[:, kept], axis=2)
-        mean = np.average(every.mean(axis=0), weights=self.weight[kept])
+        if measured and (part := self._keep_measured()) is not None:
+            return part.state_map()
+        every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
+        mean = np.average(every.mean(axis=0), weights=self.weight)
         return {"mean": float(mean), "largest": float(every.max())}
 
     def state(self, *, measured: bool = False) -> dict[str, float] | None:
@@ -106,14 +109,14 @@ class RemainingError:
         The uncertainty is the spread over these, and that their size is itself known to
         `scale` alone.
         """
-        kept = self._select(measured=measured)
-        if not self.weight[kept].any():
-            return None
-        total = self.left_mm[:, kept, :, None] + self.drawn_mm[:, kept]
+        if measured:
+            part = self._keep_measured()
+            return None if part is None else part.state()
+        total = self.left_mm[..., None] + self.drawn_mm
         lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
-        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight[kept])
+        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
         largest = lengths.max(axis=(0, 1))
-        unknown = mean.mean() - self.state_map(measured=measured)["mean"]
+        unknown = mean.mean() - self.state_map()["mean"]
         return {
             "mean": float(mean.mean()),
             "largest": float(largest.mean()),
@@ -134,8 +137,28 @@ class RemainingError:
         """Root mean square of the length that the measurement does not know."""
         return self._average_um(np.mean(self.drawn_mm**2, axis=3))
 
-    def _select(self, *, measured: bool) -> Bool[np.ndarray, " n"]:
-        return self.is_measured if measured else np.ones_like(self.is_measured)
+    def _keep_measured(self) -> RemainingError | None:
+        """Return what is left where every axis was measured; None at too few places.
+
+        The rigid motion of errors that nobody measured is no part of it.
+        """
+        kept = self.is_measured
+        weight = self.weight[kept]
+        if np.count_nonzero(weight) < _FEWEST:
+            return None
+        position = self.position_mm[kept]
+        left, drawn = (
+            _remove_from_both(position, list(errors[:, kept]), weight)
+            for errors in (self.left_mm, self.drawn_mm)
+        )
+        return replace(
+            self,
+            position_mm=position,
+            left_mm=left,
+            drawn_mm=drawn,
+            is_measured=kept[kept],
+            weight=weight / weight.sum(),
+        )
 
     def _average_um(self, squares_mm2: Float64[np.ndarray, "k n 3"]) -> float:
         """Return the root mean square length of squares over k sets of positions."""
@@ -163,6 +186,7 @@ def find_remaining(
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)
     ]
     return RemainingError(
+        position,
         both,
         _draw_errors_mm(errors, position),
         np.all(inside, axis=0),
@@ -253,13 +277,13 @@ def _compute_rms(
 
 def _remove_from_both(
     position: Float64[np.ndarray, "n a"],
-    error_mm: Sequence[Float64[np.ndarray, "n 3"]],
+    error_mm: Sequence[Float64[np.ndarray, "n 3 ..."]],
     weight: Float64[np.ndarray, " n"],
-) -> Float64[np.ndarray, "s n 3"]:
+) -> Float64[np.ndarray, "s n 3 ..."]:
     """Return errors of each direction without their common rigid motion."""
     every = remove_rigid_motion(
-        np.vstack([position] * len(error_mm)),
-        np.vstack(error_mm),
+        np.concatenate([position] * len(error_mm)),
+        np.concatenate(error_mm),
         np.concatenate([weight] * len(error_mm)),
     )
     return every.reshape(len(error_mm), *error_mm[0].shape)

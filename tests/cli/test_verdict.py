@@ -1,6 +1,7 @@
 """A result that is not simply usable says so wherever a command takes or gives it."""
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -88,10 +89,11 @@ def test_a_doubtful_result_is_exported_with_a_warning(judged, capsys):
     assert account["verdict"]["state"] == "doubtful"
 
 
-def test_a_usable_result_is_exported_without_a_word(judged, capsys):
+def test_a_usable_result_is_exported_without_a_word_of_its_verdict(judged, capsys):
     status, folder = export(judged("usable"))
     assert status == 0
-    assert "warning" not in capsys.readouterr().err
+    (warning,) = re.findall("warning.*", capsys.readouterr().err)
+    assert "temperature of the measurement is not known" in warning
     assert "THE RESULT IS" not in (folder / "comp-X.tbl").read_text()
     account = json.loads((folder / "comp.json").read_text())
     assert account["verdict"]["reasons"] == [str(LEFT_OUT)]

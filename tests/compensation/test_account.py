@@ -124,6 +124,16 @@ def test_account_and_file_say_what_was_not_measured(half_measured, choice):
     assert export.account["left_um"]["unmeasured_range"] > 1.0
 
 
+def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(source):
+    """Siemens tables hold their last value: only beyond the measured part they err."""
+    middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
+    errors = replace(source, result=replace(source.result, measured=middle))
+    left = export_result(errors, "siemens", "c").account["volumetric_error_um"]
+    whole = export_result(source, "siemens", "c").account["volumetric_error_um"]
+    assert left["after"]["mean"] > 4.0 * left["after_where_measured"]["mean"]
+    assert left["after_where_measured"]["mean"] < 1.2 * whole["after"]["mean"]
+
+
 def test_a_result_measured_everywhere_says_nothing_of_it(source):
     account = export_result(source, "isg-csv", "c").account
     assert account["unmeasured"] == []
