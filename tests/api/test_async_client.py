@@ -49,7 +49,8 @@ def test_events_are_followed_until_the_job_has_ended(live):
                 if event.type != "job":
                     continue
                 states.append(event.data["state"])
-                if event.data["state"] == "ready":
+                # A job that stands ready is told again where anything of it changes.
+                if event.data["state"] == "ready" and states.count("ready") == 1:
                     await client.arm(await client.get_job(order["id"]))
                 if event.data["state"] == "running":
                     await client.abort(order["id"])
