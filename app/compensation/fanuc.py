@@ -10,6 +10,9 @@ With `3605`#0 negative travel has increments of its own, from number `3626` on, 
 `3627` is their amount at the reference point; they count from the negative end as well.
 Their magnification is 1: no text at hand says whether it holds for 3627.
 
+Points have the numbers 0 to 1023 for all axes together, those of negative travel among
+them: where they do not suffice, the sections of all axes are longer.
+
 The sign is assumed to be that of what is added to the command, and has to be tried at
 the machine. Source: FANUC B-63980EN, page 100; A-77810E, parameters 3605 to 3627.
 """
@@ -17,7 +20,7 @@ the machine. Source: FANUC B-63980EN, page 100; A-77810E, parameters 3605 to 362
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -33,12 +36,14 @@ from truepath.app.compensation.format import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.effects.error_motion import reference_position_mm
-from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.machine import LinearAxis, Machine
 
 UNIT_MM = 0.001
 _LARGEST, _MOST = 7, 100  # of an increment; of the magnification
+_LAST_POINT = 1023  # of all axes; the first is 0
 FIRST_DATA = 10_000  # data number of point 0
 _LEAST_MM = 5e-4  # of lost motion that has increments: half a detection unit
+_WIDER = 1.01  # spacing by spacing, until the points of all axes have numbers
 _DIRECTIONS = ("both", "mean")
 
 
@@ -65,7 +70,8 @@ class Fanuc(TableFormat):
         self.note = (
             "A1, A2, A3 are X, Y, Z, detection unit 1 µm; parameters first, then the "
             "data; switch power off and on and return to the reference point, in + "
-            "direction. "
+            f"direction. Points 0 to {_LAST_POINT} are those of all axes of the "
+            "control: of other axes they have to stand beyond those used here. "
         ) + (
             "Axes with 3605#0 = 1 need bidirectional pitch error compensation, an "
             "option of the control, and backlash (1851) 0; --directions mean does "
@@ -74,12 +80,28 @@ class Fanuc(TableFormat):
             else "The mean of both directions: backlash is for parameter 1851"
         )
 
+    def limit_rows(
+        self, axes: Sequence[LinearAxis], spacing_mm: float
+    ) -> Mapping[str, int]:
+        """Return rows as far apart for all axes as the numbers of points make them."""
+        sets = 2 if self._directions == "both" else 1
+        usual, spacing = super().limit_rows(axes, spacing_mm), spacing_mm
+        while True:
+            rows = {
+                axis.name: min(
+                    max(2, math.ceil((axis.high - axis.low) / spacing - 1e-9) + 1),
+                    self.most_points,
+                )
+                for axis in axes
+            }
+            # As many sections as rows, where both ends are beyond the travel.
+            if sum(1 + sets * count for count in rows.values()) <= _LAST_POINT + 1:
+                return usual if spacing == spacing_mm else rows
+            spacing *= _WIDER
+
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return data and parameters of all axes."""
-        tapes: list[_Tape] = []
-        for table in content.tables:
-            first = tapes[-1].end + 2 if tapes else 1  # one for the reference
-            tapes.append(_make_tape(table, first, both=self._directions == "both"))
+        """Return data and parameters of all axes. Raises BadInput."""
+        tapes = self._make_tapes(content.tables)
         data = [f"N{FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
         parameters = [
             f"N0{number}" + "".join(f"A{i + 1}P{w}" for i, w in enumerate(words))
@@ -99,6 +121,26 @@ class Fanuc(TableFormat):
             f"{stem}-pitch{self.suffix}": "\n".join(["%", *data, "%", ""]),
             f"{stem}-parameters{self.suffix}": "\n".join(["%", *parameters, "%", ""]),
         }
+
+    def _make_tapes(self, tables: Sequence[AxisTable]) -> list[_Tape]:
+        """Return the tapes, each numbered on from the one before. Raises BadInput."""
+        tapes: list[_Tape] = []
+        for choose in (_choose_interval_mm, _round_spacing_mm):
+            tapes = []
+            for table in tables:
+                first = tapes[-1].end + 2 if tapes else 1  # one for the reference
+                both = self._directions == "both"
+                tapes.append(_make_tape(table, choose(table), first, both=both))
+            if tapes[-1].end <= _LAST_POINT:
+                return tapes
+        used = ", ".join(
+            f"{table.axis.name} {tape.describe()}"
+            for table, tape in zip(tables, tapes, strict=True)
+        )
+        raise BadInput(
+            f"the control numbers the points of all axes 0 to {_LAST_POINT}; these "
+            f"tables need {tapes[-1].end + 1}: {used}; export with a wider spacing"
+        )
 
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
@@ -136,15 +178,19 @@ class _Tape:
     def end(self) -> int:
         return self.last + len(self.backward)
 
+    def describe(self) -> str:
+        """Return how many sections there are, and how long."""
+        twice = ", twice" if self.is_bidirectional else ""
+        return f"{len(self.forward)} sections of {self.interval_mm:g} mm{twice}"
+
     @property
     def data(self) -> list[tuple[int, int]]:
         """Increments by number of their point."""
         return list(enumerate((*self.forward, *self.backward), self.first))
 
 
-def _make_tape(table: AxisTable, first: int, *, both: bool) -> _Tape:
+def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> _Tape:
     zero = reference_position_mm(table.axis)
-    interval = _choose_interval_mm(table, zero)
     below = math.ceil((zero - table.axis.low) / interval - 1e-9)
     above = math.ceil((table.axis.high - zero) / interval - 1e-9)
     at = zero + interval * np.arange(-below, above + 1)
@@ -173,9 +219,11 @@ def _round(
     """Return sums in whole units. Raises BadInput where one step is too large."""
     sums = np.rint(wanted_mm / (UNIT_MM * magnification)).astype(int)
     if np.abs(np.diff(sums)).max() > _LARGEST:
+        mean = ", or directions mean, which has one" if magnification == 1 else ""
         raise BadInput(
             f"{table.axis.name} errs by more than {_LARGEST * magnification} µm from "
-            "one point to the next; export with a smaller spacing"
+            f"one point to the next, at magnification {magnification}; export with a "
+            f"smaller spacing{mean}"
         )
     return sums
 
@@ -184,11 +232,12 @@ def _steps(sums: np.ndarray) -> tuple[int, ...]:
     return tuple(int(step) for step in np.diff(sums))
 
 
-def _choose_interval_mm(table: AxisTable, zero_mm: float) -> float:
+def _choose_interval_mm(table: AxisTable) -> float:
     """Return an interval of whole micrometres, both ends of the travel on points.
 
     Where none down to half the spacing does that, the last points are beyond the ends.
     """
+    zero_mm = reference_position_mm(table.axis)
     below, above = (
         round((end - start) / UNIT_MM)
         for start, end in ((table.axis.low, zero_mm), (zero_mm, table.axis.high))
@@ -200,4 +249,9 @@ def _choose_interval_mm(table: AxisTable, zero_mm: float) -> float:
     ):
         if count and common % count == 0 and (below + above) * count <= most * common:
             return common // count * UNIT_MM
-    return math.ceil(spacing - 1e-6) * UNIT_MM
+    return _round_spacing_mm(table)
+
+
+def _round_spacing_mm(table: AxisTable) -> float:
+    """Return the spacing of the rows in whole micrometres, not below it."""
+    return math.ceil(table.spacing_mm / UNIT_MM - 1e-6) * UNIT_MM

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -150,6 +150,16 @@ class CompensationFormat(ABC):
     sign_is_verified: ClassVar[bool]
     note: str
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+
+    def limit_rows(
+        self, axes: Sequence[LinearAxis], spacing_mm: float
+    ) -> Mapping[str, int]:
+        """Return the rows at most of each axis' table, by axis.
+
+        spacing_mm : of the rows that are asked for, where axes share their number
+        """
+        del spacing_mm
+        return {axis.name: self.most_points for axis in axes}
 
     @abstractmethod
     def write(self, content: CompensationTables) -> dict[str, str]:

@@ -62,9 +62,10 @@ class Tabulation:
         )
 
     def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:
+        most = self.kind.limit_rows(errors.axes, self.spacing_mm)
         return tuple(
             tabulate_axis(
-                errors, self.measured[axis.name], self.spacing_mm, self.kind.most_points
+                errors, self.measured[axis.name], self.spacing_mm, most[axis.name]
             )
             for axis in errors.axes
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +20,13 @@ from truepath.app.compensation.installed import list_formats, load_format
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
 from truepath.app.compensation.siemens import SiemensCec, SiemensLec, SiemensOrder
+from truepath.app.compensation.tabulation import Tabulation
+from truepath.app.compensation.unmeasured import find_measured_ranges
 from truepath.app.errors import BadInput
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.app.kinematics.identifiable import build_identifiable_model
 from truepath.app.kinematics.model import MachineModel, restore_effect
 from truepath.simulators.scenario import load_machine
 
@@ -53,6 +57,36 @@ def with_backlash(source):
     half_um = np.array([axis.low, axis.high]), np.full(2, 4.0)
     result = replace(source.result, half_difference_um={"X": half_um})
     return replace(source, result=result)
+
+
+@pytest.fixture(scope="module")
+def losing(source):
+    """Make the same machine of other travels, 8 µm of lost motion in each axis."""
+
+    def make(length_mm):
+        axes = tuple(
+            replace(axis, low=-length_mm / 2, high=length_mm / 2)
+            for axis in source.machine.linear_axes
+        )
+        machine = replace(source.machine, axes=axes)
+        offsets = np.array([target.offset_mm for target in machine.targets])
+        model, _ = build_identifiable_model(
+            machine, offsets, knot_spacing_mm=length_mm / 4
+        )
+        size = np.array([4e-3 if p.unit == "mm" else 1e-5 for p in model.parameters])
+        theta = size * np.random.default_rng(6).standard_normal(model.size)
+        ends = np.array([-length_mm / 2, length_mm / 2])
+        half_um = {axis.name: (ends, np.full(2, 4.0)) for axis in axes}
+        return map_errors(
+            CalibrationResult(
+                model,
+                theta,
+                np.diag((1e-2 * size) ** 2),
+                half_difference_um=half_um,
+            )
+        )
+
+    return make
 
 
 @pytest.fixture(scope="module")
@@ -366,6 +400,47 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
     assert next(w for w in words if w.startswith("N03624A1P10.000A2P10.000"))
     mean = export_result(with_backlash, "fanuc", "c", choices={"directions": "mean"})
     assert "N03605A1P00000000" in mean.files["c-parameters.txt"]
+
+
+def find_fanuc_points(files):
+    """Point numbers of the increments, and of the reference points."""
+    data = re.findall(r"N(1\d{4})P", files["c-pitch.txt"])
+    words = files["c-parameters.txt"].split()
+    reference = next(word for word in words if word.startswith("N03620"))
+    zero = [int(n) for n in re.findall(r"A\dP(\d+)", reference)]
+    return [int(n) - 10_000 for n in data], zero
+
+
+@pytest.mark.parametrize(
+    ("directions", "length_mm", "spacing_mm"),
+    [("both", 4000.0, 10.0), ("mean", 500.0, 0.1)],
+)
+def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
+    losing, directions, length_mm, spacing_mm
+):
+    errors = losing(length_mm)
+    choices = {"directions": directions}
+    export = export_result(errors, "fanuc", "c", spacing_mm=spacing_mm, choices=choices)
+    points, zero = find_fanuc_points(export.files)
+    assert len(set(points)) == len(points) > 850  # no number twice, most in use
+    assert min(zero) >= 0
+    assert max(points) <= 1023
+    correction = Fanuc().read(export.files, errors.machine)
+    middle = along(errors, "Z", np.linspace(-1.0, 1.0, 9) * length_mm / 4)
+    error = flat(errors.error_mm(middle))[:, 2]
+    left = error + flat(0.5 * sum(correction(middle, d) for d in (1.0, -1.0)))[:, 2]
+    assert np.abs(left).max() < max(0.003, 0.5 * np.abs(error).max())
+
+
+def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
+    errors = losing(500.0)
+    measured = find_measured_ranges(errors.machine, {}, None)
+    content = Tabulation(LinuxCnc(), "c", (), 2.0, measured).tabulate(errors)
+    with pytest.raises(BadInput, match="X 250 sections of 2 mm, twice") as refusal:
+        Fanuc().write(content)
+    assert "1023" in str(refusal.value)
+    assert "wider spacing" in str(refusal.value)
+    Fanuc("mean").write(content)
 
 
 def test_an_etalon_file_says_the_same_as_an_isg_file(source):
