@@ -86,7 +86,12 @@ def _bench(options: argparse.Namespace) -> Bench:
         source_unit_s=options.follow_unit,
         protocol=options.protocol,
         compensation=LoadedTables.from_paths(
-            options.compensation, Rules(options.backlash_reading, options.reversed_sign)
+            options.compensation,
+            Rules(
+                options.backlash_reading,
+                options.reversed_sign,
+                measuring_system=options.measuring_system,
+            ),
         ),
     )
 
@@ -319,6 +324,13 @@ def _add_compensation(add: Callable[..., object]) -> None:
         choices=BACKLASH_READINGS,
         default=Rules().backlash_reading,
         help="of the column BACKLASH of Heidenhain tables",
+    )
+    add(
+        "--measuring-system",
+        choices=[1, 2],
+        default=Rules().measuring_system,
+        type=int,
+        help="that is active, of the axes of a SINUMERIK",
     )
     add(
         "--reversed-sign",

@@ -77,8 +77,8 @@ class Rig:
         """Give the controller these tables while its axes stand; return their names.
 
         files : none takes its tables away
-        rules : `backlash_reading`, `reversed_sign`, `tool_length_mm` of
-            `truepath.simulators.compensation.rules.Rules`
+        rules : `backlash_reading`, `reversed_sign`, `tool_length_mm`,
+            `measuring_system` of `truepath.simulators.compensation.rules.Rules`
         """
         paths = [str(Path(file).absolute()) for file in files]
         return self.order("compensate", files=paths, **rules)["files"]

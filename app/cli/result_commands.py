@@ -80,6 +80,13 @@ def export(
         Literal["840d-sl", "828d", "808d"] | None,
         typer.Option(help="Of Siemens: whose room for tables is used. [840d-sl]"),
     ] = None,
+    measuring_system: Annotated[
+        Literal["1", "2"] | None,
+        typer.Option(
+            help="Of Siemens leadscrew tables: the measuring system of the axes that "
+            "they are of. [1]"
+        ),
+    ] = None,
     backlash_reading: Annotated[
         Literal["negative-value", "difference"] | None,
         typer.Option(help="Of Heidenhain's column BACKLASH. [negative-value]"),
@@ -117,6 +124,7 @@ def export(
 
     chosen = {
         "control": control,
+        "measuring_system": measuring_system,
         "backlash_reading": backlash_reading,
         "directions": directions,
         "tool_length": tool_length,

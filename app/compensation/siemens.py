@@ -35,11 +35,14 @@ from truepath.app.compensation.siemens_cross import (
     find_factor,
     list_factors,
 )
+from truepath.app.compensation.siemens_leadscrew import (
+    MEASURING_SYSTEMS,
+    MeasuringSystem,
+)
 from truepath.app.compensation.siemens_reading import (
     read_rotary_tables,
     read_tables,
 )
-from truepath.app.compensation.siemens_rotary import write_turns
 from truepath.app.compensation.siemens_temperature import (
     TEMPERATURE_AREA,
     write_temperature_file,
@@ -79,6 +82,7 @@ CONTROLS = {
 }
 DEFAULT_CONTROL = "840d-sl"
 _CONTROLS = tuple(CONTROLS)
+_USUAL_SYSTEM = MEASURING_SYSTEMS[0]
 
 
 class Siemens(TableFormat):
@@ -86,12 +90,14 @@ class Siemens(TableFormat):
 
     area : that the file loads; variable : of the control, a table or a setting of it
     control : which has room for how much
+    remarks : comments of the file beside its stamp
     """
 
     suffix = ".ini"
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
     area: ClassVar[str]
     variable: ClassVar[str]
+    remarks: tuple[str, ...] = ()
 
     def __init__(self, control: str = DEFAULT_CONTROL) -> None:
         self.room = CONTROLS[control]
@@ -102,7 +108,8 @@ class Siemens(TableFormat):
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file for all axes."""
-        lines = [f"%_N_{self.area}_INI", *(f"; {s}" for s in content.stamp)]
+        comments = (*content.stamp, *self.remarks)
+        lines = [f"%_N_{self.area}_INI", *(f"; {s}" for s in comments)]
         lines += ["CHANDATA(1)", *self.write_tables(content), "M17", ""]
         return {f"{content.stem}{self.suffix}": "\n".join(lines)}
 
@@ -114,7 +121,7 @@ class Siemens(TableFormat):
 
 
 class SiemensLec(Siemens):
-    """Positioning of each axis.
+    """Positioning of each axis, in tables of one of its measuring systems.
 
     forward : axes whose tables are those of positive travel; else the mean
     """
@@ -136,33 +143,35 @@ class SiemensLec(Siemens):
     )
     sign_is_verified = True
 
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Siemens.choices,
+        **MeasuringSystem.choices,
+    }
+
     def __init__(
-        self, control: str = DEFAULT_CONTROL, forward: Collection[str] = ()
+        self,
+        control: str = DEFAULT_CONTROL,
+        measuring_system: str = _USUAL_SYSTEM,
+        forward: Collection[str] = (),
     ) -> None:
         super().__init__(control)
+        self._system = MeasuringSystem(measuring_system)
         self._forward = forward
+        self.remarks = (self._system.remark,)
         self.most_points = self.room.leadscrew_points
         self.control = f"Siemens {self.room.title}, leadscrew error compensation"
         self.note = (
-            "rename X1, Y1, Z1 to the machine axes; MD38000 must hold the points; load "
-            f"with MD32700 = 0, set it to 1, reference the axes ({self.room.note})"
+            f"rename X1, Y1, Z1 to the machine axes; {self._system.note} "
+            f"({self.room.note})"
         )
 
     def write_tables(self, content: CompensationTables) -> Iterator[str]:
         """Yield a table an axis."""
         for table in content.tables:
-            axis = f"{table.axis.name}1"
-            values = table.mean_mm
-            if table.axis.name in self._forward:
-                values = table.forward_mm
-            for index, value in enumerate(values[:, table.own]):
-                yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
-            yield f"$AA_ENC_COMP_STEP[0,{axis}]={table.spacing_mm:.9g}"
-            yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
-            yield f"$AA_ENC_COMP_MAX[0,{axis}]={table.position_mm[-1]:.6f}"
-            yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
+            forward = table.axis.name in self._forward
+            yield from self._system.write_straight(table, forward=forward)
         for table in content.rotary:
-            yield from write_turns(table)
+            yield from self._system.write_rotary(table)
 
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
@@ -234,7 +243,7 @@ class SiemensOrder(CompensationFormat):
     """Both kinds of tables, as one order: what each lacks the other has."""
 
     suffix = ".ini"
-    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"control": _CONTROLS}
+    choices = SiemensLec.choices
     carries = (
         f"positioning in both directions, of rotary axes the mean of both, modulo a "
         f"turn; {SiemensCec.carries}"
@@ -254,10 +263,12 @@ class SiemensOrder(CompensationFormat):
     sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
     sign_is_verified = False
 
-    def __init__(self, control: str = DEFAULT_CONTROL) -> None:
-        self._name = control
+    def __init__(
+        self, control: str = DEFAULT_CONTROL, measuring_system: str = _USUAL_SYSTEM
+    ) -> None:
+        self._chosen = control, measuring_system
         self._cross = SiemensCec(control, backlash=True)
-        leadscrew = SiemensLec(control)
+        leadscrew = SiemensLec(*self._chosen)
         self.most_points = min(self._cross.most_points, leadscrew.most_points)
         room = CONTROLS[control]
         self.control = f"Siemens {room.title}, leadscrew and cross error compensation"
@@ -272,7 +283,7 @@ class SiemensOrder(CompensationFormat):
         Of a temperature model `STEM-temperature.ini` as well.
         """
         lost = {one.axis for one in self._cross.choose(content) if one.direction}
-        parts = {"lec": SiemensLec(self._name, lost), "cec": self._cross}
+        parts = {"lec": SiemensLec(*self._chosen, lost), "cec": self._cross}
         files: dict[str, str] = {}
         for word, part in parts.items():
             files |= part.write(replace(content, stem=f"{content.stem}-{word}"))

@@ -64,6 +64,7 @@ def _read_settings(
 ) -> list[tuple[str, dict[str, str], dict[int, float]]]:
     """Return (table, settings, values by index) of every table of the files."""
     names: dict[str, dict[str, str]] = {}
+    systems: dict[str, str] = {}
     values: dict[str, dict[int, float]] = {}
     for name, text in files.items():
         for number, line in enumerate(text.splitlines(), 1):
@@ -77,6 +78,11 @@ def _read_settings(
             places = place.split(",")
             # A leadscrew table is named by its axis, a cross table by its number.
             table = places[-1] if kind == "ENC_COMP" else places[0]
+            if places[0] != systems.setdefault(table, places[0]):
+                raise BadInput(
+                    f"{name}, row {number}: {table} has a table of measuring system "
+                    f"{int(systems[table]) + 1} as well; keep that of the active one"
+                )
             if word:
                 names.setdefault(table, {})[word] = value
             else:

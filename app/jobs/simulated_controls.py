@@ -114,11 +114,13 @@ class SimulatedControls:
             self._loaded[machine_id] = loaded
 
 
-def _choose_rules(account: Mapping[str, Any]) -> dict[str, str | float]:
+def _choose_rules(account: Mapping[str, Any]) -> dict[str, str | float | int]:
     """Return how the control has to be set for files that were made so."""
-    choices, rules = account["choices"], dict[str, str | float]()
+    choices, rules = account["choices"], dict[str, str | float | int]()
     if "backlash_reading" in choices:
         rules["backlash_reading"] = choices["backlash_reading"]
+    if "measuring_system" in choices:
+        rules["measuring_system"] = int(choices["measuring_system"])
     if choices.get("tool_length") == "followed":
         rules["tool_length_mm"] = abs(float(account["holds_for"]["offset_mm"][2]))
     return rules

@@ -137,7 +137,9 @@ def _read_terms(
         yield from read_heidenhain(files, machine, rules)
     elif form == "fanuc":
         yield from read_fanuc(files, machine)
-    else:
-        read = read_siemens if form == "siemens" else read_linuxcnc
+    elif form == "siemens":
         for name, text in files.items():
-            yield from read(name, text, machine)
+            yield from read_siemens(name, text, machine, rules.measuring_system)
+    else:
+        for name, text in files.items():
+            yield from read_linuxcnc(name, text, machine)

@@ -18,8 +18,10 @@ class Rules:
     reversed_sign : it takes the tables with the other sign
     tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and
         Etalon Exchange
+    measuring_system : of the axes of a SINUMERIK, the active one: 1 or 2
     """
 
     backlash_reading: BacklashReading = "negative-value"
     reversed_sign: bool = False
     tool_length_mm: float = 0.0
+    measuring_system: int = 1

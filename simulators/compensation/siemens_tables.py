@@ -4,6 +4,7 @@ A positive value of `$AA_ENC_COMP` moves the axis in the negative direction; `$A
 is taken the same way. A table with `$AN_CEC_MULT_BY_TABLE` n gives its product with the
 table of index n − 1, which then gives nothing by itself, as in the manual's foundation
 that sags: ΔX1 = Z1 β(X1). Between MIN and MAX a value that was not entered is 0.
+The first index of `$AA_ENC_COMP` is 0 for measuring system 1, 1 for 2.
 Source: Function Manual Extended Functions 03/2013, K3, pages 238 to 252.
 """
 
@@ -30,16 +31,24 @@ class _Table:
     value: dict[int, float] = field(default_factory=dict)
 
 
-def read_siemens(name: str, text: str, machine: MachineFile) -> Iterator[Term]:
-    """Yield what the tables of an INI file add."""
-    leadscrew, cross = _collect(name, text)
+def read_siemens(
+    name: str, text: str, machine: MachineFile, measuring_system: int
+) -> Iterator[Term]:
+    """Yield what the tables of an INI file add.
+
+    measuring_system : the active one of the axes. Tables of the other would do
+    nothing: they are refused by a SimulatorError.
+    """
+    leadscrew, cross = _collect(name, text, measuring_system)
     for axis, table in leadscrew.items():
         column = _find_column(name, axis, machine)
         yield Term(column, (_make_curve(name, table, column),), -1.0)
     yield from _multiply(name, cross, machine)
 
 
-def _collect(name: str, text: str) -> tuple[dict[str, _Table], dict[int, _Table]]:
+def _collect(
+    name: str, text: str, measuring_system: int
+) -> tuple[dict[str, _Table], dict[int, _Table]]:
     leadscrew: dict[str, _Table] = {}
     cross: dict[int, _Table] = {}
     for number, line in enumerate(text.splitlines(), 1):
@@ -52,6 +61,11 @@ def _collect(name: str, text: str) -> tuple[dict[str, _Table], dict[int, _Table]
         kind, word, index, value = found.groups()
         places = [place.strip() for place in index.split(",")]
         if kind == "ENC_COMP":
+            if places[0] != str(measuring_system - 1):
+                raise SimulatorError(
+                    f"{name}, row {number}: {places[-1]} is controlled by measuring "
+                    f"system {measuring_system}; a table of the other does nothing"
+                )
             table = leadscrew.setdefault(places[-1], _Table())
         else:
             table = cross.setdefault(int(places[0]), _Table())

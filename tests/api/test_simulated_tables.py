@@ -67,6 +67,10 @@ def test_the_control_is_set_as_the_files_were_made(client, control, job, make_fi
             {"format": "heidenhain", "choices": {"backlash_reading": "difference"}},
             {"backlash_reading": "difference"},
         ),
+        (
+            {"format": "siemens-lec", "choices": {"measuring_system": "2"}},
+            {"measuring_system": 2},
+        ),
         ({"format": "isg-csv"}, {}),
     ):
         asked = {"job_id": job, "compensation_id": make_files(**order)}

@@ -329,6 +329,34 @@ M17
         SiemensLec().read({"x.ini": text.replace("=0.0 ;", "=O.O ;")}, source.machine)
 
 
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
+def test_leadscrew_tables_are_of_the_measuring_system_that_is_chosen(source, name):
+    texts = {}
+    for system, index in (("1", 0), ("2", 1)):
+        choices = {"measuring_system": system}
+        export = export_result(source, name, "c", choices=choices)
+        (text,) = (t for t in export.files.values() if "$AA_ENC_COMP[" in t)
+        lines = text.splitlines()
+        assert f"; tables of measuring system {system}: $AA_ENC_COMP[{index}," in text
+        indices = {line.partition("[")[2][0] for line in lines if line[:2] == "$A"}
+        assert indices == {str(index)}
+        assert (
+            f"of measuring system {system} ($AA_ENC_COMP[{index}, "
+            in (export.account["note"])
+        )
+        assert f"MD32700[{index}] = 0" in export.account["note"]
+        assert export.account["choices"]["measuring_system"] == system
+        read = load_format(name, choices).read(export.files, source.machine)
+        texts[system] = read(along(source, "X", np.linspace(-200, 300, 7)), 1.0)
+    np.testing.assert_array_equal(texts["1"], texts["2"])
+
+
+def test_leadscrew_tables_of_both_measuring_systems_of_an_axis_are_refused(source):
+    text = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
+    with pytest.raises(BadInput, match=r"x\.ini, row 2: X1 .* measuring system 1"):
+        SiemensLec().read({"x.ini": text}, source.machine)
+
+
 def test_a_siemens_cross_table_corrects_one_axis_by_another(source):
     text = """$AN_CEC[0,0]=0.0
 $AN_CEC[0,1]=0.03

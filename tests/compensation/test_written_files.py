@@ -40,7 +40,8 @@ RESOLUTION_MM = {"fanuc": 1.1e-3}
 def simulate(order, files, position, direction):
     """What the simulated controller adds, (n, 3)."""
     reading = "difference" if order == "heidenhain-difference" else "negative-value"
-    rules = Rules(backlash_reading=reading, tool_length_mm=100.0)
+    system = 2 if order == "siemens-system-2" else 1
+    rules = Rules(reading, tool_length_mm=100.0, measuring_system=system)
     correction = LoadedTables(files, rules).correct(SIMULATED)
     assert correction is not None
     return correction.added(position, np.full_like(position, direction))

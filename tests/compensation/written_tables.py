@@ -18,6 +18,7 @@ GOLDEN = Path(__file__).resolve().parent / "golden"
 ORDERS = {
     "linuxcnc": ("linuxcnc", {}),
     "siemens": ("siemens", {}),
+    "siemens-system-2": ("siemens", {"measuring_system": "2"}),
     "heidenhain": ("heidenhain", {}),
     "heidenhain-difference": ("heidenhain", {"backlash_reading": "difference"}),
     "fanuc": ("fanuc", {}),

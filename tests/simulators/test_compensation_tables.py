@@ -61,6 +61,15 @@ def test_a_positive_leadscrew_value_moves_the_axis_in_the_negative_direction():
     np.testing.assert_allclose(added[:, 0], [0.0, -0.005, -0.01, -0.02])
 
 
+def test_leadscrew_tables_act_on_the_measuring_system_that_is_active():
+    second = LEADSCREW.replace("[0,", "[1,")
+    added = add({"x.ini": second}, at_x(100.0), rules=Rules(measuring_system=2))
+    np.testing.assert_allclose(added[:, 0], [-0.02])
+    for text, system in ((LEADSCREW, 2), (second, 1)):
+        with pytest.raises(SimulatorError, match=f"measuring system {system}; a table"):
+            add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system=system))
+
+
 def cross_table(number, axis, out, values, step, extra=""):
     rows = [f"$AN_CEC[{number},{k}]={value}" for k, value in enumerate(values)]
     high = step * (len(values) - 1)
