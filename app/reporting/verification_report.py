@@ -26,13 +26,9 @@ from truepath.app.reporting.svg import (
 )
 from truepath.app.reporting.templating import View, render_page
 from truepath.app.results.circle_figures import FIGURES as MOVING_FIGURES
+from truepath.app.results.circles_at_standstill import CIRCLE_FIGURES, CircleFigures
 from truepath.app.results.circles_json import circles_json
-from truepath.app.results.driven_figures import (
-    CIRCLE_FIGURES,
-    LINE_FIGURES,
-    CircleFigures,
-    LineFigures,
-)
+from truepath.app.results.driven_figures import LINE_FIGURES, LineFigures
 from truepath.app.results.held_places import K
 from truepath.app.results.number_format import format_expanded, format_number
 from truepath.app.results.verification import Verification
@@ -149,9 +145,11 @@ def _state_circle(one: CircleFigures) -> list[tuple[str, ...]]:
         format_expanded(one.figures_um[name], one.uncertainty_um[name])
         for name in CIRCLE_FIGURES
     )
+    own = (format_number(one.own_um[name], 1) for name in CIRCLE_FIGURES)
     stated = (format_number(one.predicted_um[name], 1) for name in CIRCLE_FIGURES)
     return [
         (one.plane, format_number(one.radius_mm, 0), *measured),
+        ("", "noise alone", *own),
         ("", "predicted", *stated),
     ]
 

@@ -1,4 +1,4 @@
-"""What standards state of standstills on lines and circles: ISO 230-2, -4 and -6.
+"""What standards state of standstills on lines: ISO 230-2 and -6.
 
 Positions that follow one another on a straight line are a line: of one axis alone it is
 a test of ISO 230-2, of two or three in proportion a diagonal of ISO 230-6. The
@@ -10,10 +10,6 @@ deviation is that along the line, target by target, by the side that it was come
     R  largest of 2 s↑ + 2 s↓ + |B|, 4 s↑, 4 s↓       bidirectional repeatability
     A  range of all x̄ ± 2 s               bidirectional accuracy
     B  largest |x̄↑ − x̄↓|                  reversal
-
-A circle of ISO 230-4 is a polygon of standstills: of its radial deviations, G is the
-range about the circle of least squares in both senses, F the largest and smallest about
-the commanded centre. Standing still, it shows geometry and lost motion, no servo.
 """
 
 from __future__ import annotations
@@ -21,16 +17,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from truepath.app.files.units import UM_PER_MM
+from truepath.app.results.circles_at_standstill import (
+    CircleFigures,
+    evaluate_circle,
+    find_circles,
+)
 from truepath.app.results.measured_places import MeasuredPlaces
 
 _SAME_MM = 1e-3
 _FEWEST_TARGETS, _FEWEST_RUNS = 3, 2
-_FEWEST_ON_CIRCLE = 12
 LINE_FIGURES = ("A", "E", "R", "B", "M")
-CIRCLE_FIGURES = ("G", "F_max", "F_min")
 Rows = list[Int64[np.ndarray, " r"]]
 
 
@@ -62,24 +61,6 @@ class LineFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class CircleFigures:
-    """A circle in figures, µm.
-
-    plane : both axes; angle_deg, radial_um : (n,) of its places, about the commanded
-        centre; predicted_um : by name, from the result
-    """
-
-    plane: str
-    centre_mm: Float64[np.ndarray, " a"]
-    radius_mm: float
-    angle_deg: Float64[np.ndarray, " n"]
-    radial_um: Float64[np.ndarray, " n"]
-    figures_um: dict[str, float]
-    uncertainty_um: dict[str, float]
-    predicted_um: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
 class DrivenFigures:
     """Lines and circles that were measured at standstill."""
 
@@ -105,8 +86,8 @@ def evaluate_driven(
         for passed in _find_lines(position)
     ]
     circles = [
-        _evaluate_circle(position, own, values, predicted_mm[order], places)
-        for own in _find_circles(position)
+        evaluate_circle(position, own, values, predicted_mm[order], places)
+        for own in find_circles(position)
     ]
     return DrivenFigures(
         tuple(line for line in lines if line is not None), tuple(circles)
@@ -252,88 +233,4 @@ def _compute_figures(
         "R": repeatability.max(axis=0),
         "B": np.abs(reversal).max(axis=0),
         "M": mean.max(axis=0) - mean.min(axis=0),
-    }
-
-
-def _find_circles(
-    position: Float64[np.ndarray, "n a"],
-) -> list[Int64[np.ndarray, " k"]]:
-    """Return the places of each circle, in both senses: equal chords that turn."""
-    found: dict[tuple[float, ...], Rows] = {}
-    step = np.diff(position, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    turn = np.einsum("ni,ni->n", step[1:], step[:-1]) / np.maximum(
-        length[1:] * length[:-1], _SAME_MM**2
-    )
-    alike = np.abs(length[1:] - length[:-1]) < 10.0 * _SAME_MM
-    rounds: Bool[np.ndarray, " m"] = alike & (turn > 0.0) & (turn < 1.0 - 1e-6)
-    changes = np.diff(np.concatenate([[0], rounds.astype(np.int64), [0]]))
-    begins, ends = np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)
-    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
-        own: Int64[np.ndarray, " k"] = np.arange(first, last + 2)
-        _, centre_mm, radius = _fit_nominal(position[own])
-        off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
-        if len(own) >= _FEWEST_ON_CIRCLE and off.max() < 10.0 * _SAME_MM:
-            key = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
-            found[key] = [*found.get(key, []), own]
-    return [np.concatenate(both) for both in found.values()]
-
-
-def _fit_nominal(
-    position: Float64[np.ndarray, "n a"],
-) -> tuple[Int64[np.ndarray, "2"], Float64[np.ndarray, " a"], float]:
-    """Return plane, centre and radius of commanded positions on a circle."""
-    plane = np.sort(np.argsort(-np.ptp(position, axis=0))[:2])
-    flat = position[:, plane]
-    columns = np.column_stack([2.0 * flat, np.ones(len(flat))])
-    fitted = np.linalg.pinv(columns) @ (flat**2).sum(axis=1)
-    centre = position.mean(axis=0)
-    centre[plane] = fitted[:2]
-    return plane, centre, float(np.sqrt(fitted[2] + fitted[:2] @ fitted[:2]))
-
-
-def _evaluate_circle(
-    position: Float64[np.ndarray, "n a"],
-    own: Int64[np.ndarray, " k"],
-    values: Float64[np.ndarray, "n 3 e"],
-    predicted_mm: Float64[np.ndarray, "n 3"],
-    places: MeasuredPlaces,
-) -> CircleFigures:
-    plane, centre_mm, radius_mm = _fit_nominal(position[own])
-    out = (position[own] - centre_mm)[:, plane] / radius_mm
-    every = places.at.machine.axis_names
-    names = "".join(every[int(k)] for k in plane)
-    column = ["XYZ".index(name) for name in names]
-    radial = UM_PER_MM * np.einsum("ni,nie->ne", out, values[own][:, column])
-    expected = UM_PER_MM * np.einsum("ni,ni->n", out, predicted_mm[own][:, column])
-    drawn = _state_circle(radial[:, :1] + radial[:, 1:], out)
-    figures = _state_circle(radial[:, :1], out)
-    model = _state_circle(expected[:, None], out)
-    return CircleFigures(
-        names,
-        centre_mm,
-        radius_mm,
-        np.degrees(np.arctan2(out[:, 1], out[:, 0])),
-        radial[:, 0],
-        {name: float(value[0]) for name, value in figures.items()},
-        {name: float(value.std()) for name, value in drawn.items()},
-        {name: float(value[0]) for name, value in model.items()},
-    )
-
-
-def _state_circle(
-    radial: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
-) -> dict[str, Float64[np.ndarray, " e"]]:
-    # Each angle counts once, however often the circle was begun and ended there.
-    _, place, count = np.unique(
-        np.round(out, 4), axis=0, return_inverse=True, return_counts=True
-    )
-    root = np.sqrt(1.0 / count[place.ravel()])[:, None]
-    columns = np.column_stack([out, np.ones(len(out))])
-    fit = np.linalg.pinv(root * columns) @ (root * radial)
-    centred = radial - out @ fit[:2]
-    return {
-        "G": np.ptp(centred, axis=0),
-        "F_max": radial.max(axis=0),
-        "F_min": radial.min(axis=0),
     }

@@ -12,9 +12,10 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.files.verdict import verdict_json
+from truepath.app.results.circles_at_standstill import CircleFigures
 from truepath.app.results.circles_json import circles_json, state_circles
 from truepath.app.results.conformity import Conformity
-from truepath.app.results.driven_figures import CircleFigures, LineFigures
+from truepath.app.results.driven_figures import LineFigures
 from truepath.app.results.held_places import K, PlaceVectors
 from truepath.app.results.length_statistics import LengthStatistics
 from truepath.app.results.number_format import format_number
@@ -307,6 +308,7 @@ def _circle_json(one: CircleFigures) -> dict[str, Any]:
         "radial_um": one.radial_um.tolist(),
         "figures_um": one.figures_um,
         "uncertainty_um": one.uncertainty_um,
+        "by_the_noise_alone_um": one.own_um,
         "predicted_um": one.predicted_um,
         "driven": "standstills on a polygon, in the senses that were commanded",
     }

@@ -74,11 +74,16 @@ def test_scattered_points_are_no_line(mill, rng):
     assert found.circles == ()
 
 
-def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
+def circle_in_both_senses():
+    """Return outward directions of a polygon of 24 standstills, and positions on it."""
     angle = np.linspace(0.0, 2.0 * np.pi, 25)
     angle = np.concatenate([angle, angle[::-1]])
     out = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    position = np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
+    return out, np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
+
+
+def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
+    out, position = circle_in_both_senses()
     deviation = np.zeros_like(position)
     deviation[:, 0] = 4e-3 * out[:, 0]  # X 40 µm a metre too long
     found = evaluate(mill, position, deviation, rng)
@@ -89,3 +94,45 @@ def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
     assert circle.figures_um["G"] == pytest.approx(4.0, abs=0.05)
     assert circle.figures_um["F_max"] == pytest.approx(4.0, abs=0.01)
     assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
+
+
+SHAPES_UM = {  # radial, by the outward direction of a place and its sense
+    "an exact circle": lambda out, sense: 0.0 * sense,
+    "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
+    "a small ellipse": lambda out, sense: 0.5 * out[:, 0] ** 2,
+    "lost motion": lambda out, sense: 1.5 * sense * np.sign(out[:, 1]),
+    "a place that is off": lambda out, sense: np.where(out[:, 1] > 0.999, 8.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("shape", SHAPES_UM)
+def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
+    mill, rng, shape, noise_um
+):
+    out, position = circle_in_both_senses()
+    sense = np.repeat([1.0, -1.0], len(out) // 2)
+    radial_um = SHAPES_UM[shape](out, sense)
+    true_mm = 1e-3 * radial_um[:, None] * out
+    exact = evaluate(mill, position, true_mm, rng).circles[0].figures_um
+    noise_mm = 1e-3 * noise_um * rng.standard_normal((*out.shape, 300))
+    places = places_at(mill, position)
+    nothing, held = np.zeros_like(out), dict.fromkeys(exact, 0)
+    trials = 80
+    for _ in range(trials):
+        measured_mm = true_mm + 1e-3 * noise_um * rng.standard_normal(out.shape)
+        (found,) = evaluate_driven(places, measured_mm, nothing, noise_mm).circles
+        for name, value in found.figures_um.items():
+            held[name] += abs(value - exact[name]) <= 2.0 * found.uncertainty_um[name]
+    assert min(held.values()) >= 0.95 * trials
+
+
+def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertainty(
+    mill, rng
+):
+    out, position = circle_in_both_senses()
+    still = 1e-3 * rng.standard_normal(out.shape)
+    (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).circles
+    assert 3.0 < found.own_um["G"] < 6.0
+    assert 0.0 <= found.figures_um["G"] <= 2.0 * found.uncertainty_um["G"]
+    assert found.figures_um["G"] < found.own_um["G"]

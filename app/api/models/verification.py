@@ -86,8 +86,15 @@ class CircleOut(BaseModel):
     radius_mm: float
     angle_deg: list[float]
     radial_um: list[float]
-    figures_um: Numbers = Field(description="G, F_max and F_min.")
+    figures_um: Numbers = Field(
+        description="G, F_max and F_min, each the middle of the interval that noise "
+        "leaves for it."
+    )
     uncertainty_um: Numbers
+    by_the_noise_alone_um: Numbers = Field(
+        default_factory=dict[str, float],
+        description="Verifications of earlier versions do not have it.",
+    )
     predicted_um: Numbers
     driven: str = Field(description="How it was, in words.")
 

@@ -1,0 +1,180 @@
+"""Circles of ISO 230-4 as polygons of standstills, in figures that noise is part of.
+
+Of the radial deviations, G is the range about the circle of least squares in both
+senses, F the largest and smallest about the commanded centre. Standing still, they show
+geometry and lost motion, no servo.
+
+Noise makes a range larger: of an exact machine it makes all of it. Each figure f is the
+largest of many linear combinations a·m of the radial deviations m = t + e, so that
+whatever the true t,
+
+    f(m) − f(e) ≤ f(t) ≤ f(m) − a·e    with the a that is largest at t
+
+The interval from f(m) less the 99 % quantile of f(e) to f(m) plus 1.96 times the
+largest standard deviation of any a·e holds the true figure in 95 % of cases or more,
+with some hundreds of draws of e as well. Its middle is stated, with half of it as
+expanded uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.special import ndtri
+
+from truepath.app.files.units import UM_PER_MM
+from truepath.app.results.held_places import K
+from truepath.app.results.measured_places import MeasuredPlaces
+
+CIRCLE_FIGURES = ("G", "F_max", "F_min")
+_SAME_MM = 1e-3
+_FEWEST = 12
+_BY_NOISE = 0.99
+_SIDE = float(ndtri(0.975))
+
+
+@dataclass(frozen=True, slots=True)
+class CircleFigures:
+    """A circle in figures, µm.
+
+    plane : both axes; angle_deg, radial_um : (n,) of its places, about the commanded
+        centre
+    figures, uncertainty_um : by name, k = 1; own_um : what noise alone would make of
+        each figure
+    predicted_um : by name, from the result
+    """
+
+    plane: str
+    centre_mm: Float64[np.ndarray, " a"]
+    radius_mm: float
+    angle_deg: Float64[np.ndarray, " n"]
+    radial_um: Float64[np.ndarray, " n"]
+    figures_um: dict[str, float]
+    uncertainty_um: dict[str, float]
+    own_um: dict[str, float]
+    predicted_um: dict[str, float]
+
+
+def find_circles(
+    position: Float64[np.ndarray, "n a"],
+) -> list[Int64[np.ndarray, " k"]]:
+    """Return the places of each circle, in both senses: equal chords that turn."""
+    found: dict[tuple[float, ...], list[Int64[np.ndarray, " k"]]] = {}
+    step = np.diff(position, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    turn = np.einsum("ni,ni->n", step[1:], step[:-1]) / np.maximum(
+        length[1:] * length[:-1], _SAME_MM**2
+    )
+    alike = np.abs(length[1:] - length[:-1]) < 10.0 * _SAME_MM
+    rounds: Bool[np.ndarray, " m"] = alike & (turn > 0.0) & (turn < 1.0 - 1e-6)
+    changes = np.diff(np.concatenate([[0], rounds.astype(np.int64), [0]]))
+    begins, ends = np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)
+    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
+        own: Int64[np.ndarray, " k"] = np.arange(first, last + 2)
+        _, centre_mm, radius = _fit_nominal(position[own])
+        off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
+        if len(own) >= _FEWEST and off.max() < 10.0 * _SAME_MM:
+            key = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
+            found[key] = [*found.get(key, []), own]
+    return [np.concatenate(both) for both in found.values()]
+
+
+def evaluate_circle(
+    position: Float64[np.ndarray, "n a"],
+    own: Int64[np.ndarray, " k"],
+    values: Float64[np.ndarray, "n 3 e"],
+    predicted_mm: Float64[np.ndarray, "n 3"],
+    places: MeasuredPlaces,
+) -> CircleFigures:
+    """Return the figures of the circle that places lie on.
+
+    own : which of n places; values : the first as measured, the others of noise alone
+    """
+    plane, centre_mm, radius_mm = _fit_nominal(position[own])
+    out = (position[own] - centre_mm)[:, plane] / radius_mm
+    every = places.at.machine.axis_names
+    names = "".join(every[int(k)] for k in plane)
+    column = ["XYZ".index(name) for name in names]
+    radial = UM_PER_MM * np.einsum("ni,nie->ne", out, values[own][:, column])
+    expected = UM_PER_MM * np.einsum("ni,ni->n", out, predicted_mm[own][:, column])
+    raw, noise = _compute_figures(radial[:, :1], out), radial[:, 1:]
+    by_noise = _compute_figures(noise, out)
+    largest = _find_largest_sigma(noise, out)
+    model = _compute_figures(expected[:, None], out)
+    stated = {
+        name: _enclose(name, float(raw[name][0]), by_noise[name], largest[name])
+        for name in CIRCLE_FIGURES
+    }
+    return CircleFigures(
+        names,
+        centre_mm,
+        radius_mm,
+        np.degrees(np.arctan2(out[:, 1], out[:, 0])),
+        radial[:, 0],
+        {name: value for name, (value, _) in stated.items()},
+        {name: uncertainty for name, (_, uncertainty) in stated.items()},
+        {name: float(one.mean()) for name, one in by_noise.items()},
+        {name: float(value[0]) for name, value in model.items()},
+    )
+
+
+def _enclose(
+    name: str, raw: float, by_noise: Float64[np.ndarray, " e"], largest_sigma: float
+) -> tuple[float, float]:
+    """Return the middle of the interval of a figure, and a quarter of its width."""
+    sign = -1.0 if name == "F_min" else 1.0  # a smallest is less the largest of −m
+    more = float(np.quantile(sign * by_noise, _BY_NOISE))
+    less = _SIDE * largest_sigma
+    value = raw - sign * 0.5 * (more - less)
+    # A range below 0 is 0: the interval about it still reaches as far up.
+    return value if name[0] == "F" else max(value, 0.0), 0.5 * (more + less) / K
+
+
+def _find_largest_sigma(
+    noise: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
+) -> dict[str, float]:
+    """Return the largest standard deviation of what a figure may be the largest of."""
+    single = float(noise.std(axis=1).max())
+    apart = np.cov(_centre(noise, out))
+    own = np.diag(apart)
+    pair = float(np.max(own[:, None] + own - 2.0 * apart))
+    return {"G": max(pair, 0.0) ** 0.5, "F_max": single, "F_min": single}
+
+
+def _compute_figures(
+    radial: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
+) -> dict[str, Float64[np.ndarray, " e"]]:
+    return {
+        "G": np.ptp(_centre(radial, out), axis=0),
+        "F_max": radial.max(axis=0),
+        "F_min": radial.min(axis=0),
+    }
+
+
+def _centre(
+    radial: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
+) -> Float64[np.ndarray, "n e"]:
+    """Return radial deviations about the centre of the circle of least squares."""
+    # Each angle counts once, however often the circle was begun and ended there.
+    _, place, count = np.unique(
+        np.round(out, 4), axis=0, return_inverse=True, return_counts=True
+    )
+    root = np.sqrt(1.0 / count[place.ravel()])[:, None]
+    columns = np.column_stack([out, np.ones(len(out))])
+    fit = np.linalg.pinv(root * columns) @ (root * radial)
+    return radial - out @ fit[:2]
+
+
+def _fit_nominal(
+    position: Float64[np.ndarray, "n a"],
+) -> tuple[Int64[np.ndarray, "2"], Float64[np.ndarray, " a"], float]:
+    """Return plane, centre and radius of commanded positions on a circle."""
+    plane = np.sort(np.argsort(-np.ptp(position, axis=0))[:2])
+    flat = position[:, plane]
+    columns = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    fitted = np.linalg.pinv(columns) @ (flat**2).sum(axis=1)
+    centre = position.mean(axis=0)
+    centre[plane] = fitted[:2]
+    return plane, centre, float(np.sqrt(fitted[2] + fitted[:2] @ fitted[:2]))
