@@ -39,6 +39,7 @@ from truepath.app.api import (
     runs,
     session,
     simulated_tables,
+    stopping,
     users,
 )
 from truepath.app.api.access_control import AccessControl
@@ -140,7 +141,7 @@ def _api() -> APIRouter:
         jobs.router,
         arming.router,
         results.router,
-        jobs.stop,
+        stopping.router,
         plans.of_jobs,
         certificates.router,
         comparisons.router,

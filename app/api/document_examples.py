@@ -10,7 +10,7 @@ import json
 from importlib.resources import files
 from typing import Any
 
-from truepath.app.api.jobs import describe_job
+from truepath.app.api.job_description import describe_job
 from truepath.app.api.models.base import JOB_ID, OTHER_ID
 from truepath.app.jobs.job import Job, JobKind, Progress, Stage
 from truepath.app.jobs.transitions import State

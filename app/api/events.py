@@ -23,7 +23,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
 from truepath.app.api.access_control import read_token
-from truepath.app.api.jobs import describe_job
+from truepath.app.api.job_description import describe_job
 from truepath.app.api.models.base import JobId
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep

@@ -2,66 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import asdict, replace
 from functools import partial
 from typing import Annotated, Literal
 
-from anyio import CapacityLimiter, move_on_after
-from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.app.api.access_control import (
-    note_change,
-    note_deletion,
-    note_naming,
-    read_token,
-)
+from truepath.app.api.access_control import note_change, note_deletion, note_naming
+from truepath.app.api.job_description import describe_job
 from truepath.app.api.models.arming import ArmRequest
-from truepath.app.api.models.base import (
-    PREFIX,
-    JobId,
-    MachineId,
-    MachinePath,
-    Problem,
-    Time,
-)
-from truepath.app.api.models.job import (
-    DiscoveryLinks,
-    JobLinks,
-    JobOut,
-    JobPage,
-    MachineStop,
-    ReanalysisLinks,
-    ResultLinks,
-    Stopped,
-    TrendLinks,
-    VerificationLinks,
-)
+from truepath.app.api.models.base import PREFIX, JobId, MachineId, Time
+from truepath.app.api.models.job import JobOut, JobPage
 from truepath.app.api.models.job_request import JobRequest
 from truepath.app.api.models.naming import JobNaming, Name
 from truepath.app.api.models.plan import PlanOut
 from truepath.app.api.paging import PagingDep
-from truepath.app.api.problems import declare_problems, describe_failure
+from truepath.app.api.problems import declare_problems
 from truepath.app.api.request_headers import (
     IdempotencyKeyHeader,
     Version,
     format_etag,
     make_key,
 )
-from truepath.app.api.route_roles import LEAST_ROLES
-from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.service import ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.api.thread_pools import STOPPING, on_threads
-from truepath.app.errors import NotFound, TruepathError
-from truepath.app.jobs.conditions import Level
+from truepath.app.errors import NotFound
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.machine_cells import MachineCell
-from truepath.app.jobs.resumability import find_way_to_result, may_be_acknowledged
-from truepath.app.jobs.transitions import State, Verb
+from truepath.app.jobs.transitions import State
 
 _WHEN = ["2026-01-31T08:00:00Z"]
 NamePart = Annotated[
@@ -82,16 +51,6 @@ Until = Annotated[
 ]
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
-stop = APIRouter(tags=["jobs"])
-
-_ROUTED = frozenset(
-    verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
-)
-
-_LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
-
-_LOOKING_UP = CapacityLimiter(8)
-_LOOK_UP_S = 1.0  # of whoever stops
 
 
 @router.post("", status_code=202, responses=declare_problems(404, 409, 422))
@@ -270,26 +229,6 @@ def abort_job(job_id: JobId, response: Response, service: ServiceDep) -> JobOut:
     return _describe(service.dispatcher.abort(job_id), response)
 
 
-@stop.post("/stop", status_code=202)
-async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
-    """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
-    jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
-    stopped = _describe_stop(jobs, service.machines.list_all())
-    return await _hide_from_strangers(stopped, request, service)
-
-
-@stop.post(
-    "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
-)
-async def stop_machine(
-    machine_id: MachinePath, request: Request, service: ServiceDep
-) -> Stopped:
-    """Stop one machine and end its job. Needs nothing, is refused for no reason."""
-    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
-    stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
-    return await _hide_from_strangers(stopped, request, service)
-
-
 @router.get("/{job_id}/plan", responses=declare_problems(404))
 def get_job_plan(job_id: JobId, service: ServiceDep) -> PlanOut:
     """Return what the job commands, or what the Run it analyses was commanded."""
@@ -302,72 +241,6 @@ def get_job_plan(job_id: JobId, service: ServiceDep) -> PlanOut:
     return PlanOut(**{**plan, "target_um": job.target_um})
 
 
-def describe_job(job: Job) -> JobOut:
-    """Return a job as clients see it."""
-    content, failure = asdict(job), job.failure
-    at = f"{PREFIX}/jobs/{job.id}"
-    links = JobLinks.of(id=job.id, run_id=job.run_id)
-    links.verbs = {v: f"{at}/{v}" for v in job.allowed_verbs if v in _ROUTED}
-    if not may_be_acknowledged(job):
-        links.verbs.pop(Verb.ACKNOWLEDGE, None)
-    if failure and (way := find_way_to_result(job)):
-        failure = replace(failure, action=way)
-    content["progress"]["stage"] = job.stage
-    if job.early_end:
-        content["early_end"]["reason"] = "target-reached"
-    return JobOut(
-        **content,
-        run_ids=list(job.run_ids),
-        result=ResultLinks.of(id=job.id) if job.has_result else None,
-        discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
-        trend=TrendLinks.of(id=job.id) if job.has_trend else None,
-        reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
-        verification=VerificationLinks.of(id=job.id) if job.has_verification else None,
-        error=Problem(**describe_failure(failure)) if failure else None,
-        links=links,
-    )
-
-
 def _describe(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = format_etag(job)
     return describe_job(job)
-
-
-async def _hide_from_strangers(
-    stopped: Stopped, request: Request, service: Service
-) -> Stopped:
-    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
-
-    Looked up after the stop and not for long: neither waits for the catalogue.
-    """
-    if not service.access.rules.log_in_required:
-        return stopped
-    with move_on_after(_LOOK_UP_S), suppress(TruepathError):
-        known = await run_sync(
-            service.access.identify,
-            read_token(request.scope),
-            abandon_on_cancel=True,
-            limiter=_LOOKING_UP,
-        )
-        if known is not None:
-            return stopped
-    return stopped.model_copy(update={"jobs": []})
-
-
-def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
-    """Return what was stopped, and what the controllers say of themselves.
-
-    What one has said before its job has ended tells nothing of the stop.
-    """
-    ending = {job.machine for job in jobs}
-    stands = {
-        one.id: None if one.id in ending else one.cell.read_standstill()
-        for one in machines
-    }
-    return Stopped(
-        jobs=[describe_job(job) for job in jobs],
-        machines=[
-            MachineStop(machine=name, stopped=_LEVELS[known])
-            for name, known in stands.items()
-        ],
-    )

@@ -7,7 +7,7 @@ import re
 import pytest
 from described_answers import list_errors, read_document, resolve
 
-from truepath.app.api.jobs import describe_job
+from truepath.app.api.job_description import describe_job
 from truepath.app.api.route_roles import LEAST_ROLES
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.transitions import VERB_TRANSITIONS, State, Verb

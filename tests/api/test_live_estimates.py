@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.api.jobs import describe_job
+from truepath.app.api.job_description import describe_job
 from truepath.app.jobs.job import decode_job
 
 

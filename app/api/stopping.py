@@ -1,0 +1,89 @@
+"""Stop all motion, or that of one machine: open to everybody, never refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from anyio import CapacityLimiter, move_on_after
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Request
+
+from truepath.app.api.access_control import read_token
+from truepath.app.api.job_description import describe_job
+from truepath.app.api.models.base import MachinePath
+from truepath.app.api.models.job import MachineStop, Stopped
+from truepath.app.api.problems import declare_problems
+from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.thread_pools import STOPPING
+from truepath.app.errors import TruepathError
+from truepath.app.jobs.conditions import Level
+from truepath.app.jobs.job import Job
+from truepath.app.jobs.machine_cells import MachineCell
+
+router = APIRouter(tags=["jobs"])
+
+_LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
+
+_LOOKING_UP = CapacityLimiter(8)
+_LOOK_UP_S = 1.0  # of whoever stops
+
+
+@router.post("/stop", status_code=202)
+async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
+    """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
+    jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
+    stopped = _describe_stop(jobs, service.machines.list_all())
+    return await _hide_from_strangers(stopped, request, service)
+
+
+@router.post(
+    "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
+)
+async def stop_machine(
+    machine_id: MachinePath, request: Request, service: ServiceDep
+) -> Stopped:
+    """Stop one machine and end its job. Needs nothing, is refused for no reason."""
+    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
+    stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
+    return await _hide_from_strangers(stopped, request, service)
+
+
+async def _hide_from_strangers(
+    stopped: Stopped, request: Request, service: Service
+) -> Stopped:
+    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
+
+    Looked up after the stop and not for long: neither waits for the catalogue.
+    """
+    if not service.access.rules.log_in_required:
+        return stopped
+    with move_on_after(_LOOK_UP_S), suppress(TruepathError):
+        known = await run_sync(
+            service.access.identify,
+            read_token(request.scope),
+            abandon_on_cancel=True,
+            limiter=_LOOKING_UP,
+        )
+        if known is not None:
+            return stopped
+    return stopped.model_copy(update={"jobs": []})
+
+
+def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
+    """Return what was stopped, and what the controllers say of themselves.
+
+    What one has said before its job has ended tells nothing of the stop.
+    """
+    ending = {job.machine for job in jobs}
+    stands = {
+        one.id: None if one.id in ending else one.cell.read_standstill()
+        for one in machines
+    }
+    return Stopped(
+        jobs=[describe_job(job) for job in jobs],
+        machines=[
+            MachineStop(machine=name, stopped=_LEVELS[known])
+            for name, known in stands.items()
+        ],
+    )
