@@ -17,6 +17,7 @@ from truepath.app.compensation.error_over_axes import measure_over_axes
 from truepath.app.compensation.format import AxisTable, CompensationFormat
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.length_reference import (
+    describe_lengths,
     find_measured_degc,
     state_lengths,
 )
@@ -186,11 +187,7 @@ def export_result(
         "note": kind.note,
         "temperature": temperature and _state_temperature(temperature, kind),
         "effects": list(evaluate_effects(errors, made, correction)),
-        "lengths": state_lengths(
-            (temperature.at_degc, temperature.at_degc)
-            if temperature
-            else find_measured_degc(errors.result.provenance)
-        ),
+        "lengths": state_lengths(_find_length_degc(errors, temperature)),
     }
     return Export(files, account)
 
@@ -283,6 +280,7 @@ def _write_stamp(
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
         celsius,
+        describe_lengths(_find_length_degc(errors, temperature)),
         f"valid over {', '.join(ranges)}",
         f"units {kind.units}; directions of travel: {kind.directions}",
         f"carries {kind.carries}",
@@ -292,6 +290,15 @@ def _write_stamp(
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
+
+
+def _find_length_degc(
+    errors: ErrorMap, temperature: StatedTemperature | None
+) -> tuple[float, float] | None:
+    """Return the temperatures of the machine that lengths of the files hold at."""
+    if temperature:
+        return temperature.at_degc, temperature.at_degc
+    return find_measured_degc(errors.result.provenance)
 
 
 def _state_temperature(

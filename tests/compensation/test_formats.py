@@ -248,16 +248,17 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
 
 @every_format
 def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
-    files = export_result(source, name, "comp").files
+    export = export_result(source, name, "comp")
+    files, lengths = export.files, export.account["lengths"]["text"]
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
     commented = name in ("isg-csv", "etalon-exchange", *SIEMENS, *PLAIN)
-    said = all("target offset" in text for text in files.values())
-    assert said == commented
+    for line in ("target offset", lengths):
+        assert all(line in text for text in files.values()) == commented
     if commented:
         (text, *_) = files.values()
         kind = load_format(name)
         assert f"units {kind.units}; directions of travel: {kind.directions}" in text
-        assert "mm" in export_result(source, name, "comp").account["units"]
+        assert "mm" in export.account["units"]
 
 
 @every_format

@@ -34,12 +34,16 @@ def test_else_the_warning_says_by_how_much_steel_is_off():
     assert "not known" in (warn_of_lengths(None) or "")
 
 
-def test_the_account_says_it_and_no_number_changes(loaded):
+def test_account_and_comments_say_it_and_no_number_changes(loaded):
     provenance = {"temperature_degC": {"X": [23.0, 23.4]}}
-    warm, unknown = (
-        export_result(map_errors(replace(loaded, provenance=one)), "csv", "c").account
+    exports = [
+        export_result(map_errors(replace(loaded, provenance=one)), "csv", "c")
         for one in (provenance, {})
-    )
+    ]
+    for export in exports:
+        said = f"# {export.account['lengths']['text']}"
+        assert said in export.files["c.csv"].splitlines()
+    warm, unknown = (export.account for export in exports)
     lengths = warm["lengths"]
     assert lengths["measured_degC"] == [23.0, 23.4]
     assert "23.0 to 23.4 degC, not normalised to 20 degC" in lengths["text"]

@@ -109,6 +109,8 @@ def test_plain_tables_have_the_change_of_each_row(model_file, tmp_path):
         file = tmp_path / f"at{celsius:g}.csv"
         export_files(model_file, "csv", file, at_temperature_degc=celsius)
         lines = file.read_text(encoding="ascii").splitlines()
+        said = f"# lengths at the machine's own temperature, {celsius:.1f} degC, not"
+        assert any(line.startswith(said) for line in lines)
         texts[celsius] = [*csv.DictReader(x for x in lines if not x.startswith("#"))]
     pairs = list(zip(texts[20.0], texts[24.0], strict=True))
     assert len(pairs) > 100
