@@ -25,10 +25,8 @@ from truepath.app.kinematics.machine import Machine, Target, position_unit
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.app.motion.travel import check_travel
-from truepath.app.motion.workspace import Workspace
+from truepath.app.motion.workspace import REPLAN, Workspace
 from truepath.drivers.interfaces.records import Path
-
-_REPLAN = "plan other lines, or correct the workspace"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +88,7 @@ def judge_path(
         for number, (before, after) in enumerate(pairwise(parts), start=2):
             begin, end = before.position[-1], after.position[0]
             clear.refuse_way(
-                machine, begin, end, f"the way on to part {number}", _REPLAN
+                machine, begin, end, f"the way on to part {number}", REPLAN
             )
     except OutOfTravel as error:
         return Finding(Level.FALSE, "out-of-travel", str(error))

@@ -12,10 +12,15 @@ from truepath.app.errors import (
     NotUsable,
     PlanningError,
 )
-from truepath.app.files.commanded_file import encode_commanded_json
+from truepath.app.files.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
 from truepath.app.files.runs_in_time import order_in_time
+from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
+from truepath.app.jobs.keep_out import KEEP_OUT_REMEDY, add_workspace
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.measurable_rows import command_measurable_rows
 from truepath.app.jobs.plan_orders import (
@@ -55,7 +60,8 @@ class RequestedJob:
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
         reanalysis `since`, where it names no Runs; of a verification
-        `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`
+        `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`; of that and of
+        extra lines `keep_out`, as `add_workspace` reads it
     on_notice : what is done where the live estimate notices a change
     control_compensation : `on` or `off`, which the control has to say; None for either
     machine : that is measured or planned for; without it the only one, or that of
@@ -273,8 +279,12 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Js
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
     model_id = context.store.read_plan_request(job.id).get("model_id")
     rows = plan_extra_lines(machine, context.results / job.id, job.id)
+    order = {**(request.plan_request or {}), "model_id": model_id}
+    order = add_workspace(order, job, context)
+    workspace = workspace_from_json(order.get("workspace") or {})
+    workspace.refuse(machine, decode_commanded_json(rows), KEEP_OUT_REMEDY)
     extra = Job(JobKind.MEASURE_EXTRA, further_run_ids=job.run_ids)
-    return extra, {**rows, "request": {"model_id": model_id}}
+    return extra, {**rows, "request": order}
 
 
 def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
@@ -290,8 +300,11 @@ def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job
         wish = request.control_compensation
         require_compensation(order["compensation_id"], job, wish, context)
     kinds = [VerificationKind(kind) for kind in order["what"]]
-    rows = make_verification_rows(machine, kinds, order["seed"])
+    order = add_workspace(order, job, context)
+    workspace = workspace_from_json(order.get("workspace") or {})
+    rows = make_verification_rows(machine, kinds, order["seed"], workspace)
     check_travel(machine, rows)
+    workspace.refuse(machine, rows, KEEP_OUT_REMEDY)
     require_arcs(rows, context)
     new = Job(JobKind.VERIFY)
     return new, {**encode_commanded_json(rows), "request": order}

@@ -8,19 +8,20 @@ is drawn follows from a seed, so that a plan can be made again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.errors import BadInput
+from truepath.app.errors import BadInput, PlanningError
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.circle_path import make_circle_path
 from truepath.app.motion.configurations import Commanded, Configurations
 from truepath.app.motion.motion_times import find_short_order
 from truepath.app.motion.travel import DECIMALS, add_resting_axes, inner_travel
 from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.workspace import moving_targets
+from truepath.app.motion.workspace import Workspace, moving_targets
 
 DWELL_S = 1.0
 RANDOM_POINTS = 30
@@ -30,20 +31,29 @@ _FEWEST_TARGETS, _TARGETS_PER_M = 5, 5.0
 _OVERRUN = 0.02  # of the travel, beyond the outer targets
 _VERTICES = 24
 _RADIUS = 0.4  # of the shorter travel of a plane
+_DRAWS = 1_000  # until a place is taken for full
+_FORBIDDEN_MM = 1e9
+_ANYWHERE = Workspace()
 
 Limits = Float64[np.ndarray, " a"]
 Rows = Float64[np.ndarray, "n a"]
 
 
 def make_verification_rows(
-    machine: Machine, kinds: Sequence[VerificationKind], seed: int
+    machine: Machine,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    workspace: Workspace = _ANYWHERE,
 ) -> Commanded:
     """Return the points of the kinds, or the path of circles in motion.
 
-    Raises BadInput where a path is asked for together with points.
+    workspace : which only random points keep to
+
+    Raises BadInput where a path is asked for together with points, PlanningError where
+    the workspace leaves no room for random points.
     """
     if VerificationKind.CIRCLES_IN_MOTION not in kinds:
-        return make_verification_points(machine, kinds, seed)
+        return make_verification_points(machine, kinds, seed, workspace)
     if len(set(kinds)) > 1:
         raise BadInput(
             "circles-in-motion are a path and the other kinds are standstills, which "
@@ -53,18 +63,24 @@ def make_verification_rows(
 
 
 def make_verification_points(
-    machine: Machine, kinds: Sequence[VerificationKind], seed: int
+    machine: Machine,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    workspace: Workspace = _ANYWHERE,
 ) -> Configurations:
     """Return points of the kinds, one kind after another.
 
     Rotary axes stand, but at random points. Of several targets the first that moves is
-    measured.
+    measured. Random points keep to the workspace, and their order to it as far as one
+    is found; all other points lie where their standard wants them.
+
+    Raises PlanningError where the workspace leaves no room for random points.
     """
     rng = np.random.default_rng(seed)
     low, high = inner_travel(machine)
     makers = {
         VerificationKind.DIAGONALS: _list_diagonals,
-        VerificationKind.RANDOM_POINTS: _draw_points,
+        VerificationKind.RANDOM_POINTS: partial(_draw_points, workspace),
         VerificationKind.BIDIRECTIONAL: _run_axes,
         VerificationKind.CIRCLES: _list_circles,
     }
@@ -108,13 +124,32 @@ def _list_diagonals(
 
 
 def _draw_points(
-    machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
+    workspace: Workspace,
+    machine: Machine,
+    low: Limits,
+    high: Limits,
+    rng: np.random.Generator,
 ) -> Rows:
-    """Return random points of all axes, in an order of short moves."""
-    del machine
-    points = rng.uniform(low, high, (RANDOM_POINTS, len(low)))
+    """Return random points of all axes, in an order of short moves that are allowed."""
+    points = np.empty((0, len(low)))
+    for _ in range(_DRAWS):
+        drawn = rng.uniform(low, high, (RANDOM_POINTS, len(low)))
+        points = np.vstack([points, drawn[workspace.allows(machine, drawn, drawn)]])
+        if len(points) >= RANDOM_POINTS:
+            break
+    else:
+        raise PlanningError(
+            f"the workspace leaves room for {len(points)} of {RANDOM_POINTS} random "
+            "points; correct the workspace, or ask for other points"
+        )
+    points = points[:RANDOM_POINTS]
+    begin, end = (
+        np.repeat(points, RANDOM_POINTS, 0),
+        np.tile(points, (RANDOM_POINTS, 1)),
+    )
+    free = workspace.allows(machine, begin, end).reshape(RANDOM_POINTS, RANDOM_POINTS)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
-    return points[find_short_order(apart)]
+    return points[find_short_order(np.where(free, apart, _FORBIDDEN_MM))]
 
 
 def _run_axes(

@@ -30,6 +30,8 @@ from truepath.app.motion.line_of_sight import (
 from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.records import Path
 
+REPLAN = "plan other lines, or correct the workspace"
+
 
 @dataclass(frozen=True, slots=True)
 class StationAreas:
@@ -89,7 +91,9 @@ class Workspace:
             ok &= ~breaks
         return ok
 
-    def refuse(self, machine: Machine, commanded: Commanded) -> None:
+    def refuse(
+        self, machine: Machine, commanded: Commanded, remedy: str = REPLAN
+    ) -> None:
         """Raise PlanningError if a motion of the plan breaks it; names row and reason.
 
         Rows are counted from 1; a single row is a place to stand at.
@@ -103,7 +107,6 @@ class Workspace:
         if bad.any():
             index = int(np.argmax(bad))
             way = f"the way to row {row[index + (len(position) > 1)] + 1}"
-            remedy = "plan other lines, or correct the workspace"
             self.refuse_way(machine, begin[index], end[index], way, remedy)
 
     def refuse_way(

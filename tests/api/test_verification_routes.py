@@ -88,9 +88,24 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
     assert "this control does not drive arcs" in said["detail"]
 
 
+def test_no_point_and_no_way_of_a_verification_touches_a_box(
+    client, ask, is_problem, service
+):
+    box = {"name": "vice", "min_mm": [0, 0, 0], "max_mm": [200, 150, 120]}
+    said = is_problem(ask(what=["diagonals"], keep_out=[box]), 422, "plan")
+    assert "the way to row 2 enters the keep-out box vice" in said["detail"]
+    at = ask(what=["random-points"], seed=4, keep_out=[box]).headers["Location"]
+    wait_until(lambda: client.get(at).json()["state"] == "ready")
+    plan = client.get(f"{at}/plan").json()
+    inside = [all(0 <= v <= 150 for v in row[:3]) for row in plan["position"]]
+    assert not any(inside)
+    client.post(f"{at}/abort")
+
+
 @pytest.mark.parametrize(
     ("change", "status", "kind"),
     [
+        ({"keep_out": [{"min_mm": [0, 0, 9], "max_mm": [9, 9, 9]}]}, 422, "validation"),
         ({"what": ["spirals"]}, 422, "validation"),
         ({"what": ["circles", "circles"]}, 422, "validation"),
         ({"run_id": "0" * 8}, 422, "validation"),

@@ -26,6 +26,10 @@ ROWS = [
 ]
 
 
+VICE = {"name": "vice", "min_mm": [200, 0, 0], "max_mm": [300, 50, 50]}
+DOOR = {"name": "door", "min_mm": [200, 200, 200], "max_mm": [300, 300, 300]}
+
+
 @pytest.fixture
 def explorer():
     asking = Explorer()
@@ -75,8 +79,9 @@ def run(context, machine, tmp_path):
 def discover(asking, run, until):
     """Discover in the Run and wait for the end."""
 
-    def done(**more):
-        job, _ = asking.create(RequestedJob(JobKind.DISCOVER, [run.id], **more))
+    def done(*run_ids, **more):
+        of = run_ids or [run.id]
+        job, _ = asking.create(RequestedJob(JobKind.DISCOVER, of, **more))
         return until(job, State.SUCCEEDED)
 
     return done
@@ -86,8 +91,10 @@ def discover(asking, run, until):
 def drive(asking, until, make_cell):
     """Drive the extra lines of a discovery to the end."""
 
-    def done(discovery):
-        request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discovery.id)
+    def done(discovery, **order):
+        request = RequestedJob(
+            JobKind.MEASURE_EXTRA, discovery_id=discovery.id, plan_request=order
+        )
         job = until(asking.create(request)[0], State.READY)
         make_cell.cell.begun.clear()
         arm_at_once(asking, job.id, job.version)
@@ -226,3 +233,40 @@ def test_lines_that_leave_the_travel_are_refused(asking, discover, explorer):
     request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(OutOfTravel, match="row 2: X = 501"):
         asking.create(request)
+
+
+def test_lines_through_a_stated_box_are_refused(asking, discover):
+    request = RequestedJob(
+        JobKind.MEASURE_EXTRA,
+        discovery_id=discover().id,
+        plan_request={"keep_out": [DOOR, VICE]},
+    )
+    with pytest.raises(PlanningError, match=r"way to row 2 enters .* vice; .*keep_out"):
+        asking.create(request)
+
+
+def test_lines_keep_clear_of_the_boxes_of_the_runs_that_they_are_to_explain(
+    asking, discover, drive, explorer, context
+):
+    before = drive(discover(), keep_out=[DOOR])
+    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
+    found = discover(before.run_id)
+    request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=found.id)
+    with pytest.raises(PlanningError, match="enters the keep-out box door"):
+        asking.create(request)
+    none = replace(request, plan_request={"keep_out": []})
+    job, _ = asking.create(none)
+    asking.abort(job.id)
+    assert "workspace" not in context.store.read_plan_request(job.id)
+
+
+def test_the_way_to_extra_lines_is_held_against_the_same_boxes(
+    asking, discover, until, context
+):
+    order = {"keep_out": [DOOR]}
+    request = RequestedJob(
+        JobKind.MEASURE_EXTRA, discovery_id=discover().id, plan_request=order
+    )
+    job = until(asking.create(request)[0], State.READY)
+    assert context.store.read_plan_request(job.id)["workspace"] == order
+    asking.abort(job.id)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from truepath.app.errors import BadInput
+from truepath.app.errors import BadInput, PlanningError
+from truepath.app.motion.line_of_sight import Box
 from truepath.app.motion.motion_times import row_times_s
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.verification_kinds import VerificationKind
@@ -12,6 +13,7 @@ from truepath.app.motion.verification_points import (
     make_verification_points,
     make_verification_rows,
 )
+from truepath.app.motion.workspace import Workspace
 
 
 @pytest.mark.parametrize("kind", VerificationKind)
@@ -35,6 +37,27 @@ def test_a_seed_draws_the_same_points_again_and_another_one_others(mill):
     assert drawn[0].shape == (RANDOM_POINTS, 3)
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert np.abs(drawn[0] - drawn[2]).max() > 1.0
+
+
+def test_random_points_and_the_ways_between_them_keep_clear_of_boxes(mill):
+    low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
+    middle, size = (low + high) / 2, (high - low) / 4
+    box = Box(tuple(middle - size), tuple(middle + size), "vice")
+    workspace = Workspace(keep_out=(box,))
+    for seed in range(5):
+        points = make_verification_points(
+            mill, [VerificationKind.RANDOM_POINTS], seed, workspace
+        )
+        assert len(points) == RANDOM_POINTS
+        workspace.refuse(mill, points)
+
+
+def test_where_boxes_leave_no_room_no_points_are_drawn(mill):
+    box = Box(*zip(*((axis.low, axis.high) for axis in mill.axes), strict=True))
+    with pytest.raises(PlanningError, match="leaves room for 0 of 30 random points"):
+        make_verification_points(
+            mill, [VerificationKind.RANDOM_POINTS], 1, Workspace(keep_out=(box,))
+        )
 
 
 def test_every_target_of_an_axis_is_come_to_five_times_from_both_sides(mill):

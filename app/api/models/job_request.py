@@ -22,6 +22,7 @@ from truepath.app.api.models.base import (
     Time,
 )
 from truepath.app.api.models.plan import PlanRequest, Point, Waypoint
+from truepath.app.api.models.workspace import KeepOut
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.requested_job import RequestedJob
@@ -36,11 +37,12 @@ _MEASURED = {*_DRIVEN, "plan_id", "target_um", "model_id", "continues", "on_noti
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _USUAL_POINTS = ("diagonals", "random-points")
 _OF_VERIFICATION = {"result_id", "what", "seed", "tolerance_um", "compensation_id"}
+_OF_VERIFICATION |= {"keep_out"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
     "measure-adaptive": {*_DRIVEN, "planning", "target_um", "model_id", "on_notice"},
-    "measure-extra": {*_DRIVEN, "discovery_id"},
+    "measure-extra": {*_DRIVEN, "discovery_id", "keep_out"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
@@ -215,6 +217,12 @@ class JobRequest(RequestBody):
         description="Of a verification: the kept files that the controller applies.",
         examples=["heidenhain-0.1-hold"],
     )
+    keep_out: KeepOut | None = Field(
+        None,
+        description="Of extra lines and of a verification: boxes of axis positions X, "
+        "Y, Z that no motion may touch; [] for none. Without it those that the "
+        "measurements behind the discovery or the result had to keep clear of.",
+    )
     control_compensation: Literal["on", "off"] | None = Field(
         None,
         description="Whether the control has to correct its axes by error tables of "
@@ -324,6 +332,8 @@ class JobRequest(RequestBody):
             asked = self.planning.order() if self.planning else {"mode": "otf"}
             order = {"minutes": ADAPTIVE_MINUTES, **asked}
             order["perpendicular_only"] = self.perpendicular_only
+        if self.kind == "measure-extra":
+            order = self.model_dump(include={"keep_out"})
         if self.kind == "trend":
             order = self.model_dump(include=_OF_TREND)
         if self.kind == "reanalyse":

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from truepath.app.api.models.base import Mm, RequestBody
 from truepath.app.errors import BundleError
@@ -87,8 +87,24 @@ class WorkspaceIn(RequestBody):
 
     @model_validator(mode="after")
     def _is_a_workspace(self) -> Self:
-        try:
-            workspace_from_json(self.model_dump(exclude_none=True), file="workspace")
-        except BundleError as error:
-            raise ValueError(str(error)) from error
+        _require_workspace(self.model_dump(exclude_none=True))
         return self
+
+
+def _require_boxes(boxes: list[Box]) -> list[Box]:
+    _require_workspace(
+        {"keep_out": [box.model_dump(exclude_none=True) for box in boxes]}
+    )
+    return boxes
+
+
+def _require_workspace(content: dict[str, Any]) -> None:
+    try:
+        workspace_from_json(content, file="workspace")
+    except BundleError as error:
+        raise ValueError(str(error)) from error
+
+
+KeepOut = Annotated[
+    list[Box], Field(max_length=_MOST_BOXES), AfterValidator(_require_boxes)
+]
