@@ -269,15 +269,17 @@ class Store:
         """
         given = {"name": name, "note": note}
         values = {column: text for column, text in given.items() if text is not None}
+        written: list[JobEvent] = []
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
             before = _read_job(connection, job_id)
             after = replace(before, **values)
-            if after == before:
-                return before, None
+            if after == before:  # the word that it was committed may have got lost
+                return before, written[-1] if written else None
             query = update(jobs).where(jobs.c.id == job_id)
             connection.execute(query.values(**values))
-            return after, _insert_event(connection, after)
+            written.append(_insert_event(connection, after))
+            return after, written[-1]
 
         return self._database.write(change, self._publish)[0]
 

@@ -174,6 +174,17 @@ def test_a_change_whose_commit_is_not_confirmed_is_made_once_and_published(
         store.change(job.id, to(State.SUCCEEDED), version=1)
 
 
+@pytest.mark.fault_row(37)
+def test_a_name_whose_commit_is_not_confirmed_is_given_once_and_published(
+    store, commit_twice, told
+):
+    job, _ = store.create(ANALYSE)
+    commit_twice()
+    assert store.rename(job.id, "As found", None).name == "As found"
+    assert [event.body["name"] for event in told] == ["", "As found"]
+    assert [event.id for event in told] == [e.id for e in store.read_events_after(0)]
+
+
 @pytest.mark.fault_row(33)
 def test_the_same_key_and_body_make_one_job(store):
     key = IdempotencyKey("k-1", b'{"kind": "analyse"}')
