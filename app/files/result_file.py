@@ -6,7 +6,7 @@ result does so from a model as well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,8 +32,10 @@ from truepath.app.kinematics.symbols import (
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
-_POSITIONING = ("EXX", "EYY", "EZZ")
 Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
+Tables = dict[str, Table]
+Sigmas = dict[str, Float64[np.ndarray, " m"]]
+"""Standard uncertainties of the values of tables, by the same names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class CalibrationResult(EstimatedModel):
         positioning, as (position mm, value µm), by axis; none where direction plays no
         part
     half_difference_u_um : standard uncertainty of its values, where the file states it
+    half_turn_urad, half_turn_u_urad : the same of rotary axes, over deg, in µrad
     noise_freedom : independent values by which the measurement knows the size of its
         slow noise; None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
@@ -63,6 +66,10 @@ class CalibrationResult(EstimatedModel):
     )
     half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
     half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
+    half_turn_urad: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_turn_u_urad: dict[str, Float64[np.ndarray, " m"]] = field(
         default_factory=dict[str, Any]
     )
     noise_freedom: float | None = None
@@ -103,37 +110,6 @@ class _Ranges(FileModel):
 
 
 class _HalfDifference(FileModel):
-    position_mm: list[float]
-    value_um: list[float]
-    uncertainty_um: list[float] = Field(default_factory=list[float])
-
-
-def _keep_positioning(content: object) -> object:
-    """Leave out what is not an axis' own positioning."""
-    if not isinstance(content, Mapping):
-        return content
-    return {key: content[key] for key in _POSITIONING if key in content}
-
-
-class _Direction(FileModel):
-    half_difference: Annotated[
-        dict[str, _HalfDifference], BeforeValidator(_keep_positioning)
-    ]
-
-
-class _Noise(FileModel):
-    slow_time_s: float = Field(gt=0.0)
-
-
-class _Verdict(FileModel):
-    """What has to be right; details that are another's are left to its sentences."""
-
-    state: State
-    reasons: list[Text]
-    details: Any = ()
-
-
-class _HalfAcross(FileModel):
     """Of one error motion; which columns it has its symbol says."""
 
     position_mm: list[float] = Field(default_factory=list[float])
@@ -158,34 +134,60 @@ class _HalfAcross(FileModel):
         return (at, value), sigma
 
 
-def _keep_across(content: object) -> object:
-    """Leave out what is not across or about an axis."""
+def _keep_error_motions(content: object) -> object:
+    """Leave out what is of no error motion."""
     if not isinstance(content, Mapping):
         return content
     every = [s for axis in LINEAR + TURNS for s in list_error_motions(axis)]
-    return {s: content[s] for s in every if s in content and not is_positioning(s)}
+    return {symbol: content[symbol] for symbol in every if symbol in content}
 
 
-class _DirectionAcross(FileModel):
+class _Direction(FileModel):
     half_difference: Annotated[
-        dict[str, _HalfAcross], BeforeValidator(_keep_across)
-    ] = Field(default_factory=dict[str, _HalfAcross])
+        dict[str, _HalfDifference], BeforeValidator(_keep_error_motions)
+    ]
 
     @model_validator(mode="after")
-    def _require_columns(self) -> _DirectionAcross:
+    def _require_columns(self) -> _Direction:
         for symbol, half in self.half_difference.items():
             half.read(symbol)
         return self
 
-    def read(self) -> tuple[dict[str, Table], dict[str, Float64[np.ndarray, " m"]]]:
-        """Return tables and uncertainties, by symbol."""
-        read = {s: half.read(s) for s, half in self.half_difference.items()}
-        tables = {symbol: table for symbol, (table, _) in read.items()}
-        return tables, {
-            symbol: sigma
-            for symbol, (table, sigma) in read.items()
+    def read_own(self, axes: Sequence[str]) -> tuple[Tables, Sigmas]:
+        """Return those of the positioning of the axes, by axis."""
+        return self._read({f"E{axis}{axis}": axis for axis in axes})
+
+    def read_across(self) -> tuple[Tables, Sigmas]:
+        """Return those across or about an axis, by symbol."""
+        return self._read({s: s for s in self.half_difference if not is_positioning(s)})
+
+    def _read(self, names: Mapping[str, str]) -> tuple[Tables, Sigmas]:
+        """Return tables, and the uncertainties of those that state one a value.
+
+        names : what to call each, by symbol
+        """
+        read = {
+            names[symbol]: half.read(symbol)
+            for symbol, half in self.half_difference.items()
+            if symbol in names
+        }
+        return {name: table for name, (table, _) in read.items()}, {
+            name: sigma
+            for name, (table, sigma) in read.items()
             if len(sigma) == len(table[0])
         }
+
+
+class _Noise(FileModel):
+    slow_time_s: float = Field(gt=0.0)
+
+
+class _Verdict(FileModel):
+    """What has to be right; details that are another's are left to its sentences."""
+
+    state: State
+    reasons: list[Text]
+    details: Any = ()
 
 
 class _MachineOfResult(FileModel):
@@ -203,7 +205,6 @@ class _Document(_MachineOfResult):
     provenance: dict[str, Any]
     model: Any
     verdict: _Verdict | None = None
-    across: _DirectionAcross = Field(_DirectionAcross(), alias="direction")
 
     @model_validator(mode="before")
     @classmethod
@@ -232,31 +233,12 @@ class _Document(_MachineOfResult):
             return Verdict()
         return verdict_from_json(self.verdict.model_dump())
 
-    def half_differences_um(self) -> dict[str, Table]:
-        """Return the half difference of each axis that the file states one for."""
-        if self.direction is None:
-            return {}
-        return {
-            symbol[1]: (np.array(half.position_mm, float), np.array(half.value_um))
-            for symbol, half in self.direction.half_difference.items()
-        }
-
     def count_noise_freedom(self) -> float | None:
         """Return three components once in two correlation times of the slow noise."""
         measured_s = self.provenance.get("measured_s")
         if self.noise is None or not isinstance(measured_s, int | float):
             return None
         return max(3.0 * measured_s / (2.0 * self.noise.slow_time_s), 1.0)
-
-    def half_difference_uncertainties_um(self) -> dict[str, Any]:
-        """Return the standard uncertainty of half differences that have one."""
-        if self.direction is None:
-            return {}
-        return {
-            symbol[1]: np.array(half.uncertainty_um, float)
-            for symbol, half in self.direction.half_difference.items()
-            if len(half.uncertainty_um) == len(half.position_mm)
-        }
 
 
 class ResultDocument(_Document):
@@ -309,6 +291,7 @@ def result_from_json(
     machine = document.machine.machine()
     stated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()
+    direction = document.direction or _Direction(half_difference={})
     return CalibrationResult(
         stated.model,
         stated.theta,
@@ -317,10 +300,10 @@ def result_from_json(
         tuple(document.observability.unobservable),
         document.provenance,
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
-        document.half_differences_um(),
-        document.half_difference_uncertainties_um(),
+        *direction.read_own(LINEAR),
+        *direction.read_own(TURNS),
         document.count_noise_freedom(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
-        *document.across.read(),
+        *direction.read_across(),
     )

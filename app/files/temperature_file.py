@@ -87,6 +87,8 @@ class TemperatureModel:
             half_across_u={},
             half_difference_um={},
             half_difference_u_um={},
+            half_turn_urad={},
+            half_turn_u_urad={},
         )
 
 

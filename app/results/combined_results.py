@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.errors import BadInput
-from truepath.app.files.result_file import CalibrationResult, Table
+from truepath.app.files.result_file import CalibrationResult, Sigmas, Tables
 from truepath.app.files.verdict import State, Verdict
 from truepath.app.kinematics.effects.base import Effect
 from truepath.app.kinematics.model import MachineModel
-from truepath.app.results.lost_motion_across import average_across
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,15 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
     parts = [_select(result, model) for result in results]
     theta = np.stack([theta for theta, _ in parts])
     covariance = np.stack([covariance for _, covariance in parts])
-    across, across_u = average_across(results)
-    half, half_u = _average_half_differences(results)
+    half, half_u = _average_half_differences(
+        [(r.half_difference_um, r.half_difference_u_um) for r in results]
+    )
+    turn, turn_u = _average_half_differences(
+        [(r.half_turn_urad, r.half_turn_u_urad) for r in results]
+    )
+    across, across_u = _average_half_differences(
+        [(r.half_across, r.half_across_u) for r in results]
+    )
     joined = replace(
         results[0],
         model=model,
@@ -58,6 +64,8 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
         measured=_join_ranges(results),
         half_difference_um=half,
         half_difference_u_um=half_u,
+        half_turn_urad=turn,
+        half_turn_u_urad=turn_u,
         verdict=Verdict.merge(r.verdict for r in results),
         half_across=across,
         half_across_u=across_u,
@@ -82,27 +90,26 @@ def _select(
 
 
 def _average_half_differences(
-    results: Sequence[CalibrationResult],
-) -> tuple[dict[str, Table], dict[str, Float64[np.ndarray, " m"]]]:
-    """Return the mean of lost motion, and its uncertainty with what results scatter."""
-    mean: dict[str, Table] = {}
-    sigma: dict[str, Float64[np.ndarray, " m"]] = {}
-    for axis, (at_mm, _) in results[0].half_difference_um.items():
-        if not all(axis in r.half_difference_um for r in results):
+    results: Sequence[tuple[Tables, Sigmas]],
+) -> tuple[Tables, Sigmas]:
+    """Return the mean of tables that all results state, and its uncertainty.
+
+    That is of what each states, and of what they scatter.
+    """
+    mean: Tables = {}
+    sigma: Sigmas = {}
+    for name, (at, _) in results[0][0].items():
+        if not all(name in tables for tables, _ in results):
             continue
-        stated = [np.interp(at_mm, *r.half_difference_um[axis]) for r in results]
-        mean[axis] = at_mm, np.mean(stated, axis=0)
-        own = [
-            np.interp(
-                at_mm, r.half_difference_um[axis][0], r.half_difference_u_um[axis]
-            )
-            for r in results
-            if axis in r.half_difference_u_um
-        ]
-        if len(own) == len(results):
-            scatter = np.std(stated, axis=0, ddof=1)
-            sigma[axis] = np.hypot(np.sqrt(np.mean(np.square(own), axis=0)), scatter)
-            sigma[axis] /= np.sqrt(len(results))
+        stated = [np.interp(at, *tables[name]) for tables, _ in results]
+        mean[name] = at, np.mean(stated, axis=0)
+        if all(name in sigmas for _, sigmas in results):
+            own = [
+                np.interp(at, tables[name][0], sigmas[name])
+                for tables, sigmas in results
+            ]
+            squares = np.mean(np.square(own), axis=0) + np.var(stated, axis=0, ddof=1)
+            sigma[name] = np.sqrt(squares / len(results))
     return mean, sigma
 
 
@@ -136,8 +143,8 @@ def _list_left_out(
     if missing := [name for name in every if name not in names]:
         text = f"Left out, as not all results state it alike: {', '.join(missing)}."
         told.append(("usable", text))
-    axes = {axis: None for r in results for axis in r.half_difference_um}
-    some = [a for a in axes if not all(a in r.half_difference_um for r in results)]
+    lost = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
+    some = sorted(set.union(*lost) - set.intersection(*lost))
     if some:
         text = f"Left out, as not all results state lost motion of {', '.join(some)}."
         told.append(("usable", text))

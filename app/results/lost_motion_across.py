@@ -7,7 +7,7 @@ coming down, by as much the other way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -87,30 +87,6 @@ def list_across_tables(result: CalibrationResult) -> Iterator[ErrorTable]:
                 sigma = result.half_across_u.get(symbol, np.zeros(len(at)))
                 unit = position_unit(axis)
                 yield ErrorTable(symbol, find_unit(symbol), at, value, sigma, unit)
-
-
-def average_across(
-    results: Sequence[CalibrationResult],
-) -> tuple[dict[str, Table], dict[str, Float64[np.ndarray, " m"]]]:
-    """Return the mean of results that all state it, and its uncertainty.
-
-    That is of what each states, and of what they scatter.
-    """
-    mean: dict[str, Table] = {}
-    sigma: dict[str, Float64[np.ndarray, " m"]] = {}
-    for symbol, (at, _) in results[0].half_across.items():
-        if not all(symbol in one.half_across for one in results):
-            continue
-        stated = [np.interp(at, *one.half_across[symbol]) for one in results]
-        mean[symbol] = at, np.mean(stated, axis=0)
-        if all(symbol in one.half_across_u for one in results):
-            own = [
-                np.interp(at, one.half_across[symbol][0], one.half_across_u[symbol])
-                for one in results
-            ]
-            squares = np.mean(np.square(own), axis=0) + np.var(stated, axis=0, ddof=1)
-            sigma[symbol] = np.sqrt(squares / len(results))
-    return mean, sigma
 
 
 def _displace(at: Conditions, symbol: str, table: Table) -> Float64[np.ndarray, "n 3"]:

@@ -15,6 +15,8 @@ from truepath.app.files.model_file import build_number_rows, model_to_json
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.temperature_file import SCHEMA, TemperatureModel
 from truepath.app.files.verdict import verdict_json
+from truepath.app.kinematics.machine import position_unit
+from truepath.app.kinematics.symbols import find_unit
 from truepath.app.results.error_table_files import tables_json
 from truepath.app.results.error_tables import ErrorTable, build_error_tables
 from truepath.app.results.lost_motion_across import list_across_tables
@@ -137,11 +139,19 @@ def _columns_per_kelvin(table: ErrorTable) -> dict[str, list[float]]:
 
 
 def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
-    zero = {a: np.zeros(len(at)) for a, (at, _) in result.half_difference_um.items()}
-    sigma = zero | result.half_difference_u_um
+    lost = result.half_difference_um | result.half_turn_urad
+    zero = {a: np.zeros(len(at)) for a, (at, _) in lost.items()}
+    sigma = zero | result.half_difference_u_um | result.half_turn_u_urad
     return [
-        ErrorTable(f"E{axis}{axis}", "um", at_mm, value_um, sigma[axis])
-        for axis, (at_mm, value_um) in result.half_difference_um.items()
+        ErrorTable(
+            symbol := f"E{axis.name}{axis.name}",
+            find_unit(symbol),
+            *lost[axis.name],
+            sigma[axis.name],
+            position_unit(axis),
+        )
+        for axis in result.machine.axes
+        if axis.name in lost
     ]
 
 

@@ -104,6 +104,7 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
         "EXX": at | {"value_um": [1.0, 2.0], "uncertainty_um": [0.1, 0.1]},
         "EYX": at | {"value_um": [6.0, 6.0], "uncertainty_um": [0.2, 0.3]},
         "EAZ": at | {"value_urad": [20.0, 21.0], "uncertainty_urad": [1.0, 1.0]},
+        "ECC": {"position_deg": [0.0, 90.0], "value_urad": [12.0, 13.0]},
     }
     content = {
         "schema": MODEL_SCHEMA,
@@ -122,3 +123,8 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
         "EAZ": [20.0, 21.0],
     }
     assert result.half_across_u["EYX"].tolist() == [0.2, 0.3]
+    assert [one.tolist() for one in result.half_turn_urad["C"]] == [
+        [0.0, 90.0],
+        [12.0, 13.0],
+    ]
+    assert result.half_turn_u_urad == {}
