@@ -54,6 +54,7 @@ _LISTING = frozenset({"JobPage", "RunPage", "ModelPage"})
 _NAMED = frozenset(
     {
         "get_model",
+        "download_machine_temperature",
         "download_error_tables",
         "download_bundle",
         "download_compensation",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
@@ -15,16 +16,24 @@ from truepath.app.api.models.machine_history import (
     MachineComparisonOut,
     StandingOut,
 )
-from truepath.app.api.models.machine_temperature import MachineTemperatureOut
+from truepath.app.api.models.machine_temperature import (
+    MachineTemperatureOut,
+    TemperatureModelOut,
+)
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
 from truepath.app.errors import NotFound
+from truepath.app.files.file_model import encode_json
 from truepath.app.results.machine_documents import (
+    Calibration,
     changes_json,
     comparison_json,
     history_json,
 )
-from truepath.app.results.machine_temperature_document import machine_temperature_json
+from truepath.app.results.machine_temperature_document import (
+    machine_temperature_json,
+    temperature_model_json,
+)
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
@@ -38,6 +47,17 @@ Quantity = Annotated[
     ),
 ]
 SensorName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,64}$", examples=["X"])]
+Sensors = Annotated[
+    list[SensorName],
+    Query(description="Thermometers whose mean counts; without them the scales'."),
+]
+ReferenceTemperature = Annotated[
+    float, Query(ge=-50.0, le=100.0, description="That tables are stated at.")
+]
+ChosenJobs = Annotated[
+    list[Identifier],
+    Query(description="Only these calibrations; without them all usable ones."),
+]
 Position = Annotated[
     float | SkipJsonSchema[None],
     Query(allow_inf_nan=False, description="Of the axis; one of its table entries."),
@@ -84,29 +104,55 @@ def get_machine_changes(
 def get_machine_temperature(
     machine_id: MachinePath,
     service: ServiceDep,
-    sensor: Annotated[
-        list[SensorName],
-        Query(description="Thermometers whose mean counts; without them the scales'."),
-    ] = [],  # noqa: B006
-    reference_degC: Annotated[  # noqa: N803
-        float, Query(ge=-50.0, le=100.0, description="That tables are stated at.")
-    ] = 20.0,
-    job: Annotated[
-        list[Identifier],
-        Query(description="Only these calibrations; without them all usable ones."),
-    ] = [],  # noqa: B006
+    sensor: Sensors = [],  # noqa: B006
+    reference_degC: ReferenceTemperature = 20.0,  # noqa: N803
+    job: ChosenJobs = [],  # noqa: B006
 ) -> MachineTemperatureOut:
     """Return how the errors of a machine depend on its temperature.
 
     Refused (422) in words where its calibrations do not tell: fewer than three
     temperatures, too close together, other targets.
     """
-    service.setup.registry.get(machine_id)
-    chosen = [service.calibrations.find(machine_id, one) for one in job]
-    calibrations = chosen or service.calibrations.list_usable(machine_id)
+    calibrations = _choose_calibrations(service, machine_id, job)
     return MachineTemperatureOut(
         **machine_temperature_json(machine_id, calibrations, sensor, reference_degC)
     )
+
+
+@router.get(
+    "/{machine_id}/temperature/temperature.json",
+    response_model=TemperatureModelOut,
+    responses=declare_problems(404, 422),
+)
+def download_machine_temperature(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    sensor: Sensors = [],  # noqa: B006
+    reference_degC: ReferenceTemperature = 20.0,  # noqa: N803
+    job: ChosenJobs = [],  # noqa: B006
+) -> Response:
+    """Return `temperature.json`: the machine at any temperature of a range.
+
+    `truepath export` makes files of it at a temperature. Refused (422) as
+    `/temperature`.
+    """
+    calibrations = _choose_calibrations(service, machine_id, job)
+    content = temperature_model_json(calibrations, sensor, reference_degC)
+    name = 'attachment; filename="temperature.json"'
+    return Response(
+        encode_json(content),
+        media_type="application/json",
+        headers={"Content-Disposition": name},
+    )
+
+
+def _choose_calibrations(
+    service: ServiceDep, machine_id: str, jobs: Sequence[str]
+) -> Sequence[Calibration]:
+    """Return those of the jobs; all usable ones of the machine without any."""
+    service.setup.registry.get(machine_id)
+    chosen = [service.calibrations.find(machine_id, one) for one in jobs]
+    return chosen or service.calibrations.list_usable(machine_id)
 
 
 @router.get("/{machine_id}/standing", responses=declare_problems(404))

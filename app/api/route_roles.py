@@ -127,6 +127,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /machines/{machine_id}/history": _VIEWER,
     "GET /machines/{machine_id}/changes": _VIEWER,
     "GET /machines/{machine_id}/temperature": _VIEWER,
+    "GET /machines/{machine_id}/temperature/temperature.json": _VIEWER,
     "GET /machines/{machine_id}/standing": _VIEWER,
     "GET /machines:compare": _VIEWER,
     "GET /machines/current": _VIEWER,

@@ -1,4 +1,4 @@
-"""How a machine of the catalogue depends on temperature, as a JSON document."""
+"""How a machine of the catalogue depends on temperature, as JSON documents."""
 
 from __future__ import annotations
 
@@ -32,18 +32,34 @@ def machine_temperature_json(
 
     Raises BadInput, BundleError as `study_temperature` and `read_results`.
     """
-    return dict(
-        _find_document(machine, tuple(calibrations), tuple(sensors), reference_degc)
-    )
+    content, shown = _find_model(tuple(calibrations), tuple(sensors), reference_degc)
+    return {
+        "schema": SCHEMA,
+        "machine": machine,
+        "verdict": content["verdict"]["state"],
+        "calibrations": shown,
+        **{key: content[key] for key in _KEPT},
+    }
+
+
+def temperature_model_json(
+    calibrations: Sequence[Calibration], sensors: Sequence[str], reference_degc: float
+) -> Mapping[str, Any]:
+    """Return the content of `temperature.json`, as `truepath temperature` writes it.
+
+    Raises BadInput, BundleError as `machine_temperature_json`.
+    """
+    content, _ = _find_model(tuple(calibrations), tuple(sensors), reference_degc)
+    return content
 
 
 @lru_cache(maxsize=16)
-def _find_document(
-    machine: str,
+def _find_model(
     calibrations: tuple[Calibration, ...],
     sensors: tuple[str, ...],
     reference_degc: float,
-) -> Mapping[str, Any]:
+) -> tuple[Mapping[str, Any], Sequence[Mapping[str, Any]]]:
+    """Return the content of the model's file, and each calibration as it was taken."""
     # Imported where it computes: the service itself carries no science.
     from truepath.app.results.machine_temperature import read_results
     from truepath.app.results.temperature_json import temperature_json
@@ -60,17 +76,11 @@ def _find_document(
         study_temperature(results, reference_degc=reference_degc)
     )
     stated = zip(calibrations, results, strict=True)
-    return {
-        "schema": SCHEMA,
-        "machine": machine,
-        "verdict": content["verdict"]["state"],
-        "calibrations": [
-            {
-                **one.describe(),
-                "temperature_degC": result.temperature_degc,
-                "temperature_uncertainty_K": result.sigma_k,
-            }
-            for one, result in stated
-        ],
-        **{key: content[key] for key in _KEPT},
-    }
+    return content, [
+        {
+            **one.describe(),
+            "temperature_degC": result.temperature_degc,
+            "temperature_uncertainty_K": result.sigma_k,
+        }
+        for one, result in stated
+    ]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
+from truepath.app.api.models.machine_file import MachineFileOut
 from truepath.app.api.models.machine_history import CalibrationOut
+from truepath.app.api.models.model_file import ModelNumbersOut
+from truepath.app.api.models.tables import VerdictOut
 from truepath.app.files.verdict import State as VerdictState
 
 # ruff: noqa: N815
@@ -83,3 +86,23 @@ class MachineTemperatureOut(BaseModel):
     coefficients: dict[str, CoefficientOut] = Field(description="By symbol.")
     text: list[str] = Field(description="The answer in sentences.")
     not_told: list[str]
+
+
+class TemperatureModelOut(BaseModel):
+    """Content of `temperature.json`: a machine over temperature. More keys are there.
+
+    `model` is the machine at the reference temperature, `per_kelvin` its change.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: Literal["temperature-model/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    verdict: VerdictOut
+    reference_degC: float = Field(examples=[20.0])
+    measured_degC: list[float] = Field(examples=[[18.1, 24.9]])
+    valid_degC: list[float] = Field(
+        description="Where it is taken to hold.", examples=[[18.1, 24.9]]
+    )
+    model: ModelNumbersOut
+    per_kelvin: ModelNumbersOut
