@@ -177,8 +177,10 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
     print(f"of that, root mean squares in µm: {', '.join(reasons)}")
     if over := account["over_all_axes_um"]:
         print(
-            f"over the travel of all axes {over['before']:.2f} µm, with these files "
-            f"{over['after']:.2f} µm"
+            f"over the travel of all axes {over['before']:.2f} ± "
+            f"{over['before_expanded_uncertainty']:.2f} µm, with these files "
+            f"{over['after_expected']:.2f} ± {over['after_expanded_uncertainty']:.2f} "
+            f"µm (k = {over['coverage_factor']:g})"
         )
     for axis, one in account["rotary"].items():
         print(f"rotary axis {axis}: {_state_rotary(one)}")
@@ -195,18 +197,26 @@ def _state_rotary(one: Mapping[str, Any]) -> str:
     """Return what tables leave of a rotary axis, and what no table has."""
     parts: list[str] = []
     if angle := one.get("positioning_urad"):
-        tool = one["at_tool_um"]
         parts.append(
-            f"positioning {angle['before']:.1f} to {angle['after']:.1f} µrad, at the "
-            f"tool {tool['before']:.2f} to {tool['after']:.2f} µm (root mean squares)"
+            f"positioning {_state_change(angle)} µrad, at the tool "
+            f"{_state_change(one['at_tool_um'])} µm"
         )
+    lost = one["lost_motion_urad"]
+    change = f"{_state_change(lost)} µrad, " if lost else ""
+    parts.append(f"lost motion {change}{one['lost_motion']}")
     if place := one.get("location_at_tool_um"):
-        parts.append(
-            f"its place, at the tool {place['before']:.2f} to {place['after']:.2f} µm"
-        )
+        parts.append(f"its place, at the tool {_state_change(place)} µm")
     if one["not_in_files"]:
         parts.append(f"not in the files: {', '.join(one['not_in_files'])}")
-    return "; ".join(parts) or "nothing is known of it"
+    return f"{'; '.join(parts)} (root mean squares; k = 2)"
+
+
+def _state_change(left: Mapping[str, float]) -> str:
+    """Return a root mean square before, and with the files."""
+    return (
+        f"{left['before']:.2f} to {left['after_expected']:.2f} "
+        f"± {left['after_expanded_uncertainty']:.2f}"
+    )
 
 
 def _state_left(after: Mapping[str, float]) -> str:

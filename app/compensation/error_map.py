@@ -11,10 +11,13 @@ from jaxtyping import Float64
 from truepath.app.compensation.format import AxisTable, PairTable
 from truepath.app.compensation.unmeasured import MeasuredRange
 from truepath.app.files.result_file import CalibrationResult
-from truepath.app.files.units import UM_PER_MM
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import reference_position_mm
-from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.app.kinematics.conditions import Conditions, make_standstill
+from truepath.app.kinematics.effects.error_motion import (
+    find_arm,
+    reference_position_mm,
+)
+from truepath.app.kinematics.machine import Axis, LinearAxis, Machine
 from truepath.app.kinematics.symbols import DIRECTION, LINEAR, is_turn
 from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 from truepath.app.results.lost_motion_across import complete_across, find_across_mm
@@ -58,10 +61,8 @@ class ErrorMap:
             error = self.volumetric_map.error_mm(at, self.result.theta)
         error += direction * find_across_mm(self.result, at)
         for column, axis in enumerate(self.axes):
-            half = direction * self.half_difference_mm(
-                axis.name, position_mm[:, column]
-            )
-            error[:, DIRECTION[axis.name]] += half
+            half = self.half_difference_mm(axis.name, position_mm[:, column])
+            error += direction * half[:, None] * find_own_arm(axis, at)
         return error
 
     def half_difference_mm(
@@ -82,6 +83,25 @@ class ErrorMap:
         position_mm, _ = self.result.half_difference_um[axis]
         sigma_um = self.result.half_difference_u_um[axis]
         return np.interp(at_mm, position_mm, sigma_um / UM_PER_MM)
+
+    def half_turn_rad(
+        self, axis: str, at_deg: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return half the difference of both directions in a rotary positioning."""
+        if axis not in self.result.half_turn_urad:
+            return np.zeros(len(at_deg))
+        position_deg, value_urad = self.result.half_turn_urad[axis]
+        return np.interp(at_deg, position_deg, value_urad / URAD_PER_RAD)
+
+    def half_turn_sigma_rad(
+        self, axis: str, at_deg: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the standard uncertainty of that half, 0 where none is stated."""
+        if axis not in self.result.half_turn_u_urad:
+            return np.zeros(len(at_deg))
+        position_deg, _ = self.result.half_turn_urad[axis]
+        sigma_urad = self.result.half_turn_u_urad[axis]
+        return np.interp(at_deg, position_deg, sigma_urad / URAD_PER_RAD)
 
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
@@ -137,6 +157,11 @@ class ErrorMap:
             if isinstance(axis, LinearAxis):
                 middle[column] = 0.5 * (axis.low + axis.high)
         return middle
+
+
+def find_own_arm(axis: Axis, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    """Return what a mm or rad of an axis' positioning moves the tool by."""
+    return find_arm(f"E{axis.name}{axis.name}", at)
 
 
 def map_errors(result: CalibrationResult) -> ErrorMap:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from truepath.app.compensation.error_over_axes import measure_over_axes
 from truepath.app.compensation.format import AxisTable, CompensationFormat
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.length_reference import (
-    describe_lengths,
     find_measured_degc,
     state_lengths,
 )
@@ -28,7 +27,11 @@ from truepath.app.compensation.remaining_error import (
     evaluate_effects,
     find_remaining,
 )
-from truepath.app.compensation.rotary import describe_rotary
+from truepath.app.compensation.rotary_left import (
+    describe_rotary,
+    read_rotary_files,
+)
+from truepath.app.compensation.stamp import describe_over_axes, write_stamp
 from truepath.app.compensation.tabulation import (
     StatedTemperature,
     Tabulation,
@@ -154,13 +157,16 @@ def export_result(
     kind = load_format(name, choices)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     gaps = [one.describe() for one in measured.values() if one.missing]
-    stamp = _write_stamp(errors, kind, name, measured, gaps, temperature)
+    lengths_degc = _find_length_degc(errors, temperature)
+    stamp = write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature)
     content = made.tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
-    turned = kind.read_rotary(files, errors.machine)
-    located = kind.read_locations(files, errors.machine)
+    rotary = read_rotary_files(kind, content, files)
+    over = measure_over_axes(errors, correction, rotary)
+    if over is not None:
+        files = kind.write(replace(content, stamp=(*stamp, describe_over_axes(over))))
     before = find_remaining(errors, measured)
     after = find_remaining(errors, measured, correction)
     _require_gain(kind, before, after)
@@ -172,22 +178,14 @@ def export_result(
         "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
         "files": list(files),
         **_describe_content(errors, kind, content.tables, measured),
-        "over_all_axes_um": measure_over_axes(
-            errors, correction, turned, {} if kind.composes_rotary else located
-        ),
-        "rotary": describe_rotary(
-            errors,
-            content.rotary,
-            turned,
-            located,
-            is_composed=kind.composes_rotary,
-        ),
+        "over_all_axes_um": over,
+        "rotary": describe_rotary(errors, rotary),
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
         "temperature": temperature and _state_temperature(temperature, kind),
         "effects": list(evaluate_effects(errors, made, correction)),
-        "lengths": state_lengths(_find_length_degc(errors, temperature)),
+        "lengths": state_lengths(lengths_degc),
     }
     return Export(files, account)
 
@@ -252,46 +250,6 @@ def _require_gain(
         )
 
 
-def _write_stamp(
-    errors: ErrorMap,
-    kind: CompensationFormat,
-    name: str,
-    measured: Mapping[str, MeasuredRange],
-    gaps: Sequence[str],
-    temperature: StatedTemperature | None,
-) -> tuple[str, ...]:
-    """Return the comments of the files, in plain ASCII."""
-    machine, provenance = errors.machine, errors.result.provenance
-    verdict = errors.result.verdict
-    celsius = f"measured at {_describe_temperature(provenance)}"
-    if temperature:
-        celsius = _describe_stated(temperature)
-    offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
-    ranges = [
-        f"{one.axis.name} {one.low:g} to {one.high:g} mm" for one in measured.values()
-    ]
-    for axis in machine.rotary_axes:
-        low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))
-        ranges.append(f"{axis.name} {low:g} to {high:g} deg")
-    lines = (
-        f"truepath compensation, format {name}",
-        f"machine {machine.name}, chain {machine.chain}",
-        f"for the tool at target offset {offset} mm",
-        f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
-        f"input {str(provenance.get('input_sha256', ''))[:16]}",
-        celsius,
-        describe_lengths(_find_length_degc(errors, temperature)),
-        f"valid over {', '.join(ranges)}",
-        f"units {kind.units}; directions of travel: {kind.directions}",
-        f"carries {kind.carries}",
-        f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
-        *gaps,
-        *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
-    )
-    kept = (line.encode("ascii", "replace").decode() for line in lines)
-    return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
-
-
 def _find_length_degc(
     errors: ErrorMap, temperature: StatedTemperature | None
 ) -> tuple[float, float] | None:
@@ -310,21 +268,6 @@ def _state_temperature(
         "valid_degC": list(stated.model.valid_degc),
         "carried": kind.temperature,
     }
-
-
-def _describe_stated(stated: StatedTemperature) -> str:
-    low, high = stated.model.measured_degc
-    return (
-        f"for a machine at {stated.at_degc:.1f} degC, from results at {low:.1f} to "
-        f"{high:.1f} degC"
-    )
-
-
-def _describe_temperature(provenance: Mapping[str, Any]) -> str:
-    """Return what the sensors showed during the measurement, in plain ASCII."""
-    stated: Mapping[str, Sequence[float]] = provenance.get("temperature_degC") or {}
-    shown = [f"{name} {low:.1f} to {high:.1f}" for name, (low, high) in stated.items()]
-    return f"{', '.join(shown)} degC" if shown else "a temperature that nothing states"
 
 
 def _describe_content(

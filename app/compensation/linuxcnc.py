@@ -48,9 +48,7 @@ class LinuxCnc(TableFormat):
     control = "LinuxCNC"
     suffix = ".tbl"
     most_points = 256
-    carries = (
-        "positioning of each axis, forward and reverse; of rotary axes the mean of both"
-    )
+    carries = "positioning of each axis, forward and reverse, of rotary axes too"
     not_carried = "straightness, angular errors, squareness"
     carries_rotary = True
     units = "mm, of rotary axes deg"
@@ -93,14 +91,15 @@ class LinuxCnc(TableFormat):
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
-        """Return the mean trims of rotary joints; end values hold beyond."""
+        """Return the trims of rotary joints; end values hold beyond."""
         added: dict[str, RotaryAddition] = {}
         for name, text in files.items():
             axis = _find_axis(name, self.suffix)
             if axis in TURNS:
                 nominal, forward, reverse = _read_rows(name, text)
                 trim = nominal - 0.5 * (forward + reverse)
-                added[axis] = RotaryAddition(nominal, trim)
+                half = 0.5 * (reverse - forward)
+                added[axis] = RotaryAddition(nominal, trim, half_deg=half)
         return added
 
     def read_locations(
@@ -123,14 +122,21 @@ def _write_rows(table: AxisTable) -> str:
 
 
 def _write_turns(table: RotaryTable) -> str:
-    """Return rows over the whole travel: joints know no period."""
+    """Return rows over the whole travel, as joints know no period.
+
+    The mean of both directions is 0 at the axis zero, for which the locations of the
+    axes are stated.
+    """
     axis = table.axis
     count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
     at = np.linspace(axis.low, axis.high, min(count, LinuxCnc.most_points))
     period = 360.0 if axis.turns_fully else None
-    reached = at + np.interp(at, table.position_deg, table.error_deg, period=period)
-    rows = zip(at, reached, strict=True)
-    return "".join(f"{a:.6f} {r:.6f} {r:.6f}\n" for a, r in rows)
+    error, half = (
+        np.interp(at, table.position_deg, value, period=period)
+        for value in (table.error_deg, table.half_deg)
+    )
+    rows = zip(at, at + error + half, at + error - half, strict=True)
+    return "".join(f"{a:.6f} {f:.6f} {r:.6f}\n" for a, f, r in rows)
 
 
 def _find_axis(name: str, suffix: str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.stats import qmc
 
-from truepath.app.compensation.error_map import ErrorMap
+from truepath.app.compensation.error_map import ErrorMap, find_own_arm
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import MeasuredRange
@@ -24,7 +24,7 @@ from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.model import CatalogueEffect
-from truepath.app.kinematics.symbols import DIRECTION, is_positioning
+from truepath.app.kinematics.symbols import is_positioning
 from truepath.app.numerics.rigid import cross_matrix
 from truepath.app.results.lost_motion_across import draw_across_mm, remove_across
 from truepath.app.results.volumetric_error import draw_parameters
@@ -34,7 +34,8 @@ _NOTHING_MM = 1e-9
 _FEWEST = 12  # places that have a mean beside their rigid motion
 # Of a standard deviation that a file does not say how well it knows: 50 values.
 _UNSTATED_SCALE = 0.1
-_SIDES = (1.0, -1.0)  # + and − direction
+SIDES = (1.0, -1.0)  # + and − direction
+COVERAGE = 2.0  # k of expanded uncertainties
 
 
 def _sample_positions(
@@ -61,7 +62,10 @@ def remove_rigid_motion(
     error_mm: Float64[np.ndarray, "n 3 ..."],
     weight: Float64[np.ndarray, " n"] | None = None,
 ) -> Float64[np.ndarray, "n 3 ..."]:
-    """Remove the best-fit rigid motion, which is not an error of the machine."""
+    """Remove the best-fit rigid motion, which is not an error of the machine.
+
+    error_mm : of one map, or of many beside one another
+    """
     root = np.sqrt(np.ones(len(position_mm)) if weight is None else weight)
     point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
     shifts = np.broadcast_to(np.eye(3), (len(point), 3, 3))
@@ -75,7 +79,7 @@ def remove_rigid_motion(
 class RemainingError:
     """What the errors leave at positions over the travel, both directions, in mm.
 
-    position_mm : (n, axes)
+    position_mm : (n, 3 or more), of the straight axes or the tool, others after these
     left_mm : (s, n, 3) of the map with the correction, without rigid motion
     drawn_mm : (s, n, 3, d) what the map may be wrong by, drawn from its covariance
     is_measured : (n,) where every axis was measured
@@ -106,8 +110,6 @@ class RemainingError:
         """Return mean length, largest and standard uncertainty of the mean, µm.
 
         As `state_map`, of errors that the measurement allows; None without such places.
-        The uncertainty is the spread over these, and that their size is itself known to
-        `scale` alone.
         """
         if measured:
             part = self._keep_measured()
@@ -116,12 +118,24 @@ class RemainingError:
         lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
         mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
         largest = lengths.max(axis=(0, 1))
-        unknown = mean.mean() - self.state_map()["mean"]
+        of_map = self.state_map()["mean"]
+        expected, sigma = expect_length(mean, of_map, self.scale)
         return {
-            "mean": float(mean.mean()),
+            "mean": expected,
             "largest": float(largest.mean()),
-            "mean_uncertainty": float(np.hypot(mean.std(), self.scale * unknown)),
+            "mean_uncertainty": sigma,
         }
+
+    def find_map_uncertainty_um(self) -> float:
+        """Return the standard uncertainty of the mean length of the map, µm.
+
+        What the measurement does not know makes the map longer than the error is: not
+        taken off, it counts as an uncertainty.
+        """
+        total = self.left_mm[..., None] + self.drawn_mm
+        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
+        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
+        return float(np.hypot(mean.std(), mean.mean() - self.state_map()["mean"]))
 
     def find_difference_um(self, other: RemainingError) -> float:
         """Return the root mean square length of what two corrections differ by."""
@@ -148,7 +162,7 @@ class RemainingError:
             return None
         position = self.position_mm[kept]
         left, drawn = (
-            _remove_from_both(position, list(errors[:, kept]), weight)
+            remove_from_both(position, list(errors[:, kept]), weight)
             for errors in (self.left_mm, self.drawn_mm)
         )
         return replace(
@@ -166,6 +180,20 @@ class RemainingError:
         return UM_PER_MM * float(np.sqrt(self.weight @ each))
 
 
+def expect_length(
+    drawn: Float64[np.ndarray, " d"], of_map: float, scale: float
+) -> tuple[float, float]:
+    """Return the expected length that is left, and its standard uncertainty.
+
+    drawn : lengths of errors that the measurement allows; of_map : that of the map
+    scale : how well the size of what was drawn is known itself, k = 1, of 1
+
+    The uncertainty is the spread over what was drawn, and how well its size is known.
+    """
+    mean = float(drawn.mean())
+    return mean, float(np.hypot(drawn.std(), scale * (mean - of_map)))
+
+
 def find_remaining(
     errors: ErrorMap,
     measured: Mapping[str, MeasuredRange],
@@ -174,13 +202,13 @@ def find_remaining(
     """Return what is left of the errors with a correction, or without any."""
     position, weight = _sample_positions(errors)
     left: list[Float64[np.ndarray, "n 3"]] = []
-    for side in _SIDES:
+    for side in SIDES:
         error = errors.error_mm(position, side)
         if correction is not None:
             error = error + correction(position, side)
         left.append(error)
     # One rigid motion of both directions: what lost motion is between them stays.
-    both = _remove_from_both(position, left, weight)
+    both = remove_from_both(position, left, weight)
     inside = [
         (position[:, column] >= one.low) & (position[:, column] <= one.high)
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)
@@ -188,14 +216,14 @@ def find_remaining(
     return RemainingError(
         position,
         both,
-        _draw_errors_mm(errors, position),
+        draw_errors_mm(errors, position),
         np.all(inside, axis=0),
         weight,
-        _find_scale(errors.result),
+        find_scale(errors.result),
     )
 
 
-def _find_scale(result: CalibrationResult) -> float:
+def find_scale(result: CalibrationResult) -> float:
     """Return the relative uncertainty of a standard deviation of ν values, 1/√(2ν).
 
     ν are the independent values that the measurement has of its slow noise, which
@@ -206,7 +234,7 @@ def _find_scale(result: CalibrationResult) -> float:
     return float(1.0 / np.sqrt(2.0 * result.noise_freedom))
 
 
-def _draw_errors_mm(
+def draw_errors_mm(
     errors: ErrorMap, position: Float64[np.ndarray, "n a"]
 ) -> Float64[np.ndarray, "s n 3 d"]:
     """Return what the map may be wrong by in both directions, lost motion with it."""
@@ -215,14 +243,15 @@ def _draw_errors_mm(
     drawn = (J @ draw_parameters(errors.result.covariance)).reshape(
         len(position), 3, -1
     )
-    both = np.stack([drawn] * len(_SIDES))
+    both = np.stack([drawn] * len(SIDES))
     rng = np.random.default_rng(1)
     both += draw_across_mm(errors.result, at, drawn.shape[2])
     for column, axis in enumerate(errors.axes):
         sigma = errors.half_difference_sigma_mm(axis.name, position[:, column])
         half = np.outer(sigma, rng.standard_normal(drawn.shape[2]))
-        for number, side in enumerate(_SIDES):
-            both[number, :, DIRECTION[axis.name]] += side * half
+        moved = find_own_arm(axis, at)[:, :, None] * half[:, None]
+        for number, side in enumerate(SIDES):
+            both[number] += side * moved
     return both
 
 
@@ -241,9 +270,9 @@ def evaluate_effects(
         other = _remove_effect(errors, effect)
         reread = made.read_back(other)
         own = [
-            errors.error_mm(position, s) - other.error_mm(position, s) for s in _SIDES
+            errors.error_mm(position, s) - other.error_mm(position, s) for s in SIDES
         ]
-        done = [correction(position, s) - reread(position, s) for s in _SIDES]
+        done = [correction(position, s) - reread(position, s) for s in SIDES]
         remains = [error + added for error, added in zip(own, done, strict=True)]
         before = _compute_rms(position, own, weight)
         after = _compute_rms(position, remains, weight)
@@ -271,11 +300,11 @@ def _compute_rms(
     weight: Float64[np.ndarray, " n"],
 ) -> float:
     """Return the root mean square over both directions, without rigid motion."""
-    every = _remove_from_both(position, error_mm, weight)
+    every = remove_from_both(position, error_mm, weight)
     return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
 
 
-def _remove_from_both(
+def remove_from_both(
     position: Float64[np.ndarray, "n a"],
     error_mm: Sequence[Float64[np.ndarray, "n 3 ..."]],
     weight: Float64[np.ndarray, " n"],

@@ -19,6 +19,7 @@ class RotaryTable:
     position_deg : (n,) equidistant, ascending, over the travel; over one turn where the
         axis turns fully, the last row being the first again
     error_deg : (n,) mean of both directions, 0 at the axis zero, else the lowest
+    half_deg : (n,) half their difference: more of the error in + direction
     motions : (n, 6) E and ω in the directions of the axis, mm and rad, of the tool
         relative to the workpiece
     """
@@ -27,6 +28,7 @@ class RotaryTable:
     position_deg: Float64[np.ndarray, " n"]
     error_deg: Float64[np.ndarray, " n"]
     motions: Float64[np.ndarray, "n 6"]
+    half_deg: Float64[np.ndarray, " n"]
 
     @property
     def spacing_deg(self) -> float:
@@ -38,19 +40,30 @@ class RotaryTable:
 class RotaryAddition:
     """What a controller adds to a rotary axis, straight between rows.
 
+    added_deg : mean of both directions; half_deg : half their difference, where the
+        file has both
     period_deg : after which it repeats; 0 where end values hold beyond
     """
 
     position_deg: Float64[np.ndarray, " n"]
     added_deg: Float64[np.ndarray, " n"]
     period_deg: float = 0.0
+    half_deg: Float64[np.ndarray, " n"] | None = None
 
-    def read(self, at_deg: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return what it adds at commanded positions."""
+    def read(
+        self, at_deg: Float64[np.ndarray, " n"], direction: float = 0.0
+    ) -> Float64[np.ndarray, " n"]:
+        """Return what it adds at commanded positions.
+
+        direction : 1 or −1, in which the axis comes there; 0 for the mean of both
+        """
         if self.period_deg:
             first = self.position_deg[0]
             at_deg = first + np.mod(at_deg - first, self.period_deg)
-        return np.interp(at_deg, self.position_deg, self.added_deg)
+        added_deg = self.added_deg
+        if self.half_deg is not None:
+            added_deg = added_deg + direction * self.half_deg
+        return np.interp(at_deg, self.position_deg, added_deg)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import pytest
 from truepath.app.compensation.axis_places import find_places
 from truepath.app.compensation.error_map import map_errors
 from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.rotary import describe_rotary
+from truepath.app.compensation.rotary_left import RotaryFiles, describe_rotary
 from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import find_measured_ranges
 from truepath.app.errors import BadInput
@@ -113,7 +113,7 @@ def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
     _, errors = shifted
     files, kind = write_files(errors, name), load_format(name)
     located = kind.read_locations(files, errors.machine)
-    account = describe_rotary(errors, (), {}, located)
+    account = describe_rotary(errors, RotaryFiles(located=located))
     for place in find_places(errors):
         one = account[place.axis.name]
         assert one["location_at_tool_um"]["before"] > 5.0
@@ -122,7 +122,7 @@ def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
             if value:
                 assert located[symbol] == pytest.approx(value, abs=1e-6)
                 assert symbol not in one["not_in_files"]
-    kept = describe_rotary(errors, (), {}, {})["C"]["location_at_tool_um"]
+    kept = describe_rotary(errors, RotaryFiles())["C"]["location_at_tool_um"]
     assert kept["after"] == kept["before"]
 
 
@@ -131,7 +131,7 @@ def test_tilts_have_no_pins_and_are_named(shifted):
     located = load_format("linuxcnc").read_locations(
         write_files(errors, "linuxcnc"), errors.machine
     )
-    account = describe_rotary(errors, (), {}, located)
+    account = describe_rotary(errors, RotaryFiles(located=located))
     assert {"AOC", "BOC"} <= set(account["C"]["not_in_files"])
 
 

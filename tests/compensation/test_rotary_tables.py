@@ -10,7 +10,7 @@ import pytest
 from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.export import export_result
 from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.rotary import describe_rotary
+from truepath.app.compensation.rotary_left import RotaryFiles, describe_rotary
 from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import find_measured_ranges
 from truepath.app.files.machine_file import machine_from_json
@@ -122,8 +122,8 @@ def test_the_account_states_the_angle_and_what_it_does_at_the_tool(turning):
     content = tabulate(errors, "linuxcnc").tabulate(errors)
     kind = load_format("linuxcnc")
     added = kind.read_rotary(kind.write(content), errors.machine)
-    carried = describe_rotary(errors, content.rotary, added, {})
-    left = describe_rotary(errors, (), {}, {})  # of a format without such tables
+    carried = describe_rotary(errors, RotaryFiles(content.rotary, added))
+    left = describe_rotary(errors, RotaryFiles())  # of a format without such tables
     assert not load_format("fanuc").carries_rotary
     for axis in errors.machine.rotary_axes:
         one, other = carried[axis.name], left[axis.name]

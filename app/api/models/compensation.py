@@ -132,7 +132,18 @@ class OverAxesOut(BaseModel):
     """Mean length of the error where all axes move, rotary ones too, µm."""
 
     before: float
-    after: float
+    before_expanded_uncertainty: float | None = None
+    after: float = Field(description="That the files leave of the map.")
+    after_expected: float | None = Field(
+        None, description="That they leave of errors that the measurement allows."
+    )
+    after_expanded_uncertainty: float | None = Field(
+        None, description="Of `after_expected`."
+    )
+    coverage_factor: float | None = Field(
+        None,
+        description="Of expanded uncertainties; null of files without them.",
+    )
     on: str
 
 
@@ -153,16 +164,36 @@ class BeforeAfterOut(BaseModel):
     after: float
 
 
+class RotaryChangeOut(BeforeAfterOut):
+    """A root mean square of a rotary axis, with what the measurement allows."""
+
+    after_expected: float | None = Field(
+        None, description="That the files leave of errors that the measurement allows."
+    )
+    after_expanded_uncertainty: float | None = Field(
+        None, description="Of `after_expected`, k = 2."
+    )
+
+
 class RotaryLeftOut(BaseModel):
     """What files leave of a rotary axis, root mean squares over the travel."""
 
     table: RotaryTableOut | None = Field(description="Null where the files have none.")
-    positioning_urad: BeforeAfterOut | None = None
-    at_tool_um: BeforeAfterOut | None = Field(
+    positioning_urad: RotaryChangeOut | None = None
+    at_tool_um: RotaryChangeOut | None = Field(
         None, description="What that positioning does to the tool."
     )
-    location_at_tool_um: BeforeAfterOut | None = Field(
+    location_at_tool_um: RotaryChangeOut | None = Field(
         None, description="What the place of the axis does to the tool."
+    )
+    lost_motion: str | None = Field(
+        None,
+        description="Whether the result has it, and the files, in words.",
+        examples=["not in the result"],
+    )
+    lost_motion_urad: RotaryChangeOut | None = Field(
+        None,
+        description="By how much both directions differ; null without a result of it.",
     )
     not_in_files: list[str] = Field(description="Symbols that no table can have.")
 
