@@ -27,6 +27,7 @@ _KEPT = (
     "compensated",
     "compensation",
     "verdict",
+    "run_verdict",
     "statements",
     "agreement",
     "map_scale",
@@ -87,6 +88,7 @@ def verify(
         content = write_verification(found, output, compensation=named)
     written = list_files(output)
     warn_of_verdict(content["verdict"])
+    warn_of_verdict(content["run_verdict"], "the verifying measurement")
     for name, one in content["conformity"].items():
         if one["conformity"] != "within":
             say(f"note: {name}: {one['conformity']} the tolerance")

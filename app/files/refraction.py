@@ -7,6 +7,7 @@ A Run says who has done it; what is exported is never corrected again.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -32,6 +33,7 @@ _AIR = "air"
 # What sensors are taken to be right to, standard uncertainty, with what the beam meets.
 SIGMA_K, SIGMA_HPA, SIGMA_PERCENT = 0.5, 1.0, 10.0
 _USUAL_AIR = (20.0, 1013.25, USUAL_HUMIDITY)
+UNCORRECTED_PPM = 270.0  # a hall from vacuum, which an instrument may have assumed
 _NM = 633.0
 
 
@@ -129,6 +131,18 @@ def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
     change = np.abs(1e6 * (index[1:] - index[0]))
     total = float(np.linalg.norm(change))
     return total, float(change[0] / SIGMA_K), float(change[1] / SIGMA_HPA)
+
+
+def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
+    """Return the standard uncertainty of all lengths by air and tracker, ppm.
+
+    Where nobody says who corrects for the air, an instrument that does is assumed.
+
+    tracker_ppm : what the tracker's ranges are uncertain by in proportion to themselves
+    """
+    is_open = refraction.by == NOBODY
+    air_ppm = UNCORRECTED_PPM if is_open else state_scale_ppm(refraction)[0]
+    return math.hypot(air_ppm, tracker_ppm)
 
 
 def refraction_to_json(refraction: Refraction) -> dict[str, Any]:

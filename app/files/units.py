@@ -6,6 +6,7 @@ from truepath.app.kinematics.effects.base import Parameter
 
 UM_PER_MM = 1e3
 URAD_PER_RAD = 1e6
+PER_PPM = 1e-6
 # Inside unit -> unit in files and its number in one of the inside unit.
 _UNITS = {
     "mm": ("um", UM_PER_MM),

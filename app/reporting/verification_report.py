@@ -72,6 +72,7 @@ def render_verification_report(found: Verification) -> str:
         {
             "machine": found.result.machine.name,
             "verdict": found.result.verdict,
+            "run_verdict": found.run_verdict,
             "run": ", ".join(one.summary.name for one in found.runs),
             "is_compensated": found.is_compensated,
             "statements": list(state_findings(found)),

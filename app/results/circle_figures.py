@@ -11,7 +11,8 @@ the centre of the circle of least squares of both senses,
 
 Noise enlarges a range. By how much is told by adding noise to the shape that stands
 clear of it, the harmonics above the universal threshold (Donoho and Johnstone 1994):
-the figures are stated less that, and most of it is part of their uncertainty.
+the figures are stated less that, and most of it is part of their uncertainty. The scale
+of air and tracker is in F alone: it makes a circle larger, and leaves it one.
 """
 
 from __future__ import annotations
@@ -192,8 +193,12 @@ class StatedFigures:
 def state_figures(
     radial_mm: dict[str, Sectors],
     covariance_mm2: dict[str, Float64[np.ndarray, "s s"]],
+    scale_mm: float = 0.0,
 ) -> StatedFigures:
-    """Return the figures of a measurement less what its noise adds to them."""
+    """Return the figures of a measurement less what its noise adds to them.
+
+    scale_mm : standard uncertainty of the radius by the scale of all lengths
+    """
     rng = np.random.default_rng(1)
     noise = {sense: draw(rng, one) for sense, one in covariance_mm2.items()}
     shape = _find_shape(radial_mm, noise)
@@ -208,9 +213,10 @@ def state_figures(
     for name, one in raw.items():
         added = float(more[name].mean() - clear[name][0])
         stated = float(one[0]) - added
-        value[name] = UM_PER_MM * (stated if name[0] == "F" else max(stated, 0.0))
-        spread = float(np.hypot(more[name].std(), _BIAS_SHARE * added))
-        uncertainty[name] = UM_PER_MM * spread
+        is_radius = name[0] == "F"
+        value[name] = UM_PER_MM * (stated if is_radius else max(stated, 0.0))
+        parts = more[name].std(), _BIAS_SHARE * added, is_radius * scale_mm
+        uncertainty[name] = UM_PER_MM * float(np.linalg.norm(parts))
     by_noise = {name: UM_PER_MM * float(one.mean()) for name, one in own.items()}
     return StatedFigures(value, uncertainty, by_noise)
 

@@ -25,13 +25,14 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.special import ndtri
 
 from truepath.app.files.units import UM_PER_MM
+from truepath.app.results.drawn_vectors import DrawnVectors
 from truepath.app.results.held_places import K
 from truepath.app.results.measured_places import MeasuredPlaces
 
 CIRCLE_FIGURES = ("G", "F_max", "F_min")
 _SAME_MM = 1e-3
 _FEWEST = 12
-_BY_NOISE = 0.99
+_BY_ERROR = 0.99
 _SIDE = float(ndtri(0.975))
 
 
@@ -84,27 +85,29 @@ def find_circles(
 def evaluate_circle(
     position: Float64[np.ndarray, "n a"],
     own: Int64[np.ndarray, " k"],
-    values: Float64[np.ndarray, "n 3 e"],
+    values: DrawnVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
     places: MeasuredPlaces,
 ) -> CircleFigures:
     """Return the figures of the circle that places lie on.
 
-    own : which of n places; values : the first as measured, the others of noise alone
+    own : which of n places
     """
     plane, centre_mm, radius_mm = _fit_nominal(position[own])
     out = (position[own] - centre_mm)[:, plane] / radius_mm
     every = places.at.machine.axis_names
     names = "".join(every[int(k)] for k in plane)
     column = ["XYZ".index(name) for name in names]
-    radial = UM_PER_MM * np.einsum("ni,nie->ne", out, values[own][:, column])
-    expected = UM_PER_MM * np.einsum("ni,ni->n", out, predicted_mm[own][:, column])
-    raw, noise = _compute_figures(radial[:, :1], out), radial[:, 1:]
-    by_noise = _compute_figures(noise, out)
-    largest = _find_largest_sigma(noise, out)
+    across = np.zeros((len(own), 3))
+    across[:, column] = out
+    seen = values.project(own, across)
+    expected = UM_PER_MM * np.einsum("ni,ni->n", across, predicted_mm[own])
+    raw = _compute_figures(seen.measured_um[:, None], out)
+    by_error = _compute_figures(seen.error_um, out)
+    largest = _find_largest_sigma(seen.error_um, out)
     model = _compute_figures(expected[:, None], out)
     stated = {
-        name: _enclose(name, float(raw[name][0]), by_noise[name], largest[name])
+        name: _enclose(name, float(raw[name][0]), by_error[name], largest[name])
         for name in CIRCLE_FIGURES
     }
     return CircleFigures(
@@ -112,20 +115,23 @@ def evaluate_circle(
         centre_mm,
         radius_mm,
         np.degrees(np.arctan2(out[:, 1], out[:, 0])),
-        radial[:, 0],
+        seen.measured_um,
         {name: value for name, (value, _) in stated.items()},
         {name: uncertainty for name, (_, uncertainty) in stated.items()},
-        {name: float(one.mean()) for name, one in by_noise.items()},
+        {
+            name: float(one.mean())
+            for name, one in _compute_figures(seen.noise_um, out).items()
+        },
         {name: float(value[0]) for name, value in model.items()},
     )
 
 
 def _enclose(
-    name: str, raw: float, by_noise: Float64[np.ndarray, " e"], largest_sigma: float
+    name: str, raw: float, by_error: Float64[np.ndarray, " e"], largest_sigma: float
 ) -> tuple[float, float]:
     """Return the middle of the interval of a figure, and a quarter of its width."""
     sign = -1.0 if name == "F_min" else 1.0  # a smallest is less the largest of −m
-    more = float(np.quantile(sign * by_noise, _BY_NOISE))
+    more = float(np.quantile(sign * by_error, _BY_ERROR))
     less = _SIDE * largest_sigma
     value = raw - sign * 0.5 * (more - less)
     # A range below 0 is 0: the interval about it still reaches as far up.
@@ -133,11 +139,11 @@ def _enclose(
 
 
 def _find_largest_sigma(
-    noise: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
+    error: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
 ) -> dict[str, float]:
     """Return the largest standard deviation of what a figure may be the largest of."""
-    single = float(noise.std(axis=1).max())
-    apart = np.cov(_centre(noise, out))
+    single = float(error.std(axis=1).max())
+    apart = np.cov(_centre(error, out))
     own = np.diag(apart)
     pair = float(np.max(own[:, None] + own - 2.0 * apart))
     return {"G": max(pair, 0.0) ** 0.5, "F_max": single, "F_min": single}

@@ -16,9 +16,10 @@ from jaxtyping import Float64
 from truepath.app.alignment.cleaning import find_valid_samples
 from truepath.app.alignment.observations import Observations
 from truepath.app.estimation.runs import RunInput
+from truepath.app.files.refraction import state_length_ppm
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import Run
-from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.units import PER_PPM, UM_PER_MM
 from truepath.app.kinematics.conditions import Conditions, observe_targets
 from truepath.app.results.circle_figures import (
     CommandedCircle,
@@ -202,9 +203,12 @@ def _evaluate(
     displace: Displace,
 ) -> CircleInMotion:
     senses = dict(sorted(senses.items(), reverse=True))  # counterclockwise first
+    radius_mm = next(iter(senses.values())).commanded.radius_mm
+    ppm = state_length_ppm(run.refraction, run.machine.tracker.range_ppm)
     measured = state_figures(
         {sense: one.radial_mm for sense, one in senses.items()},
         {sense: one.covariance_mm2 for sense, one in senses.items()},
+        PER_PPM * ppm * radius_mm,
     )
     expected: dict[str, Float64[np.ndarray, " s"]] = {}
     columns: dict[str, Float64[np.ndarray, "s p"]] = {}

@@ -25,6 +25,7 @@ from truepath.app.results.circles_at_standstill import (
     evaluate_circle,
     find_circles,
 )
+from truepath.app.results.drawn_vectors import DrawnVectors
 from truepath.app.results.measured_places import MeasuredPlaces
 
 _SAME_MM = 1e-3
@@ -70,17 +71,13 @@ class DrivenFigures:
 
 def evaluate_driven(
     places: MeasuredPlaces,
-    measured_mm: Float64[np.ndarray, "n 3"],
+    measured: DrawnVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
-    noise_mm: Float64[np.ndarray, "n 3 d"],
 ) -> DrivenFigures:
-    """Return the figures of the lines and circles that places lie on.
-
-    noise_mm : drawn from the noise of measured_mm
-    """
+    """Return the figures of the lines and circles that places lie on."""
     order = np.flatnonzero(places.at.line < 0)
     position = places.at.position_mm[order]
-    values = np.concatenate([measured_mm[..., None], noise_mm], axis=2)[order]
+    values = measured.select(order)
     lines = [
         _evaluate_line(position, passed, values, predicted_mm[order], places)
         for passed in _find_lines(position)
@@ -146,7 +143,7 @@ def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
 def _evaluate_line(
     position: Float64[np.ndarray, "n a"],
     passed: _Passes,
-    values: Float64[np.ndarray, "n 3 e"],
+    values: DrawnVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
     places: MeasuredPlaces,
 ) -> LineFigures | None:
@@ -165,18 +162,17 @@ def _evaluate_line(
     column = np.array(["XYZ".index(machine.axis_names[k]) for k in linear])
     vector = np.zeros(3)
     vector[column] = direction
-    deviation = UM_PER_MM * np.einsum("i,nie->ne", vector, values[passed.place])
+    seen = values.project(passed.place, np.tile(vector, (len(passed.place), 1)))
+    deviation = seen.measured_um
     expected = UM_PER_MM * predicted_mm[passed.place] @ vector
-    # Column 0 is the measurement; the others are noise alone.
-    drawn = deviation[:, :1] + deviation[:, 1:]
-    figures = _compute_figures(deviation[:, :1], pairs)
-    spread = _compute_figures(drawn, pairs)
-    own = _compute_figures(deviation[:, 1:], pairs)
+    figures = _compute_figures(deviation[:, None], pairs)
+    spread = _compute_figures(deviation[:, None] + seen.error_um, pairs)
+    own = _compute_figures(seen.noise_um, pairs)
     model = _compute_figures(expected[:, None], pairs)
     axes = "".join(
         machine.axis_names[k] for k in linear if abs(passed.direction[k]) > 1e-6
     )
-    mean = [np.array([deviation[rows, 0].mean() for rows in side]) for side in pairs]
+    mean = [np.array([deviation[rows].mean() for rows in side]) for side in pairs]
     ends = [passed.origin_mm + at * passed.direction for at in (at_mm[0], at_mm[-1])]
     return LineFigures(
         axes,

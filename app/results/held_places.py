@@ -16,7 +16,7 @@ from truepath.app.estimation.extrapolation import (
     full_travel,
 )
 from truepath.app.files.result_file import CalibrationResult
-from truepath.app.files.units import UM_PER_MM
+from truepath.app.files.units import PER_PPM, UM_PER_MM
 from truepath.app.results.length_statistics import DRAWS
 from truepath.app.results.measured_places import MeasuredPlaces, join_places
 from truepath.app.results.predicted_motion import Correction, predict_displacement
@@ -100,6 +100,7 @@ class MapScale:
 class HeldPlaces:
     """Measurement and prediction at places, in their m components, mm.
 
+    scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
     less_rigid : (m, m) takes the best-fit pose and seats out of components
     """
@@ -108,6 +109,7 @@ class HeldPlaces:
     places: MeasuredPlaces
     as_found_mm: Float64[np.ndarray, " m"]
     predicted_mm: Float64[np.ndarray, " m"]
+    scale_mm: Float64[np.ndarray, " m"]
     columns: Float64[np.ndarray, "m p"]
     bend_mm2: Float64[np.ndarray, " m"]
     less_rigid: Float64[np.ndarray, "m m"]
@@ -117,8 +119,12 @@ class HeldPlaces:
         result: CalibrationResult,
         places: MeasuredPlaces,
         correction: Correction | None,
+        scale_ppm: float = 0.0,
     ) -> HeldPlaces:
-        """Return the places of one Run with what a result says of them."""
+        """Return the places of one Run with what a result says of them.
+
+        scale_ppm : standard uncertainty that all lengths of the Run have in common
+        """
         model, at = result.model, places.cells
         as_found = places.project(predict_displacement(result, at))
         predicted = places.project(predict_displacement(result, at, correction))
@@ -132,11 +138,14 @@ class HeldPlaces:
         bend = beyond_travel_variance_mm2(places.at, told.model, known)
         size = len(places.owner)
         N = places.nuisance
+        # From where is no matter: a shift of all places goes with the pose.
+        away_mm = at.point_mm - at.point_mm.mean(axis=0)
         return HeldPlaces(
             result,
             places,
             as_found,
             predicted,
+            PER_PPM * scale_ppm * places.project(away_mm),
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
@@ -152,10 +161,16 @@ class HeldPlaces:
             join_places([part.places for part in parts]),
             np.concatenate([part.as_found_mm for part in parts]),
             np.concatenate([part.predicted_mm for part in parts]),
+            np.concatenate([part.scale_mm for part in parts]),
             np.concatenate([part.columns for part in parts]),
             np.concatenate([part.bend_mm2 for part in parts]),
             block_diag(*(part.less_rigid for part in parts)),
         )
+
+    @property
+    def covariance_mm2(self) -> Float64[np.ndarray, "m m"]:
+        """Covariance of the measurement: its noise, and the scale it has in common."""
+        return self.places.noise_mm2 + np.outer(self.scale_mm, self.scale_mm)
 
     def state(
         self, value: Float64[np.ndarray, " m"], covariance: Float64[np.ndarray, "m m"]
@@ -188,7 +203,7 @@ class HeldPlaces:
     ) -> tuple[float, int]:
         """Return χ² of the deviations, pose and seats fitted, and its freedom."""
         deviation = self.places.residual_mm - self.predicted_mm
-        factor = np.linalg.cholesky(self.places.noise_mm2 + covariance)
+        factor = np.linalg.cholesky(self.covariance_mm2 + covariance)
         whitened = np.linalg.solve(
             factor, np.column_stack([deviation, self.places.nuisance])
         )
@@ -205,7 +220,7 @@ class HeldPlaces:
 
         Its first two moments (Satterthwaite 1946), pose and seats taken off.
         """
-        V = self.places.noise_mm2
+        V = self.covariance_mm2
         ratio = np.linalg.solve(V + covariance, V + true)
         mean = float(np.trace(ratio)) - self.places.nuisance.shape[1]
         square = float(np.sum(ratio * ratio.T))
@@ -229,7 +244,7 @@ def judge_consistency(
     scale, rest_freedom = held.match_chi_square(free, spread)
     M = held.less_rigid
     off = M @ (held.places.residual_mm - held.predicted_mm)
-    sigma = np.sqrt(np.diag(M @ (held.places.noise_mm2 + spread) @ M))
+    sigma = np.sqrt(np.diag(M @ (held.covariance_mm2 + spread) @ M))
     return Consistency(
         chi_square,
         freedom,
@@ -242,7 +257,7 @@ def judge_consistency(
 
 def find_map_scale(held: HeldPlaces) -> MapScale | None:
     """Return how much of the map is in the measurement; None where it has no errors."""
-    factor = np.linalg.cholesky(held.places.noise_mm2)
+    factor = np.linalg.cholesky(held.covariance_mm2)
     columns = [held.places.residual_mm, held.as_found_mm, held.places.nuisance]
     white = np.linalg.solve(factor, np.column_stack(columns))
     data, taken = white[:, 0], _orthonormalise(white[:, 2:])

@@ -4,7 +4,8 @@ A length of a noisy vector is too long on average: its square by the trace of th
 covariance of the noise, which is taken off. What that leaves of the noise in a
 statistic is found by adding noise once more (a parametric bootstrap; Efron & Tibshirani
 1993, chapter 10) and taken off as well; the uncertainty has its spread, as much again
-for what was taken off, and how well the size of the noise is known.
+for what was taken off, how well the size of the noise is known, and the scale that all
+places have in common.
 """
 
 from __future__ import annotations
@@ -37,11 +38,13 @@ def state_measured(
     vector_mm: Float64[np.ndarray, "n 3"],
     noise_mm: Float64[np.ndarray, "n 3 d"],
     known_by: float,
+    scale_mm: Float64[np.ndarray, "n 3"],
 ) -> LengthStatistics:
     """Return the statistics of vectors, of which noise is part.
 
     noise_mm : drawn from its distribution
     known_by : degrees of freedom by which the size of the noise is known
+    scale_mm : what one standard uncertainty of the scale makes of each
     """
     added = np.mean(np.sum(noise_mm**2, axis=1), axis=1)
     length = _take_off(vector_mm[:, :, None], added)
@@ -52,7 +55,10 @@ def state_measured(
     bias = again.mean(axis=1) - value
     more = added * (1.0 + np.sqrt(2.0 / known_by))
     louder = _state(UM_PER_MM * _take_off(vector_mm[:, :, None], more))[:, 0] - value
-    spread = np.sqrt(again.var(axis=1) + bias**2 + louder**2)
+    scaled = vector_mm[:, :, None] + scale_mm[:, :, None] * np.array([-1.0, 1.0])
+    apart = _state(UM_PER_MM * _take_off(scaled, added)) - value[:, None]
+    common = np.mean(apart**2, axis=1)
+    spread = np.sqrt(again.var(axis=1) + bias**2 + louder**2 + common)
     # Each is at least as long as the one before, whatever the noise.
     value = np.maximum.accumulate(np.maximum(value - bias, 0.0))
     return _name(value, spread)

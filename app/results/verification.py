@@ -9,10 +9,11 @@ measured places, each component counting the same. Then, at each place,
     deviation  measured less predicted
 
 A tolerance is held against measured and against the deviation by ISO 14253-1, with the
-uncertainty of the measurement alone: the truth is compared with what was stated.
+uncertainty of the measurement alone: the truth is compared with what was stated. It has
+the noise of each place, and the scale of air and tracker that all places share.
 Whether the result's own uncertainty is right is another question: deviations are
-consistent if χ² = dᵀ (V + J C Jᵀ)⁻¹ d, pose and seats fitted, is what V of the noise
-and C of the result allow.
+consistent if χ² = dᵀ (V + J C Jᵀ)⁻¹ d, pose and seats fitted, is what V of the
+measurement and C of the result allow.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ from truepath.app.alignment.left_out import LeftOut
 from truepath.app.errors import BadInput, Unidentifiable
 from truepath.app.estimation.noise import NoiseModel
 from truepath.app.files.one_machine import one_machine
+from truepath.app.files.refraction import state_length_ppm
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import Run, RunSummary, summarize_run
+from truepath.app.files.verdict import Verdict
 from truepath.app.kinematics.machine import Machine
 from truepath.app.progress import Progress, ignore_progress
 from truepath.app.results.circles_in_motion import (
@@ -37,6 +40,7 @@ from truepath.app.results.circles_in_motion import (
     evaluate_circles,
     join_circles,
 )
+from truepath.app.results.drawn_vectors import DrawnVectors
 from truepath.app.results.driven_figures import DrivenFigures, evaluate_driven
 from truepath.app.results.held_places import (
     Consistency,
@@ -59,6 +63,7 @@ from truepath.app.results.predicted_motion import (
     find_poses,
     predict_displacement,
 )
+from truepath.app.results.verdict import judge_air
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,18 +71,21 @@ class VerifiedRun:
     """A Run, or a part of one that went on, that a result was held against.
 
     samples : used and offered
+    scale_ppm : standard uncertainty that all its lengths have in common
     """
 
     summary: RunSummary
     noise: NoiseModel
     samples: tuple[int, int]
     left_out: tuple[LeftOut, ...]
+    scale_ppm: float
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
     """What a measurement says of a result.
 
+    run_verdict : what is wrong with the measurement itself
     deviation : its covariance is that of the measurement; combined_mm2 with the result
     statistics : of lengths: `measured`, `predicted`, `deviation`
     conformity : of `measured` and `deviation` where there is a tolerance
@@ -87,6 +95,7 @@ class Verification:
 
     result: CalibrationResult
     runs: tuple[VerifiedRun, ...]
+    run_verdict: Verdict
     places: MeasuredPlaces
     measured: PlaceVectors
     predicted: PlaceVectors
@@ -134,13 +143,23 @@ def verify(
         for part, one in zip(parts, found, strict=True)
     ]
     _require_enough(places)
-    held = HeldPlaces.join([HeldPlaces.of(result, one, correction) for one in places])
+    ppm = [state_length_ppm(r.refraction, r.machine.tracker.range_ppm) for r in runs]
+    held = HeldPlaces.join(
+        [
+            HeldPlaces.of(result, one, correction, scale)
+            for one, scale in zip(places, ppm, strict=True)
+        ]
+    )
     on_progress(0.8, "reporting")
     verified = tuple(
         VerifiedRun(
-            summary, one.noise, (part.seen.used, part.seen.offered), part.own.left_out
+            summary,
+            one.noise,
+            (part.seen.used, part.seen.offered),
+            part.own.left_out,
+            scale,
         )
-        for summary, part, one in zip(summaries, parts, found, strict=True)
+        for summary, part, one, scale in zip(summaries, parts, found, ppm, strict=True)
     )
     predict = partial(predict_displacement, result, correction=correction)
     circles = join_circles(
@@ -192,12 +211,13 @@ def _state(
 ) -> Verification:
     places, result = held.places, held.result
     spread = held.predict_covariance(result.covariance)
-    residual, V = places.residual_mm, places.noise_mm2
+    residual, V = places.residual_mm, held.covariance_mm2
     measured = held.state(residual, V)
     predicted = held.state(held.predicted_mm, spread)
     deviation = held.state(residual - held.predicted_mm, V)
     combined = measured.covariance_mm2 + predicted.covariance_mm2
-    drawn, departures = held.draw(V, 1), held.draw(spread, 2)
+    drawn, departures = held.draw(places.noise_mm2, 1), held.draw(spread, 2)
+    scale_mm = places.collect(held.less_rigid @ held.scale_mm)
     consistency = judge_consistency(held, spread)
     conformity = {
         name: decide_places(
@@ -213,16 +233,21 @@ def _state(
     return Verification(
         result,
         runs,
+        judge_air(
+            [one.summary.refraction for one in runs], [one.summary.name for one in runs]
+        ),
         places,
         measured,
         predicted,
         deviation,
         combined,
         {
-            "measured": state_measured(measured.vector_mm, drawn, consistency.known_by),
+            "measured": state_measured(
+                measured.vector_mm, drawn, consistency.known_by, scale_mm
+            ),
             "predicted": state_predicted(predicted.vector_mm, departures),
             "deviation": state_measured(
-                deviation.vector_mm, drawn, consistency.known_by
+                deviation.vector_mm, drawn, consistency.known_by, scale_mm
             ),
         },
         consistency,
@@ -230,6 +255,10 @@ def _state(
         conformity,
         tolerance_um,
         correction is not None,
-        evaluate_driven(places, measured.vector_mm, predicted.vector_mm, drawn),
+        evaluate_driven(
+            places,
+            DrawnVectors(measured.vector_mm, drawn, scale_mm),
+            predicted.vector_mm,
+        ),
         CirclesInMotion(),
     )

@@ -16,6 +16,10 @@ from truepath.app.results.circles_at_standstill import CircleFigures
 from truepath.app.results.circles_json import circles_json, state_circles
 from truepath.app.results.conformity import Conformity
 from truepath.app.results.driven_figures import LineFigures
+from truepath.app.results.environment_json import (
+    describe_refraction,
+    environment_json,
+)
 from truepath.app.results.held_places import K, PlaceVectors
 from truepath.app.results.length_statistics import LengthStatistics
 from truepath.app.results.number_format import format_number
@@ -49,6 +53,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "machine": found.result.machine.name,
         "compensated": found.is_compensated,
         "verdict": verdict_json(found.result.verdict),
+        "run_verdict": verdict_json(found.run_verdict),
         "statements": list(state_findings(found)),
         "agreement": _agreement_json(found),
         "map_scale": _scale_json(found),
@@ -131,6 +136,8 @@ def _run_json(run: VerifiedRun) -> dict[str, Any]:
         "samples_used": run.samples[0],
         "samples_offered": run.samples[1],
         "left_out": [_describe_left_out(one) for one in run.left_out],
+        "length_scale_ppm": run.scale_ppm,
+        "environment": environment_json(run.summary),
     }
 
 
@@ -158,6 +165,7 @@ def state_findings(found: Verification) -> Iterator[str]:
             f"(k = {one.coverage_factor:.1f}, so that all places lie within together "
             "in 95 % of cases)."
         )
+    yield from map(str, found.run_verdict.reasons)
     yield from _state_unseen(found)
     yield _state_agreement(found)
     yield from _state_scale(found)
@@ -170,6 +178,7 @@ def state_findings(found: Verification) -> Iterator[str]:
         f"{_um(K * measured.uncertainty_um)} µm, as stated by the result "
         f"{_um(predicted.value_um)} ± {_um(K * predicted.uncertainty_um)} µm (k = 2)."
     )
+    yield from dict.fromkeys(map(_state_air, found.runs))
 
 
 def _state_unseen(found: Verification) -> Iterator[str]:
@@ -186,6 +195,16 @@ def _state_unseen(found: Verification) -> Iterator[str]:
             "is kept there cannot be said; measure lines in other directions, or "
             "points."
         )
+
+
+def _state_air(run: VerifiedRun) -> str:
+    """Return who corrected the ranges for the air, and what is left of their scale."""
+    return (
+        "The ranges of the verifying measurement are "
+        f"{describe_refraction(run.summary.refraction)}; "
+        f"{format_number(run.scale_ppm, 2)} ppm (k = 1) of scale, of air and tracker, "
+        "common to all places, are part of its uncertainty."
+    )
 
 
 def _state_agreement(found: Verification) -> str:

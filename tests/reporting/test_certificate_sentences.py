@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
 from truepath.app.reporting.certificate.closing_sections import (
     describe_verification,
     say_decision,
@@ -79,6 +80,17 @@ def test_what_lines_leave_unseen_is_said_in_german():
     _, across, unseen, _ = word_findings(content, load_language("de"))
     assert "quer zur Fahrt" in across
     assert unseen.startswith("Längs X wurde nichts gemessen")
+
+
+def test_air_and_scale_of_a_verification_are_said_in_german():
+    air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
+    content = VERIFICATION | {
+        "run_verdict": verdict_json(Verdict((air,))),
+        "runs": [{"length_scale_ppm": 270.0}, {"length_scale_ppm": 270.0}],
+    }
+    _, uncorrected, _, scale = word_findings(content, load_language("de"))
+    assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
+    assert "270,00 ppm" in scale
 
 
 def test_a_scale_as_expected_is_not_commented():

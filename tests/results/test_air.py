@@ -8,6 +8,7 @@ import pytest
 from truepath.app.files.refraction import (
     Refraction,
     correct_refraction,
+    state_length_ppm,
     state_scale_ppm,
 )
 from truepath.app.files.run import Run, RunEvent, summarize_run
@@ -127,3 +128,11 @@ def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
     (reason,) = judge_air([Refraction("nobody", why="no pressure")], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
     assert "no pressure" in str(reason)
+
+
+def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
+    air_ppm = state_scale_ppm(Refraction())[0]
+    assert state_length_ppm(Refraction(), 0.0) == pytest.approx(air_ppm)
+    both = state_length_ppm(Refraction("instrument"), 0.5)
+    assert both == pytest.approx(np.hypot(air_ppm, 0.5))
+    assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0

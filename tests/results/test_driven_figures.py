@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.results.drawn_vectors import DrawnVectors
 from truepath.app.results.driven_figures import evaluate_driven
 
 TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
@@ -24,10 +25,12 @@ def axis_runs(machine, start, direction):
     return np.array(start) + distance[:, None] * np.array(direction), distance
 
 
-def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9):
+def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9, scale_mm=None):
     nothing = np.zeros_like(deviation_mm)
     noise = noise_mm * rng.standard_normal((*deviation_mm.shape, 50))
-    return evaluate_driven(places_at(machine, position), deviation_mm, nothing, noise)
+    scale = nothing if scale_mm is None else scale_mm
+    measured = DrawnVectors(deviation_mm, noise, scale)
+    return evaluate_driven(places_at(machine, position), measured, nothing)
 
 
 def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
@@ -121,7 +124,8 @@ def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
     trials = 80
     for _ in range(trials):
         measured_mm = true_mm + 1e-3 * noise_um * rng.standard_normal(out.shape)
-        (found,) = evaluate_driven(places, measured_mm, nothing, noise_mm).circles
+        measured = DrawnVectors(measured_mm, noise_mm, nothing)
+        (found,) = evaluate_driven(places, measured, nothing).circles
         for name, value in found.figures_um.items():
             held[name] += abs(value - exact[name]) <= 2.0 * found.uncertainty_um[name]
     assert min(held.values()) >= 0.95 * trials
@@ -136,3 +140,23 @@ def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertain
     assert 3.0 < found.own_um["G"] < 6.0
     assert 0.0 <= found.figures_um["G"] <= 2.0 * found.uncertainty_um["G"]
     assert found.figures_um["G"] < found.own_um["G"]
+
+
+def test_the_scale_of_all_lengths_is_in_figures_of_length_and_not_in_the_noise(
+    mill, rng
+):
+    position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
+    still, ppm = np.zeros((len(position), 3)), 10.0
+    scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
+    (line,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).lines
+    travel_m = 1e-3 * np.ptp(TARGETS)
+    assert line.uncertainty_um["E"] == pytest.approx(ppm * travel_m * 0.6, rel=0.3)
+    assert line.own_um["E"] < 1e-3
+    assert line.uncertainty_um["B"] < 1e-3
+
+    out, position = circle_in_both_senses()
+    still, radius_m = np.zeros_like(out), 0.1
+    scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
+    (circle,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).circles
+    assert circle.uncertainty_um["F_max"] == pytest.approx(ppm * radius_m, rel=0.5)
+    assert circle.uncertainty_um["G"] < 1e-2

@@ -8,6 +8,7 @@ import pytest
 
 from truepath.app.alignment.align import align
 from truepath.app.errors import BadInput
+from truepath.app.files.refraction import Refraction
 from truepath.app.files.result_file import result_from_json
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.motion.configurations import select_rows
@@ -116,6 +117,61 @@ def test_the_volumetric_error_as_measured_is_that_of_the_machine(
     ):
         stated = found.statistics["measured"][name]
         assert abs(stated.value_um - value) < 3.0 * stated.uncertainty_um
+
+
+def test_the_scale_of_air_and_tracker_is_in_the_uncertainty_of_a_place(
+    calibrated, remeasured
+):
+    run, _ = remeasured(101)
+    tracker = replace(run.machine.tracker, range_ppm=40.0)  # as its data sheet says
+    stated = replace(run.machine, tracker=tracker)
+    machine = replace(calibrated.machine, tracker=tracker)
+    found = verify(
+        replace(calibrated, model=replace(calibrated.model, machine=machine)),
+        replace(run, machine=stated),
+    )
+    places = found.places
+    point = places.at.point_mm
+    far = np.linalg.norm(point - point.mean(axis=0), axis=1).argmax()
+    noise = places.collect_covariance(places.noise_mm2)[far]
+    more = found.deviation.covariance_mm2[far] - noise
+    # 40 ppm of the way from the middle, less what goes with the pose.
+    away_um = 40e-3 * np.linalg.norm(point[far] - point.mean(axis=0))
+    assert 1e3 * np.sqrt(np.trace(more)) == pytest.approx(away_um, rel=0.05)
+    (content,) = verification_json(found)["runs"]
+    assert content["length_scale_ppm"] == pytest.approx(40.0, abs=0.1)
+
+
+def test_a_scale_that_the_air_explains_is_not_held_against_the_machine(
+    calibrated, remeasured
+):
+    run, _ = remeasured(101)
+    longer = replace(run.tracker, position_mm=1.0001 * run.tracker.position_mm)
+    run = replace(run, tracker=longer)
+    known = replace(run, refraction=Refraction("instrument"))
+    assert verify_decisions(calibrated, known)["deviation"] == "outside"
+    open_air = replace(run, refraction=Refraction("nobody", why="no pressure"))
+    assert set(verify_decisions(calibrated, open_air).values()) == {"undecided"}
+
+
+def verify_decisions(result, run):
+    found = verify(result, run, tolerance_um=TOLERANCE_UM)
+    return {name: one.conformity for name, one in found.conformity.items()}
+
+
+def test_the_air_of_the_verifying_measurement_is_judged_as_that_of_a_calibration(
+    calibrated, remeasured
+):
+    run = replace(
+        remeasured(101)[0], refraction=Refraction("nobody", why="no pressure")
+    )
+    content = verification_json(verify(calibrated, run))
+    (said,) = content["run_verdict"]["reasons"]
+    assert content["run_verdict"]["state"] == "doubtful"
+    assert said in content["statements"]
+    assert "NOT corrected: no pressure" in content["statements"][-1]
+    (one,) = content["runs"]
+    assert one["environment"]["refraction"]["by"] == "nobody"
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.models.result import ProvenanceOut
+from truepath.app.api.models.result_run import EnvironmentOut
 from truepath.app.api.models.tables import VerdictOut
 from truepath.app.results.conformity import Conformity
 
@@ -196,6 +197,14 @@ class VerifyingRunOut(BaseModel):
     samples_used: int
     samples_offered: int
     left_out: list[LeftOutOfRunOut]
+    length_scale_ppm: float | None = Field(
+        None,
+        description="Standard uncertainty of all its lengths in common, of air and "
+        "tracker, which is in the uncertainties. Earlier versions do not have it.",
+    )
+    environment: EnvironmentOut | None = Field(
+        None, description="As of a calibration. Earlier versions do not have it."
+    )
 
 
 class VerifyingPartOut(VerifyingRunOut):
@@ -230,6 +239,11 @@ class VerificationOut(BaseModel):
         None, description="Null where no files were named."
     )
     verdict: VerdictOut = Field(description="That of the result.")
+    run_verdict: VerdictOut | None = Field(
+        None,
+        description="What is wrong with the verifying measurement itself: ranges that "
+        "are not corrected for the air. Earlier versions do not have it.",
+    )
     statements: list[str] = Field(description="What was found, in sentences.")
     asked: VerificationAskedOut
     agreement: AgreementOut

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from truepath.app.files.file_model import as_object
+from truepath.app.files.verdict import verdict_from_json
 from truepath.app.reporting.certificate.circle_section import describe_circles
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
@@ -218,6 +219,8 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
             k=language.number(measured["coverage_factor"], 1),
             tolerance=_um(measured["tolerance_um"], language),
         )
+    if stated := as_object(content.get("run_verdict")):
+        yield from map(language.say_reason, verdict_from_json(stated).reasons)
     if str(content.get("components", "")).startswith("three at standstills"):
         yield language.say("verification_across")
     if unseen := content.get("unseen_directions"):
@@ -232,6 +235,16 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         if cause is not None:
             times = language.number(value, 2)
             yield language.say(f"verification_scale_{cause}", times=times)
+    for ppm in dict.fromkeys(
+        one.get("length_scale_ppm") for one in _list_runs(content)
+    ):
+        if ppm is not None:
+            scale_ppm = language.number(ppm, 2)
+            yield language.say("verification_length_scale", ppm=scale_ppm)
+
+
+def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    return content.get("runs", ())
 
 
 def _say_agreement(agreement: Mapping[str, Any], language: Language) -> str:
