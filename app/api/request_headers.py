@@ -13,8 +13,8 @@ from pydantic import BaseModel, StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 from starlette.exceptions import HTTPException
 
+from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Job
-from truepath.app.jobs.store import IdempotencyKey
 
 IdempotencyKeyHeader = Annotated[
     Annotated[

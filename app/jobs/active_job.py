@@ -11,12 +11,7 @@ from typing import Any
 import structlog
 
 from truepath.app.errors import MeasurementFailed
-from truepath.app.jobs.errors import (
-    Aborted,
-    Cancelled,
-    Interrupted,
-    StorageUnavailable,
-)
+from truepath.app.jobs.errors import Aborted, Cancelled, Interrupted, StorageUnavailable
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import Computing
 from truepath.app.jobs.job import (
@@ -29,31 +24,14 @@ from truepath.app.jobs.job import (
     Stage,
     encode_job,
 )
+from truepath.app.jobs.job_changes import ask_for, end_job, enter_state, set_failure
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import (
-    MOVE_STATES,
-    State,
-    Verb,
-    apply_verb,
-    may_follow,
-)
+from truepath.app.jobs.transitions import MOVE_STATES, State, Verb
 
 log = structlog.get_logger(__name__)
 
-_DESIRED_STATES = {
-    Verb.ARM: str(State.RUNNING),
-    Verb.PAUSE: str(State.PAUSED),
-    Verb.RESUME: str(State.RUNNING),
-    Verb.CANCEL: str(State.CANCELLED),
-    Verb.ABORT: str(State.ABORTED),
-    Verb.ACKNOWLEDGE: str(State.READY),
-}
-_ENDS_ASKED_FOR = {
-    State.ABORTING: State.ABORTED,
-    State.CANCELLING: State.CANCELLED,
-}
 LOOK_AGAIN_S = 3.0
 STORE_EVERY_S = 1.0
 PUBLISH_EVERY_S = 0.1
@@ -107,14 +85,7 @@ class ActiveJob:
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
-
-        def change(job: Job) -> Job:
-            state, desired = apply_verb(verb, job.state), _DESIRED_STATES[verb]
-            if state is job.state and (job.is_final or job.desired_state == desired):
-                return job
-            return replace(job, state=state, desired_state=desired)
-
-        return self._change(change, version)
+        return self._change(lambda job: ask_for(job, verb), version)
 
     def arm(self, plan_sha256: str) -> None:
         """Let a job that waits for it move the machine, as that plan commands."""
@@ -205,22 +176,9 @@ class ActiveJob:
         """
 
         def change(job: Job) -> Job:
-            allowed = job.state is state or may_follow(job.state, state)
-            unchanged = (job.state, job.stage) == (state, stage)
-            pausing = job.state is State.PAUSING and job.wants_pause
-            if not allowed or unchanged or (unless_pausing and pausing):
+            if unless_pausing and job.state is State.PAUSING and job.wants_pause:
                 return job
-            # Once the machine moves, the request for a pause is over.
-            moves = state is State.RUNNING and job.wants_pause
-            return replace(
-                job,
-                state=state,
-                desired_state=str(state) if moves else job.desired_state,
-                stage=stage,
-                progress=self._progress,
-                health=self._health,
-                attempts=job.attempts + (job.state is State.QUEUED),
-            )
+            return enter_state(job, state, stage, self._progress, self._health)
 
         if stage is not self._stage:
             self._stage, self._progress = stage, Progress()
@@ -228,33 +186,14 @@ class ActiveJob:
 
     def show_failure(self, failure: Failure | None) -> None:
         """Store why the machine stands, held if it was resuming; None when it moves."""
-
-        def change(job: Job) -> Job:
-            if job.is_final:
-                return job
-            if failure is not None and job.state is State.RESUMING:
-                held = {"state": State.PAUSED, "desired_state": str(State.PAUSED)}
-                return replace(job, **held, failure=failure)
-            return job if job.failure == failure else replace(job, failure=failure)
-
-        self._change(change)
+        self._change(lambda job: set_failure(job, failure))
 
     def end(self, state: State, failure: Failure | None) -> Job:
         """Enter a final state; an abort or cancelling under way wins over success."""
 
         def change(job: Job) -> Job:
-            if job.is_final:
-                return job
-            asked = _ENDS_ASKED_FOR.get(job.state, state)
-            final = state if may_follow(job.state, state) else asked
-            kept = None if final is asked is not state else failure
-            return replace(
-                job,
-                state=final,
-                stage=self._stage,
-                failure=kept,
-                progress=self._progress,
-                health=self._health,
+            return end_job(
+                job, state, failure, self._stage, self._progress, self._health
             )
 
         return self._change(change)

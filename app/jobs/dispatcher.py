@@ -29,7 +29,9 @@ from truepath.app.jobs.errors import (
     StorageUnavailable,
 )
 from truepath.app.jobs.event_bus import EventBus
+from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Failure, Job
+from truepath.app.jobs.job_changes import require_version
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.pausing import pause
 from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
@@ -42,7 +44,6 @@ from truepath.app.jobs.resumability import (
 )
 from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.station_steps import list_run_ids
-from truepath.app.jobs.store import IdempotencyKey, require_version
 from truepath.app.jobs.transitions import State, Verb, apply_verb
 from truepath.app.jobs.workflow import run_job
 from truepath.app.measurement.messages import CellVerb

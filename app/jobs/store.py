@@ -7,27 +7,26 @@ that an operator has read go stale.
 
 from __future__ import annotations
 
-import hashlib
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import (
-    Connection,
-    Select,
-    delete,
-    exists,
-    func,
-    insert,
-    select,
-    update,
-)
+from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
-from truepath.app.errors import IllegalTransition, NotFound
 from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from truepath.app.jobs.event_rows import (
+    find_first_event,
+    find_last_event_id,
+    insert_event,
+    select_events_after,
+)
+from truepath.app.jobs.idempotency import (
+    IdempotencyKey,
+    delete_old_keys,
+    find_job_by_key,
+    insert_key,
+)
 from truepath.app.jobs.job import (
     Health,
     Job,
@@ -36,48 +35,31 @@ from truepath.app.jobs.job import (
     Json,
     Progress,
     Stage,
-    decode_job,
-    encode_job,
     format_utc,
-    format_utc_now,
     make_id,
 )
-from truepath.app.jobs.schema import events, idempotency_keys, jobs, runs
-from truepath.app.jobs.transitions import FINAL, State, check_transition
+from truepath.app.jobs.job_changes import (
+    refuse_to_measure_again,
+    require_version,
+    stamp_times,
+)
+from truepath.app.jobs.job_rows import (
+    JOBS,
+    MEASURED_WITHOUT_RUN,
+    UNFINISHED,
+    encode_columns,
+    find_analyses_of_one,
+    insert_job,
+    read_job,
+    refuse_second_measurement,
+    select_jobs,
+    update_job,
+)
+from truepath.app.jobs.schema import events, jobs
+from truepath.app.jobs.transitions import State, check_transition
 
-KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000
-_MOST_EVENTS = 500
-_JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
-_OPEN = [str(state) for state in State if state not in FINAL]
-_UNFINISHED = _JOBS.where(jobs.c.state.in_(_OPEN)).order_by(jobs.c.seq)
-
-
 Listener = Callable[[JobEvent], None]
-
-
-@dataclass(frozen=True, slots=True)
-class IdempotencyKey:
-    """An Idempotency-Key, the body it came with, and whose it is.
-
-    owner : name of the user; None where nobody logs in
-    """
-
-    value: str
-    body: bytes
-    owner: str | None = None
-
-    @property
-    def kept(self) -> str:
-        """What it is kept as: two users may choose the same."""
-        if self.owner is None:
-            return self.value
-        return hashlib.sha256(f"{self.owner} {self.value}".encode()).hexdigest()
-
-    @property
-    def body_sha256(self) -> str:
-        """Digest by which a repeated body is recognised."""
-        return hashlib.sha256(self.body).hexdigest()
 
 
 class Store:
@@ -98,18 +80,18 @@ class Store:
         identified = replace(new, id=make_id())
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
-            added = _find_first_event(connection, identified.id)
+            added = find_first_event(connection, identified.id)
             if added is not None:  # the word that it was committed got lost
-                return _read_job(connection, identified.id), added
-            earlier = _find_job_by_key(connection, key) if key else None
+                return read_job(connection, identified.id), added
+            earlier = find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                _refuse_second_measurement(connection, new.machine)
-            job = _insert_job(connection, identified, plan)
+                refuse_second_measurement(connection, new.machine)
+            job = insert_job(connection, identified, plan)
             if key is not None:
-                _insert_key(connection, key, job.id)
-            return job, _insert_event(connection, job)
+                insert_key(connection, key, job.id)
+            return job, insert_event(connection, job)
 
         job, event = self._database.write(change, self._publish)
         return job, event is not None
@@ -121,32 +103,25 @@ class Store:
             known = select(jobs.c.seq).where(jobs.c.id == job.id)
             if connection.execute(known).first() is not None:
                 return False
-            connection.execute(insert(jobs).values(**_encode_columns(job), plan=plan))
+            connection.execute(insert(jobs).values(**encode_columns(job), plan=plan))
             return True
 
         return self._database.write(change)
 
     def find_analyses_of_one(self) -> dict[str, str]:
         """Return, by Run, the newest job with a result of that Run alone."""
-        query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
-        query = query.where(jobs.c.state == str(State.SUCCEEDED))
-        found: dict[str, str] = {}
         with self._database.read() as connection:
-            for row in connection.execute(query.order_by(jobs.c.seq)).mappings():
-                is_alone = row["run_id"] and not row["further_run_ids"]
-                if is_alone and JobKind(row["kind"]).analyses:
-                    found[row["run_id"]] = row["id"]
-        return found
+            return find_analyses_of_one(connection)
 
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:
-            return _find_job_by_key(connection, key)
+            return find_job_by_key(connection, key)
 
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
         with self._database.read() as connection:
-            return _read_job(connection, job_id)
+            return read_job(connection, job_id)
 
     def read_plan(self, job_id: str) -> Json | None:
         """Return what a job commands or has planned, None if nothing or not yet."""
@@ -178,7 +153,7 @@ class Store:
         name : a part of it, in small letters or capitals
         since, until : created not before the one and before the other, with a zone
         """
-        query = _JOBS.order_by(jobs.c.seq.desc()).limit(limit)
+        query = JOBS.order_by(jobs.c.seq.desc()).limit(limit)
         if before_seq is not None:
             query = query.where(jobs.c.seq < before_seq)
         if states:
@@ -204,12 +179,12 @@ class Store:
 
     def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
-        return self._read(_UNFINISHED)
+        return self._read(UNFINISHED)
 
     def list_with_result(self, machine: str) -> list[Job]:
         """Return the jobs of a machine whose error tables stand, the oldest first."""
         own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
-        found = self._read(_JOBS.where(own).order_by(jobs.c.seq))
+        found = self._read(JOBS.where(own).order_by(jobs.c.seq))
         return [job for job in found if job.has_result]
 
     def list_machines(self) -> list[str]:
@@ -226,10 +201,7 @@ class Store:
 
     def list_without_run(self) -> list[Job]:
         """Return the measurements that have ended and name no Run, but have one."""
-        has_run = exists().where(runs.c.id == jobs.c.id)
-        measures = jobs.c.kind.like("measure-%") & jobs.c.run_id.is_(None)
-        ended = jobs.c.state.not_in(_OPEN)
-        return self._read(_JOBS.where(measures & ended & has_run).order_by(jobs.c.seq))
+        return self._read(MEASURED_WITHOUT_RUN)
 
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
@@ -241,7 +213,7 @@ class Store:
         written: list[tuple[Job, JobEvent]] = []
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
-            before = _read_job(connection, job_id)
+            before = read_job(connection, job_id)
             for after, event in written:
                 if (before.version, before.state) == (after.version, after.state):
                     return before, event  # the word that it was committed got lost
@@ -253,11 +225,11 @@ class Store:
             if after.state is not before.state:
                 check_transition(before.state, after.state)
                 if before.is_final and after.kind.measures:
-                    _refuse_second_measurement(connection, after.machine)
-                _refuse_to_measure_again(after)
-            after = _stamp_times(before, replace(after, version=before.version + 1))
-            _update_job(connection, before, after)
-            written.append((after, _insert_event(connection, after)))
+                    refuse_second_measurement(connection, after.machine)
+                refuse_to_measure_again(after)
+            after = stamp_times(before, replace(after, version=before.version + 1))
+            update_job(connection, before, after)
+            written.append((after, insert_event(connection, after)))
             return written[-1]
 
         return self._database.write(apply, self._publish)[0]
@@ -267,18 +239,16 @@ class Store:
 
         Raises NotFound.
         """
-        given = {"name": name, "note": note}
-        values = {column: text for column, text in given.items() if text is not None}
+        values = {c: t for c, t in (("name", name), ("note", note)) if t is not None}
         written: list[JobEvent] = []
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
-            before = _read_job(connection, job_id)
+            before = read_job(connection, job_id)
             after = replace(before, **values)
             if after == before:  # the word that it was committed may have got lost
                 return before, written[-1] if written else None
-            query = update(jobs).where(jobs.c.id == job_id)
-            connection.execute(query.values(**values))
-            written.append(_insert_event(connection, after))
+            connection.execute(update(jobs).where(jobs.c.id == job_id).values(**values))
+            written.append(insert_event(connection, after))
             return after, written[-1]
 
         return self._database.write(change, self._publish)[0]
@@ -294,17 +264,13 @@ class Store:
         self, event_id: int, *, job_id: str | None = None
     ) -> list[JobEvent]:
         """Return kept events in order, at most 500 after `event_id`."""
-        query = select(events).where(events.c.id > event_id).order_by(events.c.id)
-        if job_id is not None:
-            query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
-            kept = connection.execute(query.limit(_MOST_EVENTS)).mappings()
-            return [JobEvent(r["type"], r["job_id"], r["body"], r["id"]) for r in kept]
+            return select_events_after(connection, event_id, job_id)
 
     def read_last_event_id(self) -> int:
         """Return the identifier of the newest event, 0 if there is none."""
         with self._database.read() as connection:
-            return connection.execute(select(func.max(events.c.id))).scalar() or 0
+            return find_last_event_id(connection)
 
     def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
         """Forget events and idempotency keys that nobody can still ask for."""
@@ -312,14 +278,13 @@ class Store:
 
         def change(connection: Connection) -> None:
             connection.execute(delete(events).where(events.c.id <= last - keep_events))
-            old = idempotency_keys.c.created_s < _find_oldest_s()
-            connection.execute(delete(idempotency_keys).where(old))
+            delete_old_keys(connection)
 
         self._database.write(change)
 
     def _read(self, query: Select[Any]) -> list[Job]:
         with self._database.read() as connection:
-            return _select_jobs(connection, query)
+            return select_jobs(connection, query)
 
     def _update(self, job_id: str, **values: Any) -> None:
         query = update(jobs).where(jobs.c.id == job_id).values(**values)
@@ -331,113 +296,5 @@ class Store:
             return connection.execute(query).scalar() or {}
 
     def _publish(self, outcome: tuple[Job, JobEvent | None]) -> None:
-        event = outcome[1]
-        if event is not None:
+        if (event := outcome[1]) is not None:
             self._listener(event)
-
-
-def _refuse_to_measure_again(job: Job) -> None:
-    if job.kind.measures and job.state is State.QUEUED:
-        raise IllegalTransition(f"job {job.id} measures; it is not begun again")
-
-
-def _stamp_times(before: Job, after: Job) -> Job:
-    if after.started is None and after.state is State.RUNNING:
-        return replace(after, started=format_utc_now())
-    is_end = after.is_final and not before.is_final
-    return replace(after, ended=format_utc_now()) if is_end else after
-
-
-def _select_jobs(connection: Connection, query: Select[Any]) -> list[Job]:
-    return [decode_job({**row}) for row in connection.execute(query).mappings()]
-
-
-def require_version(job: Job, version: int) -> None:
-    """Raise StaleVersion if somebody has changed the job since that version."""
-    if job.version != version:
-        raise StaleVersion(version, job.version, job.state)
-
-
-def _read_job(connection: Connection, job_id: str) -> Job:
-    for job in _select_jobs(connection, _JOBS.where(jobs.c.id == job_id)):
-        return job
-    raise NotFound(f"there is no job {job_id}")
-
-
-def _refuse_second_measurement(connection: Connection, machine: str | None) -> None:
-    for job in _select_jobs(connection, _UNFINISHED):
-        if job.kind.measures and job.machine == machine:
-            raise CellBusy(job.id, job.state)
-
-
-def _insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
-    goal = State.READY if new.kind.measures else State.SUCCEEDED
-    now = format_utc_now()
-    job = replace(new, desired_state=str(goal), created=now)
-    query = insert(jobs).values(**_encode_columns(job), plan=plan)
-    done = connection.execute(query)
-    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
-    return replace(job, seq=done.inserted_primary_key[0])
-
-
-def _update_job(connection: Connection, before: Job, after: Job) -> None:
-    """Write a job over its version before. Raises StaleVersion."""
-    same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
-    columns = _encode_columns(after)
-    for given_by_people in ("name", "note"):  # changed without a new version
-        del columns[given_by_people]
-    query = update(jobs).where(same).values(**columns)
-    if connection.execute(query).rowcount != 1:
-        now = _read_job(connection, before.id)
-        raise StaleVersion(before.version, now.version, now.state)
-
-
-def _encode_columns(job: Job) -> dict[str, Any]:
-    content = encode_job(job)
-    del content["seq"]
-    return content
-
-
-def _insert_event(connection: Connection, job: Job) -> JobEvent:
-    body = encode_job(job)
-    row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
-    done = connection.execute(insert(events).values(**row))
-    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
-    return JobEvent("job", job.id, body, done.inserted_primary_key[0])
-
-
-def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
-    """Return the event of a job that was added, None where there is no such job."""
-    query = select(events).where(events.c.job_id == job_id).order_by(events.c.id)
-    row = connection.execute(query.limit(1)).mappings().first()
-    if row is None:
-        return None
-    return JobEvent(row["type"], job_id, row["body"], row["id"])
-
-
-def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
-    is_own = idempotency_keys.c.key == key.kept
-    is_young = idempotency_keys.c.created_s >= _find_oldest_s()
-    query = select(idempotency_keys).where(is_own & is_young)
-    row = connection.execute(query).mappings().first()
-    if row is None:
-        return None
-    if row["body_sha256"] != key.body_sha256:
-        raise KeyReused(
-            f"Idempotency-Key {key.value!r} has made job {row['job_id']} from another "
-            "body; use a new key for a new job"
-        )
-    return _read_job(connection, row["job_id"])
-
-
-def _insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
-    of_before = idempotency_keys.c.key == key.kept
-    connection.execute(delete(idempotency_keys).where(of_before))
-    row = {"key": key.kept, "body_sha256": key.body_sha256, "job_id": job_id}
-    query = insert(idempotency_keys).values(**row, created_s=int(time.time()))
-    connection.execute(query)
-
-
-def _find_oldest_s() -> int:
-    """Return since when a key counts, in seconds of the epoch."""
-    return int(time.time()) - KEEP_KEYS_S

@@ -12,8 +12,9 @@ from truepath.app.jobs import schema
 from truepath.app.jobs.catalogue_tables import import_tables, open_export
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import SchemaTooNew
+from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.store import IdempotencyKey, Store
+from truepath.app.jobs.store import Store
 from truepath.app.users.accounts import Accounts
 from truepath.app.users.roles import Role
 

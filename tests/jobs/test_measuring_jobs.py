@@ -31,10 +31,10 @@ from truepath.app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
+from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.store import IdempotencyKey
 from truepath.app.jobs.transitions import FINAL, State
 from truepath.app.kinematics.machine import Target
 from truepath.app.measurement.messages import (

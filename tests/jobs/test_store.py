@@ -9,6 +9,7 @@ from sqlalchemy import text, update
 
 from truepath.app.errors import IllegalTransition, NotFound
 from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from truepath.app.jobs.idempotency import KEEP_KEYS_S, IdempotencyKey
 from truepath.app.jobs.job import (
     Failure,
     Health,
@@ -21,7 +22,7 @@ from truepath.app.jobs.job import (
     make_id,
 )
 from truepath.app.jobs.schema import events, idempotency_keys
-from truepath.app.jobs.store import KEEP_KEYS_S, IdempotencyKey, Store
+from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 
 ANALYSE = Job(JobKind.ANALYSE)

@@ -22,11 +22,12 @@ from truepath.app.files.bundle import zip_bundle
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.run import Run
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Failure, Job, JobKind
 from truepath.app.jobs.run_reader import RunReader
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.science import analyse_recorded
-from truepath.app.jobs.store import IdempotencyKey, Store
+from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
 from truepath.app.jobs.workers import Workers
 from truepath.app.measurement.recorder import Recorder
