@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import structlog
 
 from truepath.app.errors import IllegalTransition
-from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.arm_tokens import ArmingPurpose, ArmTokens
-from truepath.app.jobs.arming import (
-    Arming,
-    hash_commanded,
-    list_commanded,
-    summarise_motion,
+from truepath.app.jobs.aborting import write_aborts
+from truepath.app.jobs.arm_tokens import ArmTokens
+from truepath.app.jobs.arming import Arming, list_commanded
+from truepath.app.jobs.arming_rules import (
+    make_purpose,
+    prepare_arming,
+    require_control,
+    require_order,
 )
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.errors import (
-    CellDown,
-    Interrupted,
-    NotInControl,
-    NotInOrder,
-    QueueFull,
-    StorageUnavailable,
-)
+from truepath.app.jobs.ended_measurement import interrupt_job
+from truepath.app.jobs.errors import CellDown, QueueFull
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.idempotency import IdempotencyKey
-from truepath.app.jobs.job import Failure, Job
+from truepath.app.jobs.job import Job
 from truepath.app.jobs.job_changes import require_version
+from truepath.app.jobs.jobs_under_way import JobsUnderWay
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.pausing import pause
-from truepath.app.jobs.reconciliation import name_runs, reconcile, store_runs
+from truepath.app.jobs.reconciliation import reconcile
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
 from truepath.app.jobs.restart import leave_end, put_back
 from truepath.app.jobs.resumability import (
@@ -42,21 +36,16 @@ from truepath.app.jobs.resumability import (
     require_resumable,
     require_targets_apart,
 )
-from truepath.app.jobs.resumption import list_part_ids
-from truepath.app.jobs.station_steps import list_run_ids
 from truepath.app.jobs.transitions import State, Verb, apply_verb
-from truepath.app.jobs.workflow import run_job
 from truepath.app.measurement.messages import CellVerb
-from truepath.app.motion.configurations import Commanded
 
 log = structlog.get_logger(__name__)
 
-BOOKS_S = 0.7  # that whoever stops the machine waits for the catalogue
 MAX_WAITING = 100
 
 
 class Dispatcher:
-    """The jobs under way, for any thread; no lock is held while one is stored."""
+    """Takes on jobs and obeys verbs, for any thread."""
 
     def __init__(
         self,
@@ -64,12 +53,8 @@ class Dispatcher:
         event_bus: EventBus,
         arm_tokens: ArmTokens | None = None,
     ) -> None:
-        self._context, self._event_bus = context, event_bus
-        self._arm_tokens = arm_tokens or ArmTokens()
-        self._lock = threading.Lock()
-        self._active: dict[str, ActiveJob] = {}
-        self._threads: list[threading.Thread] = []
-        self._closing = False
+        self._context, self._arm_tokens = context, arm_tokens or ArmTokens()
+        self._under_way = JobsUnderWay(context, event_bus)
 
     def interrupt_unfinished_jobs(self) -> None:
         """Mark measurements that an earlier service left unfinished. Moves nothing.
@@ -79,7 +64,7 @@ class Dispatcher:
         unfinished = self._context.store.list_unfinished()
         for job in unfinished:
             if job.kind.measures:
-                self._interrupt(job)
+                interrupt_job(job, self._context)
         for run_id, why in reconcile(self._context).items():
             log.warning("a Run on disk cannot be catalogued", run_id=run_id, why=why)
         self._context.runs.remove_uploads()
@@ -90,23 +75,23 @@ class Dispatcher:
 
     def show(self, job: Job) -> Job:
         """Return a stored job with what could not be stored of it since."""
-        active = self._active.get(job.id)
+        active = self._under_way.get(job.id)
         return job if active is None else active.show(job)
 
     def find_machine(self, job_id: str) -> str | None:
         """Return the machine of a job under way, at once; None for any other."""
-        active = self._active.get(job_id)
+        active = self._under_way.get(job_id)
         return None if active is None else active.job.machine
 
     def find_controller(self, job_id: str | None) -> str | None:
         """Return who may arm and resume a job under way; None where anybody may."""
-        active = self._active.get(job_id or "")
+        active = self._under_way.get(job_id or "")
         return None if active is None else active.controller
 
     @property
     def is_measuring(self) -> bool:
         """Whether a job under way measures, or is about to."""
-        return any(active.kind.measures for active in list(self._active.values()))
+        return any(active.kind.measures for active in self._under_way.list_all())
 
     def create(
         self,
@@ -125,13 +110,13 @@ class Dispatcher:
         if earlier is not None:
             return earlier, False
         new, plan = check_requested_job(request, self._context)
-        if self._closing:
+        if self._under_way.is_closing:
             raise CellDown("the service is ending")
-        if len(self._active) >= MAX_WAITING:
+        if len(self._under_way) >= MAX_WAITING:
             raise QueueFull(f"{MAX_WAITING} jobs are under way already")
         job, is_new = self._context.store.create(replace(new, owner=owner), key, plan)
         if is_new:
-            self._begin(job)
+            self._under_way.begin(job)
         return job, is_new
 
     def prepare_arming(self, job_id: str, *, by: str | None = None) -> Arming:
@@ -141,24 +126,9 @@ class Dispatcher:
 
         Raises IllegalTransition, NotInControl.
         """
-        active = self._find_active(job_id, Verb.ARM)
-        _require_control(active, by)
-        job = self._context.store.get(job_id)
-        apply_verb(Verb.ARM, job.state)
-        driven = self._context.machines.choose(job.machine)
-        parts = list_commanded(self._context.store.read_plan(job_id))
-        board, read = driven.conditions, driven.cell.controller
-        here = {} if read is None else read.position_by_axis
-        purpose = self._make_purpose(job, parts, by)
-        return Arming(
-            job,
-            driven,
-            summarise_motion(driven.machine, job.kind, parts, here),
-            () if board is None else tuple(board.read()),
-            purpose.plan_sha256,
-            self._arm_tokens.issue(purpose),
-            self._arm_tokens.valid_s,
-        )
+        active = self._under_way.require(job_id, Verb.ARM)
+        require_control(active, by)
+        return prepare_arming(job_id, self._context, self._arm_tokens, by)
 
     def arm(
         self, job_id: str, version: int, token: str, *, by: str | None = None
@@ -170,14 +140,14 @@ class Dispatcher:
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl,
         ArmTokenExpired, ArmTokenUsed, ArmTokenOther.
         """
-        active = self._find_active(job_id, Verb.ARM)
-        _require_control(active, by)
+        active = self._under_way.require(job_id, Verb.ARM)
+        require_control(active, by)
         job = self._context.store.get(job_id)
         apply_verb(Verb.ARM, job.state)
         require_version(job, version)
-        self._require_order(active)
+        require_order(job, self._context)
         parts = list_commanded(self._context.store.read_plan(job_id))
-        purpose = self._make_purpose(job, parts, by)
+        purpose = make_purpose(job, parts, self._context, by)
         self._arm_tokens.use(token, purpose)
         job = active.apply_verb(Verb.ARM, version)
         active.arm(purpose.plan_sha256)
@@ -188,7 +158,7 @@ class Dispatcher:
 
         The cell is asked even where StorageUnavailable is raised.
         """
-        active = self._find_active(job_id, Verb.PAUSE)
+        active = self._under_way.require(job_id, Verb.PAUSE)
         if active.state is State.RUNNING and not active.may_move:
             raise IllegalTransition(
                 f"cannot pause a job that is {active.stage}: nothing moves any more"
@@ -200,7 +170,7 @@ class Dispatcher:
 
         Raises IllegalTransition where the job is not under way.
         """
-        active = self._active.get(job_id)
+        active = self._under_way.get(job_id)
         job = self._context.store.get(job_id)
         if active is None or not job.kind.measures:
             raise IllegalTransition(
@@ -224,10 +194,10 @@ class Dispatcher:
 
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
-        active = self._find_active(job_id, Verb.RESUME)
-        _require_control(active, by)
+        active = self._under_way.require(job_id, Verb.RESUME)
+        require_control(active, by)
         if self._context.store.get(job_id).state is State.PAUSED:
-            self._require_order(active)
+            require_order(active.job, self._context)
         job = active.apply_verb(Verb.RESUME, version)
         if then is not OnNotice.NOTE:
             active.wish(then)
@@ -240,7 +210,7 @@ class Dispatcher:
 
         One that is held ends where it stands. Raises IllegalTransition while aborting.
         """
-        active = self._active.get(job_id)
+        active = self._under_way.get(job_id)
         if active is None:
             job = self._context.store.get(job_id)
             apply_verb(Verb.CANCEL, job.state)
@@ -264,26 +234,26 @@ class Dispatcher:
         driven = self._context.machines.choose(job.machine)  # it may have gone
         require_machine_file(job, driven, self._context.registry)
         require_targets_apart(plan, driven.machine)
-        if self._closing:
+        if self._under_way.is_closing:
             raise CellDown("the service is ending")
         job = self._context.store.change(
             job_id, lambda ended: leave_end(ended, driven.version), version=job.version
         )
-        self._begin(job)
-        active = self._active.get(job_id)
+        self._under_way.begin(job)
+        active = self._under_way.get(job_id)
         if active is not None and by is not None:
             active.controller = by
         return job
 
     def abort(self, job_id: str) -> Job:
         """End a job now. Never refused; a job that has ended stays as it is."""
-        active = self._active.get(job_id)
+        active = self._under_way.get(job_id)
         if active is None:
             return self._context.store.get(job_id)
         active.abort()
         if active.kind.measures:
             self._command_cell(active.job, CellVerb.ABORT)
-        return self._write_aborts([active])[0]
+        return write_aborts([active])[0]
 
     def stop(self, machine_id: str | None = None) -> list[Job]:
         """Stop all motion, whichever job it belongs to, and those jobs with it.
@@ -296,139 +266,30 @@ class Dispatcher:
             one.cell.send(CellVerb.ABORT)
         under_way = [
             active
-            for active in list(self._active.values())
+            for active in self._under_way.list_all()
             if active.kind.measures and machine_id in (None, active.job.machine)
         ]
         for active in under_way:
             active.abort()
-        return self._write_aborts(under_way)
-
-    def _write_aborts(self, aborted: list[ActiveJob]) -> list[Job]:
-        """Write down what the machine was told, and return the jobs.
-
-        Whoever asked is answered in time even where the catalogue is not: jobs are then
-        as they were stored last, and their own threads write down how they end.
-        """
-        written: dict[str, Job] = {}
-        writers = [
-            threading.Thread(
-                target=self._write_abort, args=(active, written), daemon=True
-            )
-            for active in aborted
-        ]
-        for writer in writers:
-            writer.start()
-        end = time.monotonic() + BOOKS_S
-        for writer in writers:
-            writer.join(max(0.0, end - time.monotonic()))
-        return [written.get(active.job_id, active.job) for active in aborted]
-
-    def _write_abort(self, active: ActiveJob, written: dict[str, Job]) -> None:
-        try:
-            written[active.job_id] = active.apply_verb(Verb.ABORT)
-        except StorageUnavailable as error:
-            log.warning("an abort is not written down", job=active.job_id, why=error)
+        return write_aborts(under_way)
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Stop motion, end every job as interrupted, wait for their threads."""
-        with self._lock:
-            self._closing = True
-            under_way, threads = list(self._active.values()), list(self._threads)
-        for active in under_way:
-            active.interrupt()
+        self._under_way.interrupt_all()
         cells = [one.cell for one in self._context.machines.list_all()]
         stopped = [cell.send(CellVerb.ABORT) for cell in cells]
         deadline = time.monotonic() + timeout_s
         for one in stopped:
             with suppress(CellDown, TimeoutError):
                 one.result(max(0.0, deadline - time.monotonic()))
-        for thread in threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
-
-    def _begin(self, job: Job) -> None:
-        active = ActiveJob(job, self._context.store, self._event_bus)
-        name = f"job-{job.id[-6:]}"
-        thread = threading.Thread(target=self._work, args=(job, active), name=name)
-        with self._lock:
-            if self._closing:
-                return  # the next start finds it queued and marks it as interrupted
-            self._active[job.id] = active
-            self._threads = [t for t in self._threads if t.is_alive()] + [thread]
-            thread.start()
-
-    def _work(self, job: Job, active: ActiveJob) -> None:
-        """Body of a job's thread."""
-        try:
-            run_job(job, active, self._context)
-            if job.kind.measures:
-                self._name_runs(job)
-            if job.kind.analyses and job.machine and self._context.calibrations:
-                self._context.calibrations.judge(job.machine)
-        finally:
-            with self._lock:  # acknowledged meanwhile, it has another thread
-                if self._active.get(job.id) is active:
-                    del self._active[job.id]
-
-    def _name_runs(self, job: Job) -> None:
-        """Catalogue and name the Runs of a job that could not be while it lasted."""
-        try:
-            self._add_runs(job)
-            store_runs(job.id, self._context)
-        except StorageUnavailable as error:
-            log.warning("the Runs are not named yet", job_id=job.id, reason=str(error))
-
-    def _find_active(self, job_id: str, verb: Verb) -> ActiveJob:
-        active = self._active.get(job_id)
-        if active is not None:
-            return active
-        job = self._context.store.get(job_id)
-        apply_verb(verb, job.state)
-        raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
+        self._under_way.join(deadline)
 
     def _begin_again(self, job: Job) -> None:
         """Queue a job that computes again; what it had begun is begun anew."""
         queued = self._context.store.change(job.id, put_back, version=job.version)
         log.info("job found unfinished", job_id=job.id, was=str(job.state))
         if not queued.is_final:
-            self._begin(queued)
-
-    def _add_runs(self, job: Job) -> None:
-        plan = self._context.store.read_plan(job.id) or {}
-        stations = (*list_run_ids(plan), *list_run_ids(plan, "points_id"))
-        for run_id in dict.fromkeys((job.id, *list_part_ids(plan), *stations)):
-            self._context.runs.add_measured(run_id)
-
-    def _interrupt(self, job: Job) -> None:
-        self._add_runs(job)
-        text = f"the service ended while the job was {job.state}"
-        after = replace(
-            name_runs(job, self._context),
-            state=State.INTERRUPTED,
-            failure=Failure(Interrupted.__name__, text),
-        )
-        self._context.store.change(job.id, lambda _: after, version=job.version)
-        log.warning("job found unfinished", job_id=job.id, was=str(job.state))
-
-    def _make_purpose(
-        self, job: Job, parts: Sequence[Commanded], by: str | None
-    ) -> ArmingPurpose:
-        driven = self._context.machines.choose(job.machine)
-        plan_sha256 = hash_commanded(parts)
-        return ArmingPurpose(
-            job.id, job.version, by, driven.id, driven.version, plan_sha256
-        )
-
-    def _require_order(self, active: ActiveJob) -> None:
-        board = self._context.machines.choose(active.job.machine).conditions
-        obstacles = [] if board is None else board.list_obstacles()
-        if obstacles:
-            raise NotInOrder(obstacles)
+            self._under_way.begin(queued)
 
     def _command_cell(self, job: Job, verb: CellVerb) -> None:
         self._context.machines.choose(job.machine).cell.send(verb)
-
-
-def _require_control(active: ActiveJob, by: str | None) -> None:
-    """Raise NotInControl if another user has the job under control."""
-    if by is not None and active.controller not in (None, by):
-        raise NotInControl(active.controller or "")

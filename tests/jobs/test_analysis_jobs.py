@@ -21,6 +21,7 @@ from truepath.app.jobs.errors import Aborted, QueueFull
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
+from truepath.app.jobs.transitions import Verb
 from truepath.app.jobs.workers import Workers
 from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.motion.configurations import Configurations
@@ -256,7 +257,7 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).state == "running")
     if verb == "abort":
-        dispatcher._active[job.id].abort()
+        dispatcher._under_way.require(job.id, Verb.ABORT).abort()
     else:
         dispatcher.close()
     ended = "aborted" if verb == "abort" else "queued"

@@ -35,7 +35,7 @@ from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import FINAL, State
+from truepath.app.jobs.transitions import FINAL, State, Verb
 from truepath.app.kinematics.machine import Target
 from truepath.app.measurement.messages import (
     CellState,
@@ -182,7 +182,7 @@ def test_arming_needs_the_version_that_was_read(dispatcher, ready, make_cell):
 def test_a_job_is_armed_by_its_stored_state_which_a_thread_may_not_know_yet(
     dispatcher, ready, make_cell
 ):
-    dispatcher._active[ready.id].state = State.PREPARING
+    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
     assert arm_at_once(dispatcher, ready.id, ready.version).state is State.RUNNING
     assert make_cell.cell.begun.wait(5)
 
@@ -1087,7 +1087,7 @@ def test_a_job_that_ended_can_only_be_looked_at(
 ):
     make_cell.cell.end()
     job = until(running, "succeeded")
-    wait_until(lambda: job.id not in dispatcher._active)
+    wait_until(lambda: dispatcher._under_way.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
     for verb in (
         dispatcher.pause,
