@@ -21,7 +21,7 @@ from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.api.thread_pools import CONNECTING, on_threads
 from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
-from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.cell_status import CellStatus
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.jobs.machine_cells import MachineCell

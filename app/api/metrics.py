@@ -28,7 +28,7 @@ from truepath.app.api.problems import declare_problems
 from truepath.app.api.route_roles import find_route
 from truepath.app.api.service import Service
 from truepath.app.jobs.cell_counters import CellCounts
-from truepath.app.jobs.cell_supervisor import CellStatus
+from truepath.app.jobs.cell_status import CellStatus
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.measurement.durations import BOUNDS_S, Durations

@@ -16,7 +16,8 @@ import structlog
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.cell_supervisor import MOVING, CellSupervisor
+from truepath.app.jobs.cell_status import MOVING
+from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import (
     Aborted,
     LineUnfinished,

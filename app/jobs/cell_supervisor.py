@@ -8,20 +8,22 @@ own watchdog has held the feed meanwhile.
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import structlog
 
 from truepath.app.errors import MeasurementFailed, TruepathError
+from truepath.app.jobs.cell_commands import CellCommands, Command, refuse_command
 from truepath.app.jobs.cell_counters import CellCounters
+from truepath.app.jobs.cell_status import MOVING, CellStatus, ControllerLevels, Devices
 from truepath.app.jobs.errors import CellDown, DeviceSettings
+from truepath.app.jobs.hearing_at_rest import hear_at_rest
 from truepath.app.jobs.sample_feed import SampleFeed
 from truepath.app.jobs.stream_watch import StreamWatch
 from truepath.app.measurement.cell import Cell
@@ -39,72 +41,18 @@ from truepath.app.measurement.messages import (
     TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
-from truepath.drivers.interfaces.errors import DeviceError, NotHomed
-from truepath.drivers.interfaces.records import (
-    MotionState,
-    MotionStatus,
-    TrackerSamples,
-)
+from truepath.drivers.interfaces.records import TrackerSamples
 
 log = structlog.get_logger(__name__)
 
 POLL_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
-CONNECT_TIMEOUT_S = 30.0
-END_TIMEOUT_S = 10.0
-_GOES_ON = frozenset({MotionState.RUNNING, MotionState.HELD})
-FRESH_S = 2.5  # a reading of the controller at rest, made once a second
-HEAR_S, HEAR_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
+CONNECT_TIMEOUT_S, END_TIMEOUT_S = 30.0, 10.0
 BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
-MOVING = frozenset(
-    {CellState.RUNNING, CellState.PAUSING, CellState.PAUSED, CellState.RESUMING}
-)
-
-
-Devices = Mapping[str, Mapping[str, str]]
-Command = Callable[[Cell], Any]
 EventHandler = Callable[[CellEvent | None], None]
 """Receives each event, None when the cell has died; must return at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class CellStatus:
-    """The cell's last known state.
-
-    state : starting, down, disconnected, connecting, ready, or as the cell names it
-    """
-
-    state: str = "starting"
-    text: str = ""
-    restarts: int = 0
-    devices: Devices = field(default_factory=dict)
-
-    @property
-    def connected(self) -> bool:
-        """Whether tracker and controller have answered and nothing was lost since."""
-        return bool(self.devices)
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerLevels:
-    """What the controller showed last while nothing was measured.
-
-    read_s : when, by the monotonic clock
-    axes : names of the axes of its position, in their order
-    """
-
-    status: MotionStatus | None
-    text: str
-    read_s: float
-    axes: tuple[str, ...] = ()
-
-    @property
-    def position_by_axis(self) -> dict[str, float]:
-        """Where the machine stands, mm or deg; empty where that is not known."""
-        place = () if self.status is None else self.status.position
-        return dict(zip(self.axes, place, strict=True)) if self.axes and place else {}
 
 
 class CellSupervisor:
@@ -123,16 +71,13 @@ class CellSupervisor:
         self, make: Callable[[], Cell], *, first_pause_s: float = FIRST_PAUSE_S
     ) -> None:
         self._make, self._first_pause_s = make, first_pause_s
-        self._commands: queue.SimpleQueue[tuple[Command, Future[Any]]]
-        self._commands = queue.SimpleQueue()
+        self._commands = CellCommands()
         self._on_event: EventHandler | None = None
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
-        self.counters = CellCounters()
-        self.stream = StreamWatch()
+        self.counters, self.stream = CellCounters(), StreamWatch()
         self.samples = SampleFeed()
-        self._closing = threading.Event()
-        self._must_kill = threading.Event()
+        self._closing, self._must_kill = threading.Event(), threading.Event()
         self._thread = threading.Thread(
             target=self._run, name="cell-supervisor", daemon=True
         )
@@ -144,11 +89,7 @@ class CellSupervisor:
         unknown: while a measurement is under way only its end says so. Asks no device.
         """
         read = self.controller
-        if self.status.state in MOVING or read is None or read.status is None:
-            return None
-        if time.monotonic() - read.read_s > FRESH_S:
-            return None
-        return read.status.state not in _GOES_ON
+        return None if self.status.state in MOVING or read is None else read.is_still
 
     def start(self) -> None:
         """Start the first cell."""
@@ -183,18 +124,8 @@ class CellSupervisor:
         """
 
         def hear(cell: Cell) -> None:
-            if self._on_event is not None or not self.status.connected:
-                return
-            try:
-                duration_s = max(HEAR_S, HEAR_SAMPLES / rate_hz)
-                trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
-                self.stream.hear(cell.try_tracker(trial), rate_hz, aims=aims)
-            except NotHomed:
-                log.debug("the tracker is heard once the measurement has homed it")
-            except DeviceError as error:
-                self.stream.hear_failure(str(error))
-            except MeasurementFailed as error:
-                raise CellDown(str(error)) from error
+            if self._on_event is None and self.status.connected:
+                hear_at_rest(cell, self.stream, rate_hz, aims=aims)
 
         self._ask(hear)
 
@@ -250,12 +181,9 @@ class CellSupervisor:
             raise CellDown("the cell process does not answer; see the log") from error
 
     def _put(self, command: Command) -> Future[Any]:
-        future: Future[Any] = Future()
         if self._closing.is_set():
-            future.set_exception(CellDown("the service is ending"))
-        else:
-            self._commands.put((command, future))
-        return future
+            return refuse_command("the service is ending")
+        return self._commands.put(command)
 
     def _run(self) -> None:
         """Body of the cell thread."""
@@ -269,7 +197,7 @@ class CellSupervisor:
             pause_s = self._first_pause_s if has_lived_long else pause_s
             self._wait(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
-        self._refuse_commands("the service is ending")
+        self._commands.refuse("the service is ending")
 
     def _run_one_cell(self) -> None:
         try:
@@ -293,7 +221,7 @@ class CellSupervisor:
     def _serve(self, cell: Cell) -> None:
         beat_s = 0.0
         while not self._closing.is_set() and not self._must_kill.is_set():
-            self._run_commands(cell)
+            self._commands.run(cell)
             if time.monotonic() - beat_s > BEAT_S and cell.alive:
                 beat_s = time.monotonic()
                 with suppress(MeasurementFailed):  # it has just died: seen below
@@ -356,33 +284,17 @@ class CellSupervisor:
         self._set_status("ready", devices=devices)
         return devices
 
-    def _run_commands(self, cell: Cell) -> None:
-        for command, future in self._take_commands():
-            try:
-                future.set_result(command(cell))
-            except Exception as error:
-                future.set_exception(error)
-
     def _go_down(self, text: str) -> None:
         self.status = CellStatus("down", text, self.status.restarts + 1)
         self.controller = None
         on_event, self._on_event = self._on_event, None
         if on_event is not None:
             on_event(None)
-        self._refuse_commands(text)
-
-    def _refuse_commands(self, text: str) -> None:
-        for _, future in self._take_commands():
-            future.set_exception(CellDown(text))
-
-    def _take_commands(self) -> Iterator[tuple[Command, Future[Any]]]:
-        with suppress(queue.Empty):
-            while True:
-                yield self._commands.get_nowait()
+        self._commands.refuse(text)
 
     def _wait(self, pause_s: float) -> None:
         deadline = time.monotonic() + pause_s
         while (left_s := deadline - time.monotonic()) > 0:
             if self._closing.wait(min(left_s, POLL_S)):
                 return
-            self._refuse_commands(self.status.text)
+            self._commands.refuse(self.status.text)

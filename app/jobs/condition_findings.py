@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from truepath.app.jobs.calibrations import Standing
-from truepath.app.jobs.cell_supervisor import MOVING, CellStatus
+from truepath.app.jobs.cell_status import MOVING, CellStatus
 from truepath.app.jobs.conditions import ConditionType, Finding, Level, Observed
 from truepath.app.jobs.stream_watch import COURSE_S, LATELY_S, StreamLevels
 from truepath.app.measurement.faults import MOTION_BUSY

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from truepath.app.jobs.calibrations import Standing
-from truepath.app.jobs.cell_supervisor import MOVING, CellStatus, ControllerLevels
+from truepath.app.jobs.cell_status import MOVING, CellStatus, ControllerLevels
 from truepath.app.jobs.stream_watch import StreamLevels, Temperature
 
 

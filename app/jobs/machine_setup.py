@@ -27,7 +27,7 @@ from truepath.app.jobs.cell_setup import (
     refuse_same_names,
     refuse_shared_links,
 )
-from truepath.app.jobs.cell_supervisor import MOVING
+from truepath.app.jobs.cell_status import MOVING
 from truepath.app.jobs.errors import (
     CellBusy,
     MachineKnown,

@@ -11,7 +11,7 @@ import pytest
 from arming import arm_over_http
 from service_process import ROWS, arm, create, follow, process, wait_for
 
-from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.conditions import Finding, Level, Observed
 from truepath.app.jobs.stream_watch import StreamLevels

@@ -6,7 +6,7 @@ import pytest
 from scripted_cell import CellMaker, wait_until
 
 from truepath.app.errors import MeasurementFailed, TruepathError
-from truepath.app.jobs import cell_supervisor
+from truepath.app.jobs import cell_status
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import CellDown, DeviceSettings
 from truepath.app.measurement.messages import CellVerb, ControllerRead
@@ -68,7 +68,7 @@ def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
     wait_until(lambda: running.status.state == "aborted")
     assert running.read_standstill() is None, "not read since"
     assert read("idle") is True
-    monkeypatch.setattr(cell_supervisor, "FRESH_S", 0.0)
+    monkeypatch.setattr(cell_status, "FRESH_S", 0.0)
     assert running.read_standstill() is None
 
 

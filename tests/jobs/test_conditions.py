@@ -12,7 +12,7 @@ from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.arming import judge_approach, judge_path, list_commanded
 from truepath.app.jobs.calibrations import Standing
-from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.condition_findings import LATE_S, find_conditions
 from truepath.app.jobs.conditions import REQUIRED, ConditionType, Level, Observed

@@ -19,7 +19,7 @@ from truepath.app.files.commanded_file import (
 from truepath.app.files.verdict import Reason, Verdict
 from truepath.app.jobs import active_job, cell_measurement, job_end
 from truepath.app.jobs import database as databases
-from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.conditions import ConditionType, Observed
 from truepath.app.jobs.dispatcher import Dispatcher

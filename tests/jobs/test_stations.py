@@ -14,7 +14,7 @@ from scripted_cell import wait_until
 from truepath.app.errors import IllegalTransition, NotFound, PlanningError
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.machine_file import machine_to_json
-from truepath.app.jobs.cell_supervisor import CellStatus, ControllerLevels
+from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
 from truepath.app.jobs.conditions import Observed
 from truepath.app.jobs.dispatcher import Dispatcher
