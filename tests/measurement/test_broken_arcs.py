@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -12,15 +11,14 @@ import numpy as np
 import pytest
 
 from tests.measurement.conftest import FakeMotion
+from tests.measurement.running_measurement import RunningMeasurement, run_measurements
 from truepath.app.alignment.align import align
 from truepath.app.api.models.result_run import InterruptionsOut
 from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import summarize_run
+from truepath.app.files.run import Run, summarize_run
 from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
     CellConfig,
-    CellVerb,
     FaultReported,
     LinesDamaged,
     MeasurementOrder,
@@ -69,51 +67,25 @@ def arc_order(mill, tmp_path) -> MeasurementOrder:
     )
 
 
-class Under:
-    """A measurement under way in a thread."""
-
-    def __init__(self, measurement, journal, motion, order) -> None:
-        self.measurement, self.journal = measurement, journal
-        self.motion, self.order = motion, order
-        self.thread = threading.Thread(target=measurement.run)
-        self.thread.start()
-
-    def until_line(self, line: int) -> None:
-        """Wait for the motion along a line, counted from 1."""
-        told = self.journal.of
-        self.journal.wait(
-            lambda: any(p.done == line - 1 for p in told(MeasurementProgress)[-1:])
-        )
-
-    def pause_and_resume(self) -> None:
-        self.measurement.obey(CellVerb.PAUSE)
-        self.journal.wait(lambda: self.journal.states[-1] == "paused")
-        self.measurement.obey(CellVerb.RESUME)
-        self.journal.wait(lambda: self.journal.states[-1] == "running")
-
-    def finished(self):
-        self.motion.begins_slowly, self.motion.speed = False, 2000.0
-        self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
-        self.thread.join(5.0)
-        assert self.journal.states[-1] == "finished"
-        return open_run(self.order.run_file)
-
-
 @pytest.fixture
-def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Under]]:
-    begun: list[Under] = []
+def begin(
+    tracker, motion, journal, calm
+) -> Iterator[Callable[[MeasurementOrder], RunningMeasurement]]:
+    with run_measurements(motion, journal) as begin:
+        yield lambda order: begin(tracker, order, calm)
 
-    def start(order: MeasurementOrder) -> Under:
-        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
-        made = Measurement(order, tracker, motion, devices, journal.report, calm)
-        begun.append(Under(made, journal, motion, order))
-        return begun[-1]
 
-    yield start
-    for one in begun:
-        if one.thread.is_alive():
-            one.measurement.obey(CellVerb.ABORT)
-            one.thread.join(5.0)
+def reach_line(running: RunningMeasurement, line: int) -> None:
+    """Wait for the motion along a line, counted from 1."""
+    running.wait_for_progress(lambda done: done == line - 1)
+
+
+def finish(running: RunningMeasurement, motion: SlowMotion) -> Run:
+    """Let the rest be driven fast; return the Run."""
+    motion.begins_slowly, motion.speed = False, 2000.0
+    run = running.wait_for_run()
+    assert running.journal.states[-1] == "finished"
+    return run
 
 
 def list_again(path: Path, rows: int) -> list[Arc]:
@@ -121,11 +93,13 @@ def list_again(path: Path, rows: int) -> list[Arc]:
     return [arc for arc in path.arc[rows:] if arc]
 
 
-def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(begin, arc_order):
+def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
+    begin, arc_order, motion
+):
     running = begin(arc_order)
-    running.until_line(ARC_ROW)
+    reach_line(running, ARC_ROW)
     running.pause_and_resume()
-    run = running.finished()
+    run = finish(running, motion)
     rows = len(arc_order.commanded)
     (damaged,) = running.journal.of(LinesDamaged)
     assert damaged.row == ARC_ROW
@@ -142,14 +116,14 @@ def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(begin, arc_orde
     }
     InterruptionsOut.model_validate(stated)
     assert running.journal.faults == []
-    assert running.motion.calls.count("start") == 2
+    assert motion.calls.count("start") == 2
 
 
 def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
-    begin, arc_order, tracker, journal
+    begin, arc_order, motion, tracker, journal
 ):
     running = begin(arc_order)
-    running.until_line(ARC_ROW)
+    reach_line(running, ARC_ROW)
     tracker.beam = False
     blocks, deadline_s = {tracker.health.frames}, time.monotonic() + 25.0
     while len(blocks) < 3:  # of some 0.4 s of its clock each; one at least is without
@@ -159,16 +133,16 @@ def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
     tracker.beam = True
     looks = len(journal.of(MeasurementProgress))
     journal.wait(lambda: len(journal.of(MeasurementProgress)) > looks + 8)
-    run = running.finished()
+    run = finish(running, motion)
     assert "paused" not in journal.states
     assert list_again(run.commanded, len(arc_order.commanded))[-1] == HALF
 
 
-def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order):
+def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order, motion):
     running = begin(arc_order)
-    running.until_line(1)
+    reach_line(running, 1)
     running.pause_and_resume()
-    run = running.finished()
+    run = finish(running, motion)
     assert running.journal.of(LinesDamaged) == []
     assert len(run.commanded) == len(arc_order.commanded)
 
@@ -183,17 +157,17 @@ def read_driven(journal, order: MeasurementOrder) -> Path:
 
 
 def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
-    begin, arc_order, journal
+    begin, arc_order, motion, journal
 ):
     running = begin(arc_order)
-    running.until_line(ARC_ROW)
+    reach_line(running, ARC_ROW)
     for times in range(1, 4):
         running.pause_and_resume()
-        running.motion.speed = 2000.0
+        motion.speed = 2000.0
         journal.wait(lambda n=times: len(journal.of(LinesDamaged)) == n)
-        running.until_line(len(read_driven(journal, arc_order)) - 1)
+        reach_line(running, len(read_driven(journal, arc_order)) - 1)
     running.pause_and_resume()
-    running.finished()
+    finish(running, motion)
     assert len(running.journal.of(LinesDamaged)) == 3
     assert running.journal.faults == []
 

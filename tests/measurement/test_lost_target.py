@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,19 +10,16 @@ import numpy as np
 import pytest
 
 from tests.measurement.conftest import FakeTracker, Journal
+from tests.measurement.running_measurement import RunningMeasurement, run_measurements
 from truepath.app.files.run import Run, summarize_run
 from truepath.app.measurement import target_search
-from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
     CellVerb,
     FaultReported,
     LinesDamaged,
     MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.motion.configurations import Configurations
 from truepath.app.numerics.rigid import RigidTransform, build_rotation
@@ -110,39 +106,14 @@ def order(mill, square, tmp_path) -> MeasurementOrder:
     return MeasurementOrder("lost", file, mill, path, reserve_bytes=0)
 
 
-class Under:
-    """A measurement under way, and the Run that it leaves."""
-
-    def __init__(self, measurement: Measurement, journal: Journal) -> None:
-        self.measurement, self._journal = measurement, journal
-        self.thread = threading.Thread(target=measurement.run)
-        self.thread.start()
-
-    def until_moving(self) -> None:
-        told = self._journal.of
-        self._journal.wait(lambda: any(p.done >= 1 for p in told(MeasurementProgress)))
-
-    def ended(self) -> Run:
-        self._journal.wait(lambda: bool(self._journal.of(RunClosed)))
-        self.thread.join(5.0)
-        return open_run(self._journal.of(RunClosed)[-1].run_file)
-
-
 @pytest.fixture
-def begin(motion, journal) -> Iterator[Callable[..., Under]]:
-    begun: list[Under] = []
+def begin(motion, journal) -> Iterator[Callable[..., RunningMeasurement]]:
+    with run_measurements(motion, journal) as begin:
+        yield lambda tracker, order, settings=SETTINGS: begin(tracker, order, settings)
 
-    def start(tracker, order: MeasurementOrder, settings=SETTINGS) -> Under:
-        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
-        made = Measurement(order, tracker, motion, devices, journal.report, settings)
-        begun.append(Under(made, journal))
-        return begun[-1]
 
-    yield start
-    for one in begun:
-        if one.thread.is_alive():
-            one.measurement.obey(CellVerb.ABORT)
-            one.thread.join(5.0)
+def wait_until_moving(running: RunningMeasurement) -> None:
+    running.wait_for_progress(lambda done: done >= 1)
 
 
 @pytest.fixture
@@ -167,13 +138,13 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
     begin, finder, motion, order, journal, measured
 ):
     running = begin(finder, order)
-    running.until_moving()
+    wait_until_moving(running)
     finder.failures = [BeamLost("no target near the beam")]
     finder.beam = False
     journal.wait(lambda: "paused" in journal.states)
     place_mm = finder.place_mm
     motion.speed = 5000.0
-    run = running.ended()
+    run = running.wait_for_run()
     assert journal.states[-1] == "finished"
     assert journal.faults == ["beam-lost"]
     azimuth, elevation = finder.aimed[-1]
@@ -201,7 +172,7 @@ def test_a_target_that_stays_lost_is_told_with_its_tries_and_waits_for_somebody(
     begin, finder, motion, order, journal
 ):
     running = begin(finder, order)
-    running.until_moving()
+    wait_until_moving(running)
     finder.failures = [BeamLost("nothing there") for _ in range(9)]
     finder.beam = False
     journal.wait(lambda: len(journal.faults) == 2)
@@ -214,11 +185,11 @@ def test_a_target_that_stays_lost_is_told_with_its_tries_and_waits_for_somebody(
     finder.beam = True
     motion.speed = 5000.0
     wait_until(lambda: _resume(running, journal))
-    running.ended()
+    running.wait_for_run()
     assert journal.states[-1] == "finished"
 
 
-def _resume(running: Under, journal: Journal) -> bool:
+def _resume(running: RunningMeasurement, journal: Journal) -> bool:
     running.measurement.obey(CellVerb.RESUME)
     return journal.states[-1] != "paused"
 
@@ -226,7 +197,7 @@ def _resume(running: Under, journal: Journal) -> bool:
 @pytest.mark.fault_row(9)
 def test_another_target_is_never_taken_for_the_lost_one(begin, finder, order, journal):
     running = begin(finder, order)
-    running.until_moving()
+    wait_until_moving(running)
     finder.finds_another = True
     finder.beam = False
     journal.wait(lambda: len(journal.faults) == 2)
@@ -234,12 +205,12 @@ def test_another_target_is_never_taken_for_the_lost_one(begin, finder, order, jo
     wait_until(lambda: not finder.beam)
     assert journal.states[-1] == "paused"
     running.measurement.obey(CellVerb.ABORT)
-    assert len(texts(running.ended(), "search")) == 3
+    assert len(texts(running.wait_for_run(), "search")) == 3
 
 
 def test_a_device_without_the_verb_is_as_any_other(begin, finder, order, journal):
     running = begin(finder, order)
-    running.until_moving()
+    wait_until_moving(running)
     finder.failures = [NotOffered("speaks version 1")]
     finder.beam = False
     journal.wait(lambda: "paused" in journal.states)
@@ -247,7 +218,7 @@ def test_a_device_without_the_verb_is_as_any_other(begin, finder, order, journal
     time.sleep(0.1)  # silence can only be waited for
     assert journal.faults == ["beam-lost"]
     running.measurement.obey(CellVerb.ABORT)
-    run = running.ended()
+    run = running.wait_for_run()
     assert texts(run, "search") == ["speaks version 1"]
 
 
@@ -255,7 +226,7 @@ def test_a_beam_that_comes_back_by_itself_waits_for_somebody(
     begin, finder, motion, order, journal
 ):
     running = begin(finder, order)
-    running.until_moving()
+    wait_until_moving(running)
     finder.failures = [BeamLost("somebody stands in the beam")]
     finder.beam = False
     wait_until(lambda: not finder.failures)
@@ -265,7 +236,7 @@ def test_a_beam_that_comes_back_by_itself_waits_for_somebody(
     assert journal.states[-1] == "paused"
     assert len(finder.aimed) == 1
     wait_until(lambda: _resume(running, journal))
-    running.ended()
+    running.wait_for_run()
     assert journal.states[-1] == "finished"
 
 
@@ -274,7 +245,7 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(
 ):
     timeouts = replace(SETTINGS.timeouts, search_s=0.1)
     running = begin(finder, order, replace(SETTINGS, timeouts=timeouts))
-    running.until_moving()
+    wait_until_moving(running)
     finder.failures = [BeamLost("nothing there")]
     finder.beam = False
     journal.wait(lambda: len(journal.faults) == 2)
@@ -282,7 +253,7 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(
     assert len(finder.aimed) == 1
     assert journal.states[-1] == "paused"
     running.measurement.obey(CellVerb.ABORT)
-    running.ended()
+    running.wait_for_run()
 
 
 def test_a_standstill_point_is_measured_again_once_the_target_is_found(
@@ -292,9 +263,9 @@ def test_a_standstill_point_is_measured_again_once_the_target_is_found(
     position = np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (5, 3))
     points = Configurations(("X", "Y", "Z"), position, np.full(5, 6.0))
     running = begin(finder, replace(order, commanded=points))
-    running.until_moving()
+    wait_until_moving(running)
     finder.beam = False
-    run = running.ended()
+    run = running.wait_for_run()
     assert journal.states[-1] == "finished"
     assert len(texts(run, "found")) == 1
     rows = [text for text in texts(run, "point") if "until" in text]
@@ -351,7 +322,8 @@ def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
     position = np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (6, 3))
     points = Configurations(("X", "Y", "Z"), position, np.full(6, 0.02))
     settings = replace(SETTINGS, poll_s=0.01, settle_s=0.02)
-    run = begin(finding_polled, replace(order, commanded=points), settings).ended()
+    running = begin(finding_polled, replace(order, commanded=points), settings)
+    run = running.wait_for_run()
     assert journal.states[-1] == "finished"
     assert run.points.row.tolist() == list(range(6))
     assert journal.faults == ["beam-lost"]
@@ -366,7 +338,7 @@ def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line(
 ):
     motion.speed = 5000.0
     finder.refusal = NotHomed("not initialised")
-    run = begin(finder, order).ended()
+    run = begin(finder, order).wait_for_run()
     assert journal.states == ["running", "finished"]
     assert finder.homed == 1
     assert journal.faults == ["tracker-homed"]
@@ -392,7 +364,7 @@ def test_a_tracker_that_takes_its_time_to_be_homed_is_not_taken_for_silent(
     settings = replace(
         SETTINGS, clock=lambda: time.monotonic() + skipped_s[0], timeouts=patience
     )
-    begin(finder, order, settings).ended()
+    begin(finder, order, settings).wait_for_run()
     assert journal.states == ["running", "finished"]
     assert journal.faults == ["tracker-homed"]
 
@@ -402,7 +374,7 @@ def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
 ):
     finder.refusal, finder.is_mended_by_home = NotHomed("not initialised"), False
     motion.speed = 5000.0
-    begin(finder, order).ended()
+    begin(finder, order).wait_for_run()
     assert journal.states[-1] == "failed"
     assert finder.homed == 1
     assert "start" not in motion.calls

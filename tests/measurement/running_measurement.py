@@ -1,0 +1,73 @@
+"""Measurements that run in threads of a test."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from tests.measurement.conftest import Journal
+from truepath.app.files.run import Run
+from truepath.app.measurement.measurement import Measurement
+from truepath.app.measurement.messages import (
+    CellVerb,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+)
+from truepath.app.measurement.run_reading import open_run
+from truepath.app.measurement.timing import EngineSettings
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.tracker import AnyTracker
+
+Begin = Callable[[AnyTracker, MeasurementOrder, EngineSettings], "RunningMeasurement"]
+
+
+class RunningMeasurement:
+    """A measurement under way, and the Run that it leaves."""
+
+    def __init__(self, measurement: Measurement, journal: Journal) -> None:
+        self.measurement, self.journal = measurement, journal
+        self.thread = threading.Thread(target=measurement.run)
+        self.thread.start()
+
+    def wait_for_progress(self, is_reached: Callable[[float], bool]) -> None:
+        """Wait until the lines or points that are done are as asked."""
+        reports = self.journal.of
+        self.journal.wait(
+            lambda: any(is_reached(p.done) for p in reports(MeasurementProgress)[-1:])
+        )
+
+    def pause_and_resume(self) -> None:
+        self.measurement.obey(CellVerb.PAUSE)
+        self.journal.wait(lambda: self.journal.states[-1] == "paused")
+        self.measurement.obey(CellVerb.RESUME)
+        self.journal.wait(lambda: self.journal.states[-1] == "running")
+
+    def wait_for_run(self) -> Run:
+        """Wait for the end; return the Run."""
+        self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
+        self.thread.join(5.0)
+        return open_run(self.journal.of(RunClosed)[-1].run_file)
+
+
+@contextmanager
+def run_measurements(motion: MotionController, journal: Journal) -> Iterator[Begin]:
+    """Begin measurements on a controller; those under way at the end are aborted."""
+    begun: list[RunningMeasurement] = []
+
+    def begin(
+        tracker: AnyTracker, order: MeasurementOrder, settings: EngineSettings
+    ) -> RunningMeasurement:
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        measurement = Measurement(
+            order, tracker, motion, devices, journal.report, settings
+        )
+        begun.append(RunningMeasurement(measurement, journal))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        if one.thread.is_alive():
+            one.measurement.obey(CellVerb.ABORT)
+            one.thread.join(5.0)
