@@ -12,20 +12,20 @@ certificate states; a Run of a result, or of a measurement that can go on from i
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import structlog
 from sqlalchemy import Connection, Text, cast, delete, insert, or_, select, update
 
-from truepath.app.errors import BundleError, NotFound
+from truepath.app.errors import BundleError
 from truepath.app.files.file_model import as_object, parse_json
 from truepath.app.files.whole_files import sync_to_disk
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import StillNeeded
-from truepath.app.jobs.job import Job, JobKind, decode_job, format_utc_now
+from truepath.app.jobs.job import Job, JobKind, format_utc_now
+from truepath.app.jobs.job_rows import JOBS, read_job, select_jobs
 from truepath.app.jobs.resumability import can_go_on
 from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.runs import RunCatalogue
@@ -43,7 +43,6 @@ from truepath.app.measurement.run_file import hash_file
 
 log = structlog.get_logger(__name__)
 
-_JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
 _STATED = ("result.json", "verification.json")  # by certificates, of other jobs too
 _CERTIFICATES = "certificates/*/certificate.json"
 _MARK = ".deleted"
@@ -82,7 +81,7 @@ class Deletion:
         found = Deleted("job", job_id, self._hash_files(job_id))
 
         def change(connection: Connection) -> None:
-            _delete_job(connection, _read_job(connection, job_id))
+            _delete_job(connection, read_job(connection, job_id))
             if note is not None:
                 note(connection, found)
 
@@ -262,19 +261,8 @@ def _list_users(connection: Connection, name: str) -> Sequence[Job]:
     """Return the jobs that name a job or a Run, in what they were asked or have."""
     texts = (cast(column, Text) for column in (jobs.c.further_run_ids, jobs.c.plan))
     named = [text.contains(name, autoescape=True) for text in texts]
-    query = _JOBS.where(or_(jobs.c.run_id == name, *named)).order_by(jobs.c.seq)
-    return list(_select_jobs(connection, query))
-
-
-def _read_job(connection: Connection, job_id: str) -> Job:
-    for job in _select_jobs(connection, _JOBS.where(jobs.c.id == job_id)):
-        return job
-    raise NotFound(f"there is no job {job_id}")
-
-
-def _select_jobs(connection: Connection, query: Any) -> Iterator[Job]:
-    for row in connection.execute(query).mappings():
-        yield decode_job({**row})
+    query = JOBS.where(or_(jobs.c.run_id == name, *named)).order_by(jobs.c.seq)
+    return select_jobs(connection, query)
 
 
 def _make_refusal(what: str, users: Sequence[Job]) -> StillNeeded:
