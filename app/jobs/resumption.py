@@ -22,12 +22,11 @@ from truepath.app.files.commanded_file import (
     encode_commanded_json,
 )
 from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import MachineFault
 from truepath.app.jobs.job import Job, Json, Stage, make_id
+from truepath.app.jobs.row_measurement import measure_rows
 from truepath.app.jobs.transitions import State
-from truepath.app.measurement.messages import MeasurementOrder
 from truepath.app.motion.configurations import (
     Commanded,
     Configurations,
@@ -205,7 +204,10 @@ class ResumedSteps:
         """
         run_id, closure_id = make_id(), make_id()
         part = {"run_id": run_id, "first_row": resumption.first_row}
-        self._drive_closure(resumption.select_closure(commanded), closure_id)
+        points = resumption.select_closure(commanded)
+        measure_rows(
+            self.job, self.active, self.context, points, closure_id, what="closure"
+        )
         self._require_closure(resumption, closure_id)
         self._keep_part({**part, "closure_id": closure_id})
         return run_id
@@ -230,30 +232,6 @@ class ResumedSteps:
         plan = dict(self.context.store.read_plan(self.job.id) or {})
         plan["parts"] = [*plan["parts"], part]
         self.context.store.keep_plan(self.job.id, plan)
-
-    def _drive_closure(self, points: Configurations, run_id: str) -> None:
-        context, machine = self.context, self.context.require_machine()
-        order = MeasurementOrder(
-            run_name=f"{machine.name} {self.job.created}, closure",
-            run_file=str(context.runs.name_run_file(run_id)),
-            machine=machine,
-            commanded=points,
-            rate_hz=machine.tracker.rate_hz,
-            live=True,
-            job_id=self.job.id,
-            machine_id=self.job.machine or "",
-            machine_version=self.job.machine_version or 0,
-        )
-        self.active.enter(State.RUNNING, Stage.MEASURING)
-        try:
-            CellMeasurement(
-                self.active,
-                context.require_cell(),
-                confirm_s=context.confirm_s,
-                steering=None,
-            ).run(order)
-        finally:
-            context.runs.add_measured(run_id)
 
     def _require_closure(self, resumption: Resumption, closure_id: str) -> None:
         found = self.compute(

@@ -21,7 +21,6 @@ import structlog
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.arming import hash_commanded, list_commanded
-from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import MachineFault, MeasurementEnded
 from truepath.app.jobs.job import (
@@ -32,6 +31,7 @@ from truepath.app.jobs.job import (
     StationProgress,
     make_id,
 )
+from truepath.app.jobs.row_measurement import measure_rows
 from truepath.app.jobs.station_resumption import (
     list_kept_ids,
     make_resumption,
@@ -39,7 +39,6 @@ from truepath.app.jobs.station_resumption import (
 )
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import State
-from truepath.app.measurement.messages import MeasurementOrder
 from truepath.app.motion.configurations import Commanded
 
 _UNSEEN = frozenset({"beam-lost", "not-resumed"})
@@ -242,30 +241,15 @@ class StationSteps:
     def _drive(
         self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
     ) -> None:
-        context = self.context
-        machine = context.require_machine()
-        order = MeasurementOrder(
-            run_name=f"{machine.name} {self.job.created}, {what}",
-            run_file=str(context.runs.name_run_file(run_id)),
-            machine=machine,
-            commanded=commanded,
-            rate_hz=machine.tracker.rate_hz,
-            live=True,
-            job_id=self.job.id,
-            machine_id=self.job.machine or "",
-            machine_version=self.job.machine_version or 0,
+        measure_rows(
+            self.job,
+            self.active,
+            self.context,
+            commanded,
+            run_id,
+            what=what,
+            gives_up=_UNSEEN if gives_up else (),
         )
-        self.active.enter(State.RUNNING, Stage.MEASURING)
-        try:
-            CellMeasurement(
-                self.active,
-                context.require_cell(),
-                confirm_s=context.confirm_s,
-                steering=None,
-                gives_up=_UNSEEN if gives_up else (),
-            ).run(order)
-        finally:
-            context.runs.add_measured(run_id)
 
     def _store_runs(self) -> None:
         known = self.context.runs.find(list_run_ids(self._read_plan()))
