@@ -14,6 +14,7 @@ from truepath.app.jobs.job import Job, Stage
 from truepath.app.jobs.notices import add_to_result
 from truepath.app.jobs.reanalysis import Reanalysis, list_orders, write_summary
 from truepath.app.jobs.transitions import State
+from truepath.app.jobs.unchanged_runs import OfUnchangedRuns
 from truepath.app.results.model_history import RESULT, find_model_file
 
 
@@ -36,7 +37,7 @@ class AnalysisSteps:
 
         The state of the verdict that it returns is stored with the job.
         """
-        files = [str(self.context.runs.file(run_id)) for run_id in run_ids]
+        files, task = self._name_files(run_ids), self._guard(task, run_ids)
         folder = str(self.context.results / self.job.id)
         model = find_model(self.job, self.context)
         verdict = self.compute(State.RUNNING, stage, task, files, folder, *how, *model)
@@ -47,11 +48,12 @@ class AnalysisSteps:
     def follow(self) -> None:
         """Let a task write what the Runs say of the machine over time."""
         context, job = self.context, self.job
-        files = [str(context.runs.file(run_id)) for run_id in job.run_ids]
+        files = self._name_files(job.run_ids)
         names = [context.runs.get(run_id).name for run_id in job.run_ids]
         asked = context.store.read_plan_request(job.id)
         told = files, names, str(context.results / job.id), asked
-        verdict = self.compute(State.RUNNING, Stage.ESTIMATING, context.follower, *told)
+        follower = self._guard(context.follower, job.run_ids)
+        verdict = self.compute(State.RUNNING, Stage.ESTIMATING, follower, *told)
         self.active.store_values(verdict=verdict)
 
     def reanalyse(self) -> None:
@@ -88,15 +90,25 @@ class AnalysisSteps:
         parts = (context.store.read_plan(job.id) or {}).get("parts", ())
         first_row = {part["run_id"]: part["first_row"] for part in parts}
         told = (
-            [str(context.runs.file(run_id)) for run_id in run_ids],
+            self._name_files(run_ids),
             [first_row.get(run_id, 0) for run_id in run_ids],
             str(context.results / job.id),
             str(find_model_file(context.results, result_id)),
             None if files is None else str(kept / files),
             asked,
         )
-        verdict = self.compute(State.RUNNING, Stage.ALIGNING, context.verifier, *told)
+        verifier = self._guard(context.verifier, run_ids)
+        verdict = self.compute(State.RUNNING, Stage.ALIGNING, verifier, *told)
         self.active.store_values(verdict=verdict)
+
+    def _name_files(self, run_ids: Sequence[str]) -> list[str]:
+        return [str(self.context.runs.file(run_id)) for run_id in run_ids]
+
+    def _guard(self, task: Task, run_ids: Sequence[str]) -> Task:
+        """Return the task, which refuses files that have been changed."""
+        digests = [self.context.runs.get(run_id).sha256 for run_id in run_ids]
+        files = self._name_files(run_ids)
+        return OfUnchangedRuns(task, dict(zip(files, digests, strict=True)))
 
 
 def find_model(job: Job, context: JobContext) -> tuple[str | None, str | None]:

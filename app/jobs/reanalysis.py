@@ -23,6 +23,7 @@ from truepath.app.jobs.executor import Computation, ProcessExecutor, Task
 from truepath.app.jobs.job import Json, Progress
 from truepath.app.jobs.runs import RunCatalogue
 from truepath.app.jobs.store import Store
+from truepath.app.jobs.unchanged_runs import OfUnchangedRuns
 from truepath.app.results.model_history import RESULT
 
 SUMMARY, OUTCOME, RUNS = "reanalysis.json", "outcome.json", "runs"
@@ -36,6 +37,7 @@ class RunOrder:
     file : empty where it has gone
     before_job : the newest job that has analysed it alone; before_file : its result
     folder : where what comes of it is kept
+    sha256 : of the file when it was catalogued; empty where it has gone
     """
 
     run_id: str
@@ -44,6 +46,7 @@ class RunOrder:
     before_job: str | None
     before_file: str
     folder: str
+    sha256: str
 
 
 def list_orders(
@@ -61,7 +64,7 @@ def list_orders(
     files, before = runs.list_files(), store.find_analyses_of_one()
     orders: list[RunOrder] = []
     for run_id in run_ids:
-        name, file = files.get(run_id, ("", Path()))
+        name, file, sha256 = files.get(run_id, ("", Path(), ""))
         job_id = before.get(run_id)
         orders.append(
             RunOrder(
@@ -71,6 +74,7 @@ def list_orders(
                 job_id,
                 str(results / job_id / RESULT) if job_id else "",
                 str(folder / RUNS / run_id),
+                sha256,
             )
         )
     return orders
@@ -127,7 +131,7 @@ class Reanalysis:
 
     def _compute(self, order: RunOrder) -> None:
         computation = self.executor.submit(
-            self.task,
+            OfUnchangedRuns(self.task, {order.file: order.sha256}),
             order,
             *self.arguments,
             on_progress=lambda _share, _stage: None,
@@ -139,7 +143,7 @@ class Reanalysis:
                 computation.cancel()
         try:
             computation.result()
-        except TaskFailed as error:  # a defect of ours: what it expects it has kept
+        except TaskFailed as error:  # a changed file, or a defect of ours
             keep_outcome(order, failure=(error.family, error.text))
         except WorkerDied as error:
             keep_outcome(order, failure=(type(error).__name__, str(error)))

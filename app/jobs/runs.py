@@ -183,12 +183,17 @@ class RunCatalogue:
             known = set(connection.execute(query).scalars())
         return [i for i in run_ids if i in known]
 
-    def list_files(self) -> dict[str, tuple[str, Path]]:
-        """Return name and file of every Run; whether the file is there is not asked."""
-        query = select(runs.c.id, runs.c.name, runs.c.file)
+    def list_files(self) -> dict[str, tuple[str, Path, str]]:
+        """Return name and file of every Run, and the SHA-256 that it is catalogued by.
+
+        Whether the file is there is not asked.
+        """
+        query = select(runs.c.id, runs.c.name, runs.c.file, runs.c.sha256)
         with self._database.read() as connection:
             rows = connection.execute(query).all()
-        return {run_id: (name, self._folder / file) for run_id, name, file in rows}
+        return {
+            i: (name, self._folder / file, sha256) for i, name, file, sha256 in rows
+        }
 
     def list_of_machine(self, machine: str | None, since: datetime | None) -> list[str]:
         """Return the Runs of a machine since a time, the oldest first; None: of all."""

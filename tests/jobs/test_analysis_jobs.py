@@ -113,6 +113,27 @@ def test_several_runs_are_analysed_together(analysing, context, run, science, bu
     assert science.calls[0][0] == files
 
 
+@pytest.mark.fault_row(26)
+@pytest.mark.parametrize("kind", [JobKind.ANALYSE, JobKind.DISCOVER])
+def test_a_run_whose_file_was_changed_is_not_analysed(
+    analysing, context, run, science, bundle, kind
+):
+    bundle.write_bytes(context.runs.file(run.id).read_bytes())
+    other = context.runs.add_uploaded(bundle, "the other side")
+    file = context.runs.file(other.id)
+    file.write_bytes(file.read_bytes() + b"changed")
+    ids = [run.id, other.id]
+    job, _ = analysing.create(RequestedJob(kind, run_ids=ids))
+    wait_until(lambda: context.store.get(job.id).is_final)
+    ended = context.store.get(job.id)
+    assert ended.state == "failed"
+    assert ended.failure.family == "BundleError"
+    said = f"{file.name}: has been changed since it was catalogued"
+    assert ended.failure.detail.startswith(said)
+    assert "put the file back from a backup" in ended.failure.detail
+    assert not science.calls
+
+
 def test_one_unknown_run_of_several_is_refused(analysing, run):
     with pytest.raises(NotFound, match="no run nowhere"):
         analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id, "nowhere"]))

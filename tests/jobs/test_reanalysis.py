@@ -197,6 +197,7 @@ def test_the_present_code_is_held_against_the_result_of_before(
     assert first["before_job"] == earlier.id
     assert first["before"] == first["after"] == figures_of(result)
     assert broken["failure"]["family"] == "BundleError"
+    assert "has been changed since it was catalogued" in broken["failure"]["detail"]
     assert (third["before"], third["after"]) == (None, first["after"])
     kept = context.results / job.id / "runs" / runs[0]
     assert json.loads((kept / "result.json").read_text())["verdict"]
@@ -221,7 +222,7 @@ def test_a_run_that_cannot_be_aligned_is_an_outcome_and_no_error(tmp_path, monke
     monkeypatch.setattr("truepath.app.jobs.science.open_recorded", lambda _: None)
     from truepath.app.jobs.reanalysis import RunOrder
 
-    order = RunOrder("a", "run a", "a.zip", None, "", str(tmp_path / "a"))
+    order = RunOrder("a", "run a", "a.zip", None, "", str(tmp_path / "a"), "")
     reanalyse_run(order, False, on_progress=lambda *_: None)
     outcome = json.loads((Path(order.folder) / "outcome.json").read_text())
     assert outcome["failure"] == {
