@@ -179,6 +179,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
             said = "X not measured from 450 to 500 mm; measure there"
             return problem(422, "bad-input", "The input cannot be used", said, "")
         made = compensation(job_id, order["format"], order["unmeasured"])
+        made |= service.rotary_account
         service.compensations.setdefault(job_id, []).append(made)
         return made
 

@@ -471,6 +471,41 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
     }
 
 
+def rotary_account() -> dict[str, Any]:
+    """What files leave of two rotary axes: C has a table, of A little is known."""
+
+    def change(before: float, after: float, u: float) -> dict[str, float]:
+        return {
+            "before": before,
+            "after": 0.5 * after,
+            "after_expected": after,
+            "after_expanded_uncertainty": u,
+        }
+
+    return {
+        "over_all_axes_um": {
+            **change(21.4, 6.32, 0.41),
+            "before_expanded_uncertainty": 0.52,
+            "coverage_factor": 2.0,
+        },
+        "rotary": {
+            "C": {
+                "positioning_urad": change(48.3, 1.6, 0.7),
+                "at_tool_um": change(11.27, 0.38, 0.16),
+                "location_at_tool_um": change(14.1, 14.12, 0.6),
+                "lost_motion": "in the files: both directions of the table",
+                "lost_motion_urad": change(24.0, 0.9, 0.3),
+                "not_in_files": ["EXC", "EYC", "EZC", "EAC", "EBC", "AOC", "BOC"],
+            },
+            "A": {
+                "lost_motion": "not in the result",
+                "lost_motion_urad": None,
+                "not_in_files": [],
+            },
+        },
+    }
+
+
 def driver_option(name: str, kind: str, *, usual: Any = None) -> dict[str, Any]:
     """An option of a driver; without a usual value it has to be given."""
     return {"name": name, "type": kind, "default": usual, "is_required": usual is None}

@@ -81,6 +81,7 @@ class ScriptedService:
         self.temperature: dict[str, Any] = {}
         self.temperature_refusal = "2 of 3 temperatures"
         self.compensations: dict[str, list[dict[str, Any]]] = {}
+        self.rotary_account: dict[str, Any] = {}
         self.loaded_tables: dict[str, Any] = {}
         self.certificates: dict[str, list[dict[str, Any]]] = {}
         self.identity: dict[str, str] = {}

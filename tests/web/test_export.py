@@ -6,7 +6,7 @@ import json
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
-from scripted_data import volumetric_error
+from scripted_data import rotary_account, volumetric_error
 from scripted_service import ScriptedService
 
 from truepath.app.files.verdict import Reason, Verdict, verdict_json
@@ -40,6 +40,39 @@ def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
     with page.expect_download() as taken:
         card.get_by_role("link", name="Files (ZIP)").click()
     assert taken.value.suggested_filename == "linuxcnc-10-hold.zip"
+
+
+@pytest.mark.parametrize(
+    ("size", "language"), [((390, 844), "de"), ((1280, 800), "en")]
+)
+def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
+    panel, service, size, language
+):
+    service.rotary_account = rotary_account()
+    page, card = show(panel, service, size=size, language=language)
+    card.get_by_text("LinuxCNC").click()
+    account = card.locator("[data-rotary]")
+    expect(account).to_be_visible()
+    comma = "," if language == "de" else "."
+    rows = {
+        "en": ("48.3 → 1.6 µrad ± 0.7 µrad (k = 2)", "Not in the result", "Nothing"),
+        "de": ("48,3 → 1,6 µrad ± 0,7 µrad (k = 2)", "Nicht im Ergebnis", "Nichts"),
+    }
+    for text, count in zip(rows[language], (1, 2, 1), strict=True):
+        expect(account.locator("dd", has_text=text)).to_have_count(count)
+    for number in ("21.40 µm ± 0.52 µm", "6.32 µm ± 0.41 µm", "24.0 → 0.9 µrad"):
+        expect(account).to_contain_text(number.replace(".", comma))
+    expect(account).to_contain_text("EXC, EYC, EZC, EAC, EBC, AOC, BOC")
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    for value in account.locator("dd").all():
+        assert value.evaluate("e => e.scrollWidth <= e.clientWidth + 1")
+
+
+def test_files_of_a_machine_of_straight_axes_say_nothing_of_rotary_ones(panel, service):
+    _, card = show(panel, service)
+    card.get_by_text("LinuxCNC").click()
+    expect(card.get_by_role("link", name="Files (ZIP)")).to_be_visible()
+    expect(card.locator("[data-rotary]")).to_have_count(0)
 
 
 def test_an_unsettled_sign_and_ranges_without_measurement_are_said(

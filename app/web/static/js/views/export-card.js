@@ -6,6 +6,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { sayUnmeasured } from "../statements.js";
 import { known, t } from "../texts.js";
 import { decimalsOf, quantity } from "../units.js";
+import { rotaryAccount } from "./rotary-account.js";
 
 /** A card with a choice of controllers; null where the result is not to be used.
  *
@@ -92,6 +93,7 @@ function account(made, { choices, unmeasured }, stated_um) {
   return [
     pairs(rows),
     h("p", { class: "quiet" }, [t("export.on_places"), stated_um !== undefined && t("export.on_grid", { value: quantity(stated_um, "gap", decimalsOf("error")) })].filter(Boolean).join(" ")),
+    ...rotaryAccount(made),
     !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
     made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, sayUnmeasured(text, unmeasured)))),
     h("p", { class: "quiet" }, noteOf(made, choices)),
