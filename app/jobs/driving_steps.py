@@ -7,13 +7,16 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import structlog
+from jaxtyping import Float64
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
+from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_measurement import CellMeasurement
 from truepath.app.jobs.context import JobContext
@@ -29,6 +32,8 @@ from truepath.app.motion.configurations import Commanded, join_rows, select_rows
 from truepath.drivers.interfaces.records import Path
 
 _OF_FIRST_PART = frozenset({"predicted_um", "document"})
+
+Position = Float64[np.ndarray, " a"]
 
 log = structlog.get_logger(__name__)
 
@@ -72,7 +77,13 @@ class DrivingSteps:
         """Return the rows in parts, where some may be driven again."""
         if self._is_adaptive or self.job.on_notice is OnNotice.NOTE:
             return None
-        return PlannedRows(commanded)
+        machine = self.context.require_machine()
+        clear = workspace_from_json(self.request.get("workspace") or {}).without_sight
+
+        def is_free(begin: Position, end: Position) -> bool:
+            return bool(clear.allows(machine, begin[None], end[None])[0])
+
+        return PlannedRows(commanded, is_free)
 
     def _follow(
         self, live: LiveEstimation, commanded: Commanded, planned: PlannedRows | None

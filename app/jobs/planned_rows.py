@@ -8,7 +8,7 @@ from truepath.app.motion.configurations import (
     join_rows,
     select_rows,
 )
-from truepath.app.motion.driven_again import drive_again
+from truepath.app.motion.driven_again import IsFree, drive_again
 from truepath.drivers.interfaces.records import Path
 
 _PART = 2  # lines or points
@@ -21,9 +21,12 @@ class PlannedRows:
 
     driven : rows so far, those driven again among them; total : lines or points in all
     rows : these, then those of the plan that are left
+
+    is_free : tells it of the straight ways back to points that are driven again
     """
 
-    def __init__(self, plan: Commanded) -> None:
+    def __init__(self, plan: Commanded, is_free: IsFree = lambda *_: True) -> None:
+        self._is_free = is_free
         self._plan, self._next = plan, _PART + isinstance(plan, Path)
         self._first: int | None = None
         self._times = 0
@@ -59,7 +62,7 @@ class PlannedRows:
         self._times += 1
         if first >= len(self.driven):
             return None
-        part = drive_again(self.driven, first)
+        part = drive_again(self.driven, first, self._is_free)
         self.total += len(part) - isinstance(part, Path)
         return part
 

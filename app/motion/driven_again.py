@@ -1,30 +1,45 @@
 """Rows that are driven again: back along what was driven, and forth to where it ended.
 
-What was driven once is free to be driven again, wherever keep-out boxes are.
+What was driven once is free to be driven again, wherever keep-out boxes are. Points are
+gone back to straight where that way is free.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.motion.configurations import Commanded, join_rows, select_rows
 from truepath.drivers.interfaces.records import Arc, Path
 
 _SAME = 1e-6  # mm or deg
 
+IsFree = Callable[[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]], bool]
+"""Tells whether a machine may go straight from one position to another."""
 
-def drive_again(driven: Commanded, first: int) -> Commanded:
+
+def drive_again(
+    driven: Commanded, first: int, is_free: IsFree = lambda *_: True
+) -> Commanded:
     """Return a part that measures the last rows again.
+
+    Points come in their order, or, where the straight way back is not free, back in
+    turn and forth again.
 
     driven : all rows so far, at the last of which the machine stands
     first : row of the first line, or point, to be measured again
     """
     again = select_rows(driven, slice(first, None))
     if not isinstance(driven, Path) or not isinstance(again, Path):
-        return again
+        is_there = first == len(driven) - 1
+        if is_there or is_free(driven.position[-1], driven.position[first]):
+            return again
+        back = select_rows(driven, slice(first, -1))
+        forth = select_rows(driven, slice(first + 1, None))
+        return join_rows([select_rows(back, slice(None, None, -1)), forth])
     way = select_rows(driven, slice(first - 1, None))
     back = replace(
         select_rows(way, slice(None, None, -1)),

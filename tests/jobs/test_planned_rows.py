@@ -63,3 +63,13 @@ def test_points_are_measured_again_in_their_order():
     planned.next()
     planned.repeat(3)
     assert drive(planned) == [0, 1, 2, 3, 3, 4]
+
+
+def test_points_behind_a_box_are_gone_back_to_by_the_ways_that_were_driven():
+    position = np.arange(5.0)[:, None] * np.ones(3)
+    points = Configurations(("X", "Y", "Z"), position, np.ones(5))
+    planned = PlannedRows(points, lambda *_: False)
+    planned.next()
+    planned.repeat(1)
+    assert drive(planned) == [0, 1, 2, 3, 2, 1, 2, 3, 4]
+    assert planned.total == 5 + 4

@@ -354,6 +354,42 @@ def test_what_acts_on_notices_goes_on_with_what_is_left_and_keeps_them(
     until(job, "succeeded")
 
 
+def test_points_that_are_measured_again_are_not_gone_back_to_through_a_box(
+    going_on, faulted, make_cell, lives, context
+):
+    places = (20.0, 20.0), (100.0, 100.0), (200.0, 200.0), (300.0, 100.0), (20.0, 30.0)
+    points = tuple({"x_mm": x, "y_mm": y, "z_mm": 50.0 + y / 9} for x, y in places)
+    box = {"min_mm": [180, 60, 0], "max_mm": [220, 140, 200]}
+    cell = make_cell.cell
+    told = {
+        **{"number": 1, "kind": "something-changed", "grade": "likely", "axis": ""},
+        **{"since_row": 2, "noticed_row": 3, "noticed_s": 9.0, "size_um": 20.0},
+        **{"uncertainty_um": 1.0, "is_over": False},
+    }
+
+    def notice(_):
+        cell.say(PartRequested(1))
+        wait_until(lambda: len(cell.parts) == 1, "rows 3 and 4")
+        lives[-1].publish(5.0, 3)
+        lives[-1].newest["notices"] = [told]
+        (active,) = context.store.list_unfinished()
+        wait_until(lambda: context.store.get(active.id).notices, "the notice")
+        cell.say(PartRequested(3))
+        wait_until(lambda: len(cell.parts) == 2, "the points that are measured again")
+
+    faulted(
+        RequestedJob(
+            JobKind.MEASURE_STANDSTILL,
+            rows=points,
+            on_notice=OnNotice.CHECK,
+            plan_request={"workspace": {"keep_out": [box]}},
+        ),
+        then=notice,
+    )
+    again = [tuple(row[:2]) for row in cell.parts[1].position.tolist()]
+    assert again == [places[2], places[1], places[2], places[3]]
+
+
 def test_rows_that_are_not_those_of_the_run_are_never_gone_on_with(
     going_on, faulted, until, context
 ):
