@@ -43,7 +43,7 @@ from truepath.drivers.interfaces.tracker import (
     Tracker,
 )
 
-_TASK_S = 30.0  # a driver gives up before
+_SPARE_S = 1.0  # a driver gives up before
 
 
 class MeasurementMonitor:
@@ -129,18 +129,23 @@ class MeasurementMonitor:
         self._report_progress()
         return status
 
-    def wait_for_tracker(self, verb: Callable[[], None]) -> Exception | None:
+    def wait_for_tracker(
+        self, verb: Callable[[], None], limit_s: float
+    ) -> Exception | None:
         """Look on while the tracker does something; return why it was not done.
 
         It may lose its beam meanwhile. Raises as `tick`, and Fault if it does not end.
+
+        limit_s : in which its driver ends it, or gives up
         """
-        task, late_s = TrackerTask(verb), self.clock() + _TASK_S
+        limit_s += _SPARE_S
+        task, late_s = TrackerTask(verb), self.clock() + limit_s
         self._is_task_under_way = True
         try:
             while not task.is_over:
                 self.tick()
                 if self.clock() > late_s:
-                    raise make_silence_fault(_TASK_S)
+                    raise make_silence_fault(limit_s)
         finally:
             self._is_task_under_way = False
         return task.failure

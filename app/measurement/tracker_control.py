@@ -129,7 +129,9 @@ class TrackerControl:
         tracker = self._tracker
         if not (self._chooses and isinstance(tracker, TargetChoice)):
             return True
-        failure = self._monitor.wait_for_tracker(lambda: tracker.select_target(name))
+        failure = self._monitor.wait_for_tracker(
+            lambda: tracker.select_target(name), tracker.verb_limit_s
+        )
         if isinstance(failure, NotOffered):
             self._chooses = False
             self._monitor.events.record("target", str(failure))
@@ -145,10 +147,11 @@ class TrackerControl:
 
     def _home(self, refusal: NotHomed) -> None:
         """Home a tracker that asks for it, once; that moves no machine."""
-        if self._is_homed or not isinstance(self._tracker, TargetFinder):
+        tracker = self._tracker
+        if self._is_homed or not isinstance(tracker, TargetFinder):
             raise classify_fault(refusal) from refusal
         self._is_homed = True
-        failure = self._monitor.wait_for_tracker(self._tracker.home)
+        failure = self._monitor.wait_for_tracker(tracker.home, tracker.verb_limit_s)
         if failure is not None:
             raise classify_fault(failure) from failure
         self._monitor.events.report_fault(HOMED)

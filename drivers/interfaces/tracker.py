@@ -98,7 +98,19 @@ class EventSource(ABC):
         """Return the events since the last call, in order. Any thread."""
 
 
-class TargetFinder(ABC):
+class TurningTracker:
+    """Turns by itself, which takes a while."""
+
+    @property
+    def verb_limit_s(self) -> float:
+        """The longest that one of the verbs may take, by how the driver is set up.
+
+        The driver gives up by then, with an error that says why.
+        """
+        return 30.0
+
+
+class TargetFinder(TurningTracker, ABC):
     """Points its beam and finds a target by itself."""
 
     @abstractmethod
@@ -114,7 +126,7 @@ class TargetFinder(ABC):
         """Find and lock on a target near the beam. Raises BeamLost if there is none."""
 
 
-class TargetChoice(ABC):
+class TargetChoice(TurningTracker, ABC):
     """Knows several targets by their names, and which of them it measures."""
 
     @abstractmethod

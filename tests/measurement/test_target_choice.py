@@ -188,6 +188,37 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
     assert not len(places)
 
 
+class SlowTracker(ChoosingTracker):
+    """Takes 1.5 s to turn."""
+
+    def __init__(self, motion) -> None:
+        super().__init__(motion)
+        self.limit_s, self.turned = 0.0, threading.Event()
+
+    @property
+    def verb_limit_s(self) -> float:
+        return self.limit_s
+
+    def select_target(self, name: str) -> None:
+        self.turned.wait(1.5)
+        super().select_target(name)
+
+
+@pytest.mark.parametrize(
+    ("limit_s", "state"), [(5.0, "finished"), (-0.9, "faulted")], ids=["long", "short"]
+)
+def test_a_target_is_waited_for_as_long_as_its_driver_says(
+    motion, order, journal, limit_s, state
+):
+    tracker = SlowTracker(motion)
+    tracker.limit_s, motion.speed = limit_s, 2000.0
+    devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+    Measurement(order, tracker, motion, devices, journal.report, QUICK).run()
+    assert journal.states[-1] == state
+    assert codes(journal) == ([] if state == "finished" else ["tracker-silent"])
+    tracker.turned.set()
+
+
 @pytest.fixture
 def drive(motion, order, journal):
     """Drive lines of two targets to the end; return the Run."""

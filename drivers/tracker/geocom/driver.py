@@ -77,6 +77,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         self._follows, self._search_rad = follows, search_rad
         self._session = GeoComSession(self._link, reply_timeout_s)
         self._shot_s, self._turn_s = shot_s, turn_s
+        self._reply_timeout_s = reply_timeout_s
 
     @property
     def capabilities(self) -> TrackerCapabilities:
@@ -84,6 +85,11 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         return TrackerCapabilities(
             streams=False, clock=Clock.HOST, distance="EDM", corrects_air=True
         )
+
+    @property
+    def verb_limit_s(self) -> float:
+        """Of a search: that, and locking on what it has found."""
+        return 2.0 * (self._turn_s + self._reply_timeout_s)
 
     def home(self) -> None:
         """Turn to Hz 0 at the horizon; the instrument levels itself."""

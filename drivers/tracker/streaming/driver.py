@@ -101,7 +101,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._baudrate = baudrate if host is None else None
         self._serial_number = serial_number
         self._format = Format.MEAS if compact else Format.MEAS64
-        self._turn_s = turn_s
+        self._turn_s, self._reply_timeout_s = turn_s, reply_timeout_s
         self._knows_verbs = False
         self._lock = threading.RLock()
         self._link = CommandLink(self._port, reply_timeout_s)
@@ -191,6 +191,11 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
     def take_events(self) -> tuple[TrackerEvent, ...]:
         """Return what `read` has come across since the last call."""
         return self._event_log.take()
+
+    @property
+    def verb_limit_s(self) -> float:
+        """Of the verb, after the version that it needs was asked for."""
+        return self._turn_s + 2.0 * self._reply_timeout_s
 
     def home(self) -> None:
         """Send the beam to the instrument's reference, to initialise there."""
