@@ -137,8 +137,10 @@ def test_a_result_is_held_against_an_earlier_calibration(panel, service):
     first.get_by_role("button").click()
     expect(page.locator("#detail-title")).to_contain_text("EYX")
     page.keyboard.press("Escape")
-    page.locator("[data-card=map]").get_by_role("button", name="Calibration of").click()
-    expect(page.locator("[data-card=map] .slice .arrow").first).to_be_visible()
+    volume = page.locator("[data-card=map]")
+    volume.get_by_role("button", name="XY").click()
+    volume.get_by_role("button", name="Calibration of").click()
+    expect(volume.locator(".slice .arrow").first).to_be_visible()
     before["machine"] = {**before["machine"], "tool_offset_mm": [0.0, 0.0, -90.0]}
     card.get_by_label("Calibration", exact=True).select_option(index=0)
     card.get_by_label("Calibration", exact=True).select_option(index=1)

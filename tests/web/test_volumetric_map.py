@@ -64,7 +64,7 @@ def test_a_tolerance_is_kept_and_an_undecided_one_is_said(panel, service):
 
 
 def test_arrows_in_space_follow_the_slider(panel, service):
-    page = show(panel, service, space=True)
+    page = show(panel, service, card=True)
     picture = page.locator(".map-picture.is-volume")
     expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
     expect(picture).to_have_attribute("aria-label", MEAN_AND_LARGEST)
@@ -81,17 +81,44 @@ def test_arrows_in_space_follow_the_slider(panel, service):
     )
 
 
-def test_a_browser_without_webgl_shows_the_planes_and_says_why(panel, service):
+def test_without_a_graphics_processor_arrows_are_drawn_flat_and_turn(panel, service):
     page = show(panel, service)
     card = page.locator("[data-card=map]")
-    expect(card).to_contain_text("no WebGL")
-    expect(card.get_by_role("button", name="3-D")).to_be_disabled()
+    expect(card.locator(".map-picture.is-volume")).to_have_attribute("data-drawn", "")
+    expect(card.locator(".flat-scene circle")).to_have_count(125)
+    expect(card.locator(".flat-scene .axis")).to_have_text(
+        ["X (mm)", "Y (mm)", "Z (mm)"]
+    )
+    arrows = "document.querySelector('[data-trace=\"1\"]').innerHTML"
+    seen = {page.evaluate(arrows)}
+
+    def is_drawn_anew() -> None:
+        page.wait_for_function(f"(seen) => !seen.includes({arrows})", arg=list(seen))
+        seen.add(page.evaluate(arrows))
+
+    page.get_by_label("Exaggeration").press("ArrowRight")
+    is_drawn_anew()
+    card.get_by_role("button", name="Front").click()
+    is_drawn_anew()
+    expect(card.locator(".flat-scene .axis")).to_have_text(["X (mm)", "Z (mm)"])
+    box = card.locator(".flat-scene").bounding_box()
+    page.mouse.move(box["x"] + 90, box["y"] + 90)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 150, box["y"] + 120)
+    page.mouse.up()
+    is_drawn_anew()
+    assert not page.evaluate("'Plotly' in window"), "loaded without need"
+
+
+def test_a_plane_shows_what_lies_in_it_and_what_was_not_reached(panel, service):
+    page = show(panel, service)
+    card = page.locator("[data-card=map]")
+    card.get_by_role("button", name="XY").click()
     expect(card.locator(".slice .arrow").first).to_be_visible()
     # The middle of the grid has no error; ends of X were not reached.
     expect(card.locator(".slice circle")).to_have_count(25)
     expect(card.locator(".slice .outside")).to_have_count(1)
     expect(card.locator(".slice .axis")).to_have_text(["X (mm)", "Y (mm)"])
-    assert not page.evaluate("'Plotly' in window"), "loaded without need"
 
 
 def test_a_plane_goes_through_the_volume_by_keys(panel, service):
@@ -108,6 +135,7 @@ def test_a_plane_goes_through_the_volume_by_keys(panel, service):
 def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
     page = show(panel, service)
     card = page.locator("[data-card=map]")
+    card.get_by_role("button", name="XY").click()
     arrows = card.locator(".slice .arrow")
     expect(arrows).not_to_have_count(0)
     marks = card.locator(".scale-marks").inner_text()
@@ -118,6 +146,7 @@ def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
     page.locator("[data-card=export]").get_by_text("LinuxCNC").click()
     expect(page.locator(".kept-list")).to_contain_text("LinuxCNC")
     page.locator("#back button", has_text="Result").click()
+    card.get_by_role("button", name="XY").click()
     card.get_by_role("button", name="With tables for LinuxCNC").click()
     expect(arrows).not_to_have_count(0)
     assert service.looks[-1] == ("volumetric-map", "linuxcnc-10-hold")
@@ -136,6 +165,7 @@ def verified(panel, service, *, compensated: bool, **more) -> Page:
 def test_arrows_as_left_stand_where_the_verification_stood_still(panel, service):
     page = verified(panel, service, compensated=True)
     card = page.locator("[data-card=map]")
+    card.get_by_role("button", name="XY").click()
     card.get_by_role("button", name="As left").click()
     expect(card.locator(".slice circle")).to_have_count(29)
     expect(card.locator(".slice .arrow")).to_have_count(29)
@@ -153,7 +183,7 @@ def test_arrows_as_left_stand_where_the_verification_stood_still(panel, service)
 
 
 def test_arrows_of_a_verification_without_compensation_are_not_as_left(panel, service):
-    page = verified(panel, service, compensated=False, language="de", space=True)
+    page = verified(panel, service, compensated=False, language="de", card=True)
     card = page.locator("[data-card=map]")
     again = card.get_by_role("button", name="Wie erneut gemessen")
     expect(again).to_be_visible(timeout=SLOW_MS)

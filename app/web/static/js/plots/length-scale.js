@@ -19,7 +19,8 @@ export function lengthScale(lengths_um) {
   };
 }
 
-function mixed(stops, share) {
+/** The colour at a share of a range, between evenly spread stops. */
+export function mixed(stops, share) {
   const at = share * (stops.length - 1);
   const i = Math.min(Math.floor(at), stops.length - 2);
   const [from, to] = [stops[i], stops[i + 1]].map(channels);

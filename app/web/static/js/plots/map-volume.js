@@ -1,7 +1,7 @@
 /* The volumetric error as arrows in space. */
 import { quantity } from "../units.js";
 import { colour } from "./colours.js";
-import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
+import { coordinates, drawScene, edges } from "./scene.js";
 
 const MOST = 5; // arrows an axis: more hide each other
 const ROOM = 0.13; // of the travel's diagonal, for arrows that leave it: beyond they are cut
@@ -13,21 +13,20 @@ const TRACE = { shafts: 1, dots: 2 };
  * map: as `readMap` gives it; scale: of `lengthScale`; factor: by which arrows are longer than the errors
  */
 export async function drawVolume(element, map, scale, factor) {
-  const Plotly = await plotly();
   const drawn = { points: thinned(map), scale, factor };
-  await Plotly.newPlot(element, traces(map, drawn), layout(widened(map.travel), element), OPTIONS);
+  const scene = await drawScene(element, traces(map, drawn), widened(map.travel));
   return {
     update(next, nextScale) {
       Object.assign(drawn, { points: thinned(next), scale: nextScale });
-      Plotly.react(element, traces(next, drawn), element.layout, OPTIONS);
+      scene.replace(traces(next, drawn));
     },
     exaggerate(next) {
       drawn.factor = next;
       const { x, y, z } = shafts(drawn);
-      Plotly.restyle(element, { x: [x], y: [y], z: [z] }, [TRACE.shafts]);
+      scene.restyle({ x: [x], y: [y], z: [z] }, [TRACE.shafts]);
     },
-    view: (name) => Plotly.relayout(element, { "scene.camera": camera(name) }),
-    close: () => Plotly.purge(element),
+    view: scene.view,
+    close: scene.close,
   };
 }
 

@@ -1,7 +1,7 @@
 /* The path in space: what is planned, what is done, where the machine is. */
 import { quantity } from "../units.js";
 import { colour } from "./colours.js";
-import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
+import { coordinates, drawScene, edges } from "./scene.js";
 
 const REDRAW_MS = 250;
 const TRACE = { plan: 1, done: 2, now: 3 };
@@ -40,12 +40,11 @@ function travelOf(machine, rows) {
  * progress(done, position): rows reached and the axis positions now, or null
  */
 export async function drawPath(element, plan, machine) {
-  const Plotly = await plotly();
   const columns = linear(plan.axes);
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
   const standing = !plan.feed_mm_min?.length;
-  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), { ...OPTIONS, scrollZoom: true });
+  const scene = await drawScene(element, traces(rows, travel, standing), travel, true);
 
   const name = element.getAttribute("aria-label");
   let wanted = null;
@@ -61,8 +60,7 @@ export async function drawPath(element, plan, machine) {
     drawn = key;
     const parts = [[...at, ...rows.slice(done)], [...rows.slice(0, done), ...at], at].map(coordinates);
     const along = (name) => parts.map((part) => part[name]);
-    Plotly.restyle(element, { x: along("x"), y: along("y"), z: along("z") },
-      [TRACE.plan, TRACE.done, TRACE.now]);
+    scene.restyle({ x: along("x"), y: along("y"), z: along("z") }, [TRACE.plan, TRACE.done, TRACE.now]);
     element.setAttribute("aria-label", [name, ...at.map(spoken)].join(": "));
   }
 
@@ -70,12 +68,10 @@ export async function drawPath(element, plan, machine) {
     progress(done, position) {
       wanted = { done: Math.max(0, Math.min(rows.length, done)), position };
     },
-    view(name) {
-      Plotly.relayout(element, { "scene.camera": camera(name) });
-    },
+    view: scene.view,
     close() {
       clearInterval(timer);
-      Plotly.purge(element);
+      scene.close();
     },
   };
 }

@@ -1,6 +1,6 @@
 /* A planned path in space with the tracker that looks at it: how much of it is chosen. */
 import { colour } from "./colours.js";
-import { camera, coordinates, edges, layout, OPTIONS, plotly } from "./scene.js";
+import { coordinates, drawScene, edges } from "./scene.js";
 
 const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
 
@@ -10,7 +10,6 @@ const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
  * travel: of X, Y and Z; offset_mm: of the reflector on the tool
  */
 export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen) {
-  const Plotly = await plotly();
   const stands = rows.filter((row, i) => row.tracker_mm !== rows[i - 1]?.tracker_mm).map((row) => row.tracker_mm);
   const around = travel.map(([low, high], i) => {
     const all = [low, high, low + offset_mm[i], high + offset_mm[i], ...stands.map((place) => place[i])];
@@ -19,14 +18,14 @@ export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
   const line = (name, width, dash) => ({ color: colour(name), width, dash });
   const parts = cut(chosen);
-  await Plotly.newPlot(element, [
+  const scene = await drawScene(element, [
     { ...base, mode: "lines", line: line("line-strong", 1.5), ...edges(travel) },
     { ...base, mode: "lines", line: line("plan", 1.5), ...parts[0] },
     { ...base, mode: "lines", line: line("accent", 4), ...parts[1] },
     { ...base, mode: "lines", opacity: 0.55, line: line("trace-y", 1), ...parts[2] },
     { ...base, mode: "lines+markers", line: line("text", 6), marker: { size: [1, 5], color: colour("text") }, ...parts[3] },
     { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates(stands) },
-  ], layout(around, element), OPTIONS);
+  ], around);
 
   /** What is left out, what is driven, the beams to its stops, the tool at its end. */
   function cut(count) {
@@ -42,9 +41,9 @@ export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen
     choose(count) {
       const next = cut(count);
       const along = (name) => next.map((part) => part[name]);
-      Plotly.restyle(element, { x: along("x"), y: along("y"), z: along("z") }, Object.values(TRACE));
+      scene.restyle({ x: along("x"), y: along("y"), z: along("z") }, Object.values(TRACE));
     },
-    view: (name) => Plotly.relayout(element, { "scene.camera": camera(name) }),
-    close: () => Plotly.purge(element),
+    view: scene.view,
+    close: scene.close,
   };
 }

@@ -1,6 +1,7 @@
-/* Pictures in space: plotly.js, loaded when one is shown, and the frame they share. */
+/* Pictures in space: plotly.js where a graphics processor draws them, else flat; and the frame they share. */
 import { shown, unitOf } from "../units.js";
 import { colour } from "./colours.js";
+import { drawFlat } from "./flat-scene.js";
 
 const SCRIPT = "/assets/plotly.min.js";
 const ZOOM = 1.3;
@@ -15,14 +16,44 @@ const CAMERAS = {
 /** Names of the views that a camera can take. */
 export const VIEWS = Object.keys(CAMERAS);
 
-/** The wheel scrolls the page unless a picture has most of it for itself. */
-export const OPTIONS = { displayModeBar: false, responsive: true };
+const OPTIONS = { displayModeBar: false, responsive: true };
+const BY_PROCESSOR = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
 let loading = null;
-let space = null;
+let quick = null;
+
+/** Draw traces over the travel of X, Y and Z in mm; answers {restyle, replace, view, close}.
+ *
+ * Without a graphics processor the first picture of plotly.js keeps the page, and ABORT with
+ * it, from answering for seconds: there, and where plotly.js fails, the traces are drawn flat.
+ * The wheel scrolls the page unless a picture has most of it for itself: `isZoomed`.
+ */
+export async function drawScene(element, traces, travel, isZoomed = false) {
+  if (isSpaceQuick()) {
+    try {
+      return await drawInSpace(element, traces, travel, isZoomed);
+    } catch (error) {
+      console.warn("drawn flat:", error);
+    }
+  }
+  const { look, ...flat } = drawFlat(element, traces, travel.map(padded), CAMERAS.iso.eye);
+  return { ...flat, view: (name) => look(CAMERAS[name].eye) };
+}
+
+async function drawInSpace(element, traces, travel, isZoomed) {
+  const Plotly = await plotly();
+  const options = { ...OPTIONS, scrollZoom: isZoomed };
+  await Plotly.newPlot(element, traces, layout(travel, element), options);
+  return {
+    restyle: (change, which) => Plotly.restyle(element, change, which),
+    replace: (next) => Plotly.react(element, next, element.layout, options),
+    view: (name) => Plotly.relayout(element, { "scene.camera": camera(name) }),
+    close: () => Plotly.purge(element),
+  };
+}
 
 /** plotly.js, once it is there. */
-export function plotly() {
+function plotly() {
   loading ??= new Promise((done, failed) => {
     const script = document.createElement("script");
     script.src = SCRIPT;
@@ -33,14 +64,23 @@ export function plotly() {
   return loading;
 }
 
-/** Whether this browser draws in space at all; asked once, as contexts are few. */
-export function hasWebGL() {
-  space ??= Boolean(document.createElement("canvas").getContext("webgl"));
-  return space;
+/** Whether a graphics processor draws for this browser; asked once, as contexts are few. */
+function isSpaceQuick() {
+  quick ??= hasGraphicsProcessor();
+  return quick;
+}
+
+function hasGraphicsProcessor() {
+  const gl = document.createElement("canvas").getContext("webgl", { failIfMajorPerformanceCaveat: true });
+  if (!gl) return false;
+  const unmasked = gl.getExtension("WEBGL_debug_renderer_info");
+  const renderer = gl.getParameter(unmasked ? unmasked.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return !BY_PROCESSOR.test(renderer);
 }
 
 /** The camera of a view. */
-export const camera = (view) => ({ ...CAMERAS[view], projection: { type: "orthographic" } });
+const camera = (view) => ({ ...CAMERAS[view], projection: { type: "orthographic" } });
 
 /** Columns of points in shown units: {x, y, z}; null breaks a line. */
 export function coordinates(points) {
@@ -59,10 +99,10 @@ export function edges(travel) {
 }
 
 /** Layout of a scene over the travel of X, Y and Z that fills a frame. */
-export function layout(travel, frame) {
+function layout(travel, frame) {
   const axis = (name, i) => ({
     title: { text: `${name} (${unitOf("travel")})`, font: { size: 13 } },
-    range: padded(travel[i].map((v) => shown(v, "length"))),
+    range: padded(travel[i]),
     gridcolor: colour("line"), zeroline: false, showbackground: false, nticks: 5,
     tickfont: { size: 12 }, showspikes: false, color: colour("quiet"),
   });
@@ -87,7 +127,9 @@ function proportions(travel, frame) {
   return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
 }
 
-function padded([low, high]) {
+/** A range a little wider, in shown units. */
+function padded(range_mm) {
+  const [low, high] = range_mm.map((v) => shown(v, "length"));
   const margin = 0.04 * (high - low || 1);
   return [low - margin, high + margin];
 }

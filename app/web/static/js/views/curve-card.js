@@ -4,7 +4,6 @@ import { notice, segments, tile } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
 import { drawPlanSpace } from "../plots/plan-space.js";
-import { hasWebGL } from "../plots/scene.js";
 import { sayUnobservable } from "../statements.js";
 import { nameOf } from "../tables.js";
 import { duration, number, t } from "../texts.js";
@@ -112,10 +111,8 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)),
     h("div", { class: "curve-pictures" }, chart, h("div", {}, space, key)), weak, more(plan, unobservable)].filter(Boolean));
   const curve = drawPlanCurve(chart, points, put);
-  let path = null;
   let closed = false;
-  if (hasWebGL()) path = begin().catch(without);
-  else without();
+  const path = begin();
   put(ahead.at, false);
 
   async function begin() {
@@ -124,11 +121,6 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     space.dataset.drawn = "";
     found.choose(points[ahead.at].row);
     return found;
-  }
-
-  function without() {
-    space.replaceChildren(h("p", { class: "quiet path-missing" }, t("curve.no_space")));
-    return null;
   }
 
   /** Let everything follow the handle. */
@@ -144,7 +136,7 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     write(weak, point.weakest.length ? t("curve.weak", { errors: point.weakest.map(named).join("; ") }) : "");
     const { by: kind } = choice();
     curve.update(at, kind === "target" ? point.expanded_volumetric_uncertainty_um : null, t("curve.spoken", { minutes, u }));
-    path?.then?.((found) => found?.choose(point.row));
+    path.then((found) => found.choose(point.row));
     if (isChosen) pick({ minutes: Math.max(0.5, Math.ceil(point.time_s / 6) / 10), reach_um: point.expanded_volumetric_uncertainty_um });
   }
 
@@ -153,7 +145,7 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     close() {
       closed = true;
       curve.close();
-      path?.then?.((found) => found?.close());
+      path.then((found) => found.close());
     },
   };
 }

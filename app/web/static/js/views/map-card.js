@@ -6,7 +6,7 @@ import { roundReach } from "../plots/error-chart.js";
 import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
 import { drawVolume } from "../plots/map-volume.js";
-import { hasWebGL, VIEWS } from "../plots/scene.js";
+import { VIEWS } from "../plots/scene.js";
 import { prefer, preference } from "../preferences.js";
 import { dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -23,12 +23,11 @@ const LONGEST = 0.12; // of the travel's diagonal, the largest arrow at first
  * `addOther(job, result)` offers another calibration, `close` ends it
  */
 export function mapCard(job, result, proof) {
-  const space = hasWebGL();
-  const shown = { state: "before", view: space ? VOLUME : "XY", level: null, factor: null, map: null, first: null, scale: null };
+  const shown = { state: "before", view: VOLUME, level: null, factor: null, map: null, first: null, scale: null };
   const maps = new Map();
   const others = new Map();
   let places = null;
-  const parts = build(space);
+  const parts = build();
   let volume = null;
   let slice = null;
   let due = null;
@@ -40,7 +39,6 @@ export function mapCard(job, result, proof) {
       shown.view = view;
       draw();
     });
-  if (!space) mark(views.querySelector(`[data-value=${VOLUME}]`), "disabled", "");
   parts.tools.append(states, views);
   parts.scales.append(choose(t("result.scale"), [["common", t("map.scale_common")], ["own", t("map.scale_own")]], preference("scale"), (value) => {
     prefer("scale", value);
@@ -129,7 +127,7 @@ export function mapCard(job, result, proof) {
     parts.volume.hidden = !isVolume;
     parts.slice.hidden = isVolume;
     describe(isVolume);
-    if (isVolume) drawInSpace(isOther).catch(failInSpace);
+    if (isVolume) drawInSpace(isOther);
     else drawPlane();
     if (isOther) parts.numbers.replaceChildren(mapTable(map));
   }
@@ -146,16 +144,6 @@ export function mapCard(job, result, proof) {
     const drawn = await volume;
     if (isOther) drawn.update(map, scale);
     drawn.exaggerate(shown.factor);
-  }
-
-  /** Without plotly.js or space on the graphics card there is the plane. */
-  function failInSpace(error) {
-    if (closed) return;
-    parts.missing.hidden = false;
-    write(parts.missing, t("map.no_space", { reason: error.message }));
-    shown.view = "XY";
-    for (const button of views.children) mark(button, "aria-pressed", String(button.dataset.value === "XY"));
-    draw();
   }
 
   function drawPlane() {
@@ -196,12 +184,12 @@ export function mapCard(job, result, proof) {
     close() {
       closed = true;
       slice?.close();
-      volume?.then((drawn) => drawn.close(), () => {});
+      volume?.then((drawn) => drawn.close());
     },
   };
 }
 
-function build(space) {
+function build() {
   const picture = (name) => h("div", { class: `map-picture is-${name}`, role: "img", hidden: true });
   const range = (id, label, max) => {
     const input = h("input", { id, type: "range", min: 0, max, step: 1, class: "slider" });
@@ -216,13 +204,12 @@ function build(space) {
   const key = h("div");
   const scales = h("div", { class: "map-scales" });
   const note = h("p", { class: "quiet" });
-  const missing = h("p", { class: "quiet", hidden: space }, t("map.no_webgl"));
   const numbers = h("div", { class: "map-numbers" });
   const frame = h("div", { class: "map-frame" }, volume, slice, cameras);
   const element = h("section", { class: "card map-card", "data-card": "map", "aria-label": t("map.title") },
     h("div", { class: "card-head" }, h("h2", {}, t("map.title"))), tools, frame,
-    h("div", { class: "map-under" }, h("div", {}, key, scales), factorField, levelField), missing, note, numbers);
-  return { element, picture: frame, volume, slice, tools, cameras, key, scales, note, missing, numbers, factor, factorRead, factorField,
+    h("div", { class: "map-under" }, h("div", {}, key, scales), factorField, levelField), note, numbers);
+  return { element, picture: frame, volume, slice, tools, cameras, key, scales, note, numbers, factor, factorRead, factorField,
     level, levelRead, levelField };
 }
 

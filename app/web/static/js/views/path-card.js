@@ -37,13 +37,7 @@ export function pathCard(live) {
   return {
     element,
     update(next, machine) {
-      if (next && !plan) {
-        draw(next, machine).catch((error) => {
-          missing.textContent = t("path.failed", { reason: error.message });
-          missing.hidden = false;
-          view.hidden = true;
-        });
-      }
+      if (next && !plan) draw(next, machine);
     },
     progress(done, position) {
       plot?.progress(done, position);
