@@ -28,6 +28,14 @@ from truepath.drivers.interfaces.tracker_records import Light, TrackerCapabiliti
 INSTRUMENT, SERVICE = "instrument", "truepath"
 NOBODY, UNKNOWN = "nobody", "unknown"
 USUAL_HUMIDITY = 50.0  # wrong by 30 %: 0.26 ppm at 20 °C
+CAUSES = {
+    "no-light": "neither tracker nor settings state its light",
+    "no-temperature": "the temperature of the air was not measured",
+    "temperature-gaps": "the temperature of the air is not known all the time",
+    "pressure-gaps": "the pressure of the air is not known all the time",
+    "nothing-known": "nothing is known of the air",
+}
+"""Why nothing could be done; the operator page says the same kinds in its languages."""
 _BY = (INSTRUMENT, SERVICE, NOBODY, UNKNOWN)
 _AIR = "air"
 # What sensors are taken to be right to, standard uncertainty, with what the beam meets.
@@ -71,9 +79,18 @@ def choose_refraction(
     light = stated or capabilities.light
     if light is None:
         by = UNKNOWN if capabilities.corrects_air is None else NOBODY
-        why = "" if by == UNKNOWN else "neither tracker nor settings state its light"
+        why = "" if by == UNKNOWN else CAUSES["no-light"]
         return Refraction(by, why=why)
     return Refraction(NOBODY, light)
+
+
+def find_cause(refraction: Refraction) -> tuple[str, str]:
+    """Return why ranges are not corrected, as one of `CAUSES` and in words.
+
+    The kind is empty where a file states other words.
+    """
+    why = refraction.why or CAUSES["nothing-known"]
+    return next((kind for kind, text in CAUSES.items() if text == why), ""), why
 
 
 def lacks_air(refraction: Refraction, channels: Collection[str]) -> bool:
@@ -174,12 +191,12 @@ def _find_air(
     """Return °C, hPa and % at times, or why they are not known."""
     span = float(time_s.min()), float(time_s.max())
     if temperature is None or _AIR not in temperature.names:
-        return "the temperature of the air was not measured"
+        return CAUSES["no-temperature"]
     warm = temperature.celsius[:, temperature.names.index(_AIR)]
     if not is_usable(temperature.time_s, warm, *span):
-        return "the temperature of the air is not known all the time"
+        return CAUSES["temperature-gaps"]
     if air is None or not is_usable(air.time_s, air.pressure_hpa, *span):
-        return "the pressure of the air is not known all the time"
+        return CAUSES["pressure-gaps"]
     damp = np.full(len(time_s), USUAL_HUMIDITY)
     if is_usable(air.time_s, air.humidity_percent, *span):
         damp = interpolate(air.time_s, air.humidity_percent, time_s)

@@ -13,6 +13,7 @@ from truepath.app.files.refraction import (
     SIGMA_HPA,
     SIGMA_K,
     Refraction,
+    find_cause,
     refraction_to_json,
     state_scale_ppm,
 )
@@ -50,7 +51,7 @@ def describe_refraction(refraction: Refraction) -> str:
         ppm = 1e6 * (refraction.index - 1.0)
         return f"corrected here, once: mean {kind}index 1 + {ppm:.2f}·10⁻⁶{wave}"
     if refraction.by == NOBODY:
-        return f"NOT corrected: {refraction.why or 'nothing is known of the air'}"
+        return f"NOT corrected: {find_cause(refraction)[1]}"
     return "not corrected here; whether the instrument does is not known"
 
 

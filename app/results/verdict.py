@@ -22,7 +22,7 @@ from truepath.app.estimation.prior_model import PriorModel
 from truepath.app.estimation.run_estimate import RunEstimate
 from truepath.app.estimation.run_parts import Knock
 from truepath.app.estimation.tracker_score import RangeOffsetScore
-from truepath.app.files.refraction import NOBODY, Refraction
+from truepath.app.files.refraction import NOBODY, Refraction, find_cause
 from truepath.app.files.run import number_names
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Reason, State, Value, Verdict
@@ -95,11 +95,12 @@ def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> V
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
     """Return which Runs should have been corrected for the air, and are not."""
-    reasons = [
-        Reason("air-uncorrected", "doubtful", {"why": one.why}, name)
-        for one, name in zip(refractions, names, strict=True)
-        if one.by == NOBODY
-    ]
+    reasons: list[Reason] = []
+    for one, name in zip(refractions, names, strict=True):
+        if one.by == NOBODY:
+            kind, why = find_cause(one)
+            values: dict[str, Value] = {"why": why, "why_kind": kind}
+            reasons.append(Reason("air-uncorrected", "doubtful", values, name))
     if len(names) == 1:
         reasons = [replace(one, run="") for one in reasons]
     return Verdict(tuple(reasons))

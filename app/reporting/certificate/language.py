@@ -111,7 +111,10 @@ class Language:
         text = self.shared.get(f"verdict.{reason.kind}")
         if text is None:
             return f"{reason} {reason.remedy}".strip()
-        said = text.format(**{k: self.mark(v) for k, v in reason.shown.items()})
+        shown = reason.shown
+        if kind := shown.get("why_kind"):
+            shown["why"] = self.shared.get(f"verdict.why.{kind}", shown["why"])
+        said = text.format(**{k: self.mark(v) for k, v in shown.items()})
         run = f"{self.shared['verdict.run'].format(run=reason.run)} "
         remedy = self.shared.get(f"verdict.{reason.kind}_remedy", "")
         return f"{run if reason.run else ''}{said} {remedy}".strip()

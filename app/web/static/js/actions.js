@@ -277,11 +277,7 @@ const byCreation = (a, b) => (a.created < b.created ? 1 : -1);
 const newer = (a, b) => ((b.version ?? 0) >= (a.version ?? 0) ? b : a);
 
 function worded(problem) {
-  const { status, code } = problem;
-  if (code === "unreachable") {
-    return { title: t("problem.unreachable"), text: "", action: t("problem.unreachable_action") };
-  }
-  if (status === 412) {
+  if (problem.status === 412) {
     return { title: t("problem.stale"), text: "", action: t("problem.stale_action") };
   }
   return wordProblem(problem);

@@ -79,12 +79,14 @@ export const kindOf = (kind) => known(`kind.${kind}`, kind);
 export const linkButton = (address, shape, text, more = {}) =>
   h("a", { class: "button", href: address, ...more }, icon(shape), text);
 
-/** Everything a job's error says, as a notice. */
-export function errorNotice(job, tone = "fault") {
-  if (!job.error) return null;
-  const { title, text, action } = wordProblem(job.error);
+/** Everything a problem says, as a notice. */
+export function problemNotice(problem, tone = "fault") {
+  const { title, text, action } = wordProblem(problem);
   return notice(tone, title, text, action);
 }
+
+/** Everything a job's error says, as a notice; null where it has none. */
+export const errorNotice = (job, tone) => (job.error ? problemNotice(job.error, tone) : null);
 
 /** Why a measurement left out the rest of its plan, as a notice; null if it did not. */
 export function earlyEndNotice(job) {

@@ -1,4 +1,5 @@
 /* What the service refuses or reports, in the language of the page. */
+import { Problem } from "./api.js";
 import { h } from "./dom.js";
 import { currentLanguage, known, t } from "./texts.js";
 
@@ -10,6 +11,7 @@ const SPOKEN_BY_SERVICE = "en";
  * and are marked as English.
  */
 export function wordProblem({ code = "", title = "", detail = "", action = "" }) {
+  if (code === "unreachable") return { title: t("problem.unreachable"), text: "", action: t("problem.unreachable_action") };
   const key = `problem.code.${code}`;
   const isBare = !detail || detail === title || detail === `${title}.`;
   return {
@@ -17,6 +19,13 @@ export function wordProblem({ code = "", title = "", detail = "", action = "" })
     text: isBare ? known(`${key}_text`, "") : textOf(known(`${key}_text`, ""), detail),
     action: known(`${key}_action`, "") || quote(action),
   };
+}
+
+/** What is wrong with an input and what to do, in nodes of one line: of the service, or of the page itself. */
+export function lineOf(error) {
+  if (!(error instanceof Problem)) return [error.message];
+  const { title, text, action } = wordProblem(error);
+  return [text || title, action && " ", action].flat();
 }
 
 function textOf(translated, detail) {

@@ -1,6 +1,7 @@
 /* Who works at this page: log in, the name in the bar, what the role may do. */
 import * as api from "./api.js";
 import { h, write } from "./dom.js";
+import { lineOf } from "./problems.js";
 import { t } from "./texts.js";
 
 const WAIT_MS = 500;
@@ -71,7 +72,7 @@ function logIn(root) {
         done(session);
       } catch (problem) {
         if (!(problem instanceof api.Problem)) throw problem;
-        write(error, worded(problem));
+        error.replaceChildren(...worded(problem));
         password.value = "";
         password.focus();
       } finally {
@@ -81,8 +82,9 @@ function logIn(root) {
   });
 }
 
-function worded({ status, detail }) {
-  if (status === 0) return t("problem.unreachable");
-  if (status === 429) return t("session.wait");
-  return status === 401 ? t("session.wrong") : detail;
+function worded(problem) {
+  const { status } = problem;
+  if (status === 0) return [t("problem.unreachable")];
+  if (status === 429) return [t("session.wait")];
+  return status === 401 ? [t("session.wrong")] : lineOf(problem);
 }

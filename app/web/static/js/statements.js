@@ -2,14 +2,24 @@
 import { nameOf } from "./tables.js";
 import { currentLanguage, known, number, t } from "./texts.js";
 
-const MERGED = /^(E[XYZABC]{2}) \(.*?\) cannot be told from (.+?) with /;
-const REMEDIES = { by_tool: /at least (\d+) mm longer or shorter/, by_side: /at least (\d+) mm to the side/ };
+/** What data do not determine: its beginning, and what would, by key. */
+const UNOBSERVABLE = {
+  merged: /^(?<symbol>E[XYZABC]{2}) \(.*?\) cannot be told from (?<others>.+?) with /,
+  still: /^(?<symbol>E[XYZABC]{2}) \(.*?\) does not move the target/,
+  resting: /^(?<axes>[A-Z, ]+): rotary axes stand still on this path/,
+};
+const REMEDIES = {
+  by_tool: /at least (\d+) mm longer or shorter/, by_side: /at least (\d+) mm to the side/,
+  by_other_tool: /tool longer or shorter/, by_other_side: /target to the side/, by_another: /another tool length or offset/,
+  on_workpiece: /targets on the workpiece/, off_line: /off one line with these/,
+  by_lines: /lines or points tell too little/, by_standstill: /between standstills/,
+};
 const NUMBER = "−?[\\d.]+";
 const MOVED = new RegExp(`^(?:(.+): )?from (${NUMBER}) to (${NUMBER}) ± (${NUMBER}) (.+)$`);
 const STATED = new RegExp(`^(.+?) (${NUMBER}) ± (${NUMBER}) ?(.*)$`);
 const ALONE = new RegExp(`^(${NUMBER}) ± (${NUMBER}) ?(.*)$`);
 const AT = /^(\S+) at (\S+) (\S+) (\S+)$/;
-const UNIT = /_(um|urad|rad|mm|ms|hz|s|ppm)(_per_\w+)?$/;
+const UNIT = /_(um|urad|rad|mm_s|mm|deg|ms|hz|s|ppm)(_per_\w+)?$/;
 const MANY = /^(\d+) parameters$/;
 /** What the service says of calibrations that do not tell how a machine depends on its temperature, by key. */
 const TEMPERATURE_REFUSALS = {
@@ -21,17 +31,23 @@ const TEMPERATURE_REFUSALS = {
 };
 const UNMEASURED = /^(\S+) not measured from (.+) mm: /;
 
-/** What an error motion cannot be told from, and what would; a statement of another form stands as it is. */
+/** What data do not determine, and what would; a statement of another form stands as it is. */
 export function sayUnobservable(text) {
-  const found = MERGED.exec(text);
+  const [key, found] = match(UNOBSERVABLE, text);
   if (currentLanguage() === "en" || !found) return text;
-  const [, symbol, others] = found;
-  const said = [t("unobservable.merged", { symbol, name: nameOf(symbol), others: others.replaceAll(" and ", ` ${t("statement.and")} `) })];
-  for (const [key, pattern] of Object.entries(REMEDIES)) {
-    const remedy = pattern.exec(text);
-    if (remedy) said.push(t(`unobservable.${key}`, { length: number(remedy[1]) }));
+  const { symbol, others = "", axes } = found.groups;
+  const said = t(`unobservable.${key}`, { symbol, axes, name: symbol && nameOf(symbol), others: others.replaceAll(" and ", ` ${t("statement.and")} `) });
+  const [cure, remedy] = match(REMEDIES, text);
+  return remedy ? `${said} ${t(`unobservable.${cure}`, { length: number(remedy[1]) })}` : said;
+}
+
+/** The first pattern that is in a text, by its key: [key, match]; null where none is. */
+function match(patterns, text) {
+  for (const [key, pattern] of Object.entries(patterns)) {
+    const found = pattern.exec(text);
+    if (found) return [key, found];
   }
-  return said.join(" ");
+  return [null, null];
 }
 
 /** Where an axis was not measured, and the choice (hold, fade) of what its table has there. */

@@ -1,7 +1,7 @@
 /* A result beside an earlier calibration of the same machine: what has changed by more than both know. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { kindOf, notice, tableFrame } from "../parts.js";
+import { kindOf, notice, problemNotice, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
@@ -29,7 +29,7 @@ export function compareCard(job, result, jobs, onOther) {
       if (!difference(result, found)) onOther(others.find((other) => other.id === id), found);
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
-      shown = notice("fault", error.title || t("problem.refused"), error.detail, error.action);
+      shown = problemNotice(error);
     }
     if (asked === id) content.replaceChildren(shown);
   }

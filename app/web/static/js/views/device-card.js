@@ -2,8 +2,8 @@
 import * as api from "../api.js";
 import { h, write } from "../dom.js";
 import { isActive, isMeasuring } from "../flow.js";
-import { card, notice, pairs } from "../parts.js";
-import { wordProblem } from "../problems.js";
+import { card, notice, pairs, problemNotice } from "../parts.js";
+import { lineOf } from "../problems.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
@@ -74,8 +74,7 @@ function tried({ samples, usable, lost_samples: lost, distance_mm }) {
 
 function refusal(error) {
   if (!(error instanceof api.Problem)) throw error;
-  const { title, text, action } = wordProblem(error);
-  return notice("fault", title, text, action);
+  return problemNotice(error);
 }
 
 /** What the settings of the service have chosen. */
@@ -101,7 +100,7 @@ function form(record, drivers, save) {
       await save(record.id, Object.assign({}, record.devices, ...parts.map((part) => part.read())));
     } catch (refused) {
       if (!(refused instanceof api.Problem) && !(refused instanceof RangeError)) throw refused;
-      write(error, refused.message);
+      error.replaceChildren(...lineOf(refused));
     }
     button.disabled = false;
   });

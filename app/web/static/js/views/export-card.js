@@ -1,7 +1,7 @@
 /* The files that a controller corrects by: what they leave is seen before they are taken. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { card, linkButton, notice, pairs, segments, wordFormat } from "../parts.js";
+import { card, linkButton, notice, pairs, problemNotice, segments, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { sayUnmeasured } from "../statements.js";
 import { known, t } from "../texts.js";
@@ -107,8 +107,5 @@ const left = ({ mean, mean_uncertainty: u }) =>
 
 function refusal(error) {
   if (!(error instanceof api.Problem)) throw error;
-  if (error.code === "unreachable") {
-    return [notice("fault", t("problem.unreachable"), "", t("problem.unreachable_action"))];
-  }
-  return [notice("fault", error.title || t("problem.refused"), error.detail, error.action)];
+  return [problemNotice(error)];
 }

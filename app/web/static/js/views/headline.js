@@ -3,6 +3,7 @@ import * as api from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
+import { wordProblem } from "../problems.js";
 import { dateTime, plain, t, typed } from "../texts.js";
 import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
 
@@ -32,7 +33,7 @@ export function headline(job, result, proof) {
       found = await api.volumetricError(job.id, tolerance_um);
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
-      if (asked === tolerance_um) write(decided, error.title || t("problem.refused"));
+      if (asked === tolerance_um) write(decided, wordProblem(error).title);
       return;
     }
     if (asked === tolerance_um) show(found);

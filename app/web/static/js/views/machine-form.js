@@ -1,7 +1,7 @@
 /* The axes of a machine: typed, or taken from its machine.json; to add one or to describe one anew. */
 import { Problem } from "../api.js";
 import { h, write } from "../dom.js";
-import { wordProblem } from "../problems.js";
+import { lineOf } from "../problems.js";
 import { plain, t, typed } from "../texts.js";
 import { shown, stored, unitOf } from "../units.js";
 
@@ -66,17 +66,11 @@ export function machineForm({ name, content = USUAL, asksId = false, label, save
       await save(id ? id.input.value.trim() : "", read());
     } catch (refused) {
       if (!(refused instanceof Problem) && !(refused instanceof RangeError)) throw refused;
-      error.replaceChildren(...(refused instanceof Problem ? wordsOf(refused) : [refused.message]));
+      error.replaceChildren(...lineOf(refused));
     }
     button.disabled = false;
   });
   return element;
-}
-
-/** What a refusal says and what to do, as children; English sentences of the service are marked. */
-export function wordsOf(problem) {
-  const { title, text, action } = wordProblem(problem);
-  return [text || title, " ", action].flat();
 }
 
 function textField(id, label, value, more = {}) {

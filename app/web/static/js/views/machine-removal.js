@@ -2,8 +2,8 @@
 import { Problem } from "../api.js";
 import { h, icon, write } from "../dom.js";
 import { holdToConfirm } from "../hold.js";
+import { lineOf } from "../problems.js";
 import { t } from "../texts.js";
-import { wordsOf } from "./machine-form.js";
 
 /** Card that removes a machine; `remove()` refuses with a Problem. */
 export function removalCard({ id, name }, remove) {
@@ -17,7 +17,7 @@ export function removalCard({ id, name }, remove) {
       await remove();
     } catch (refused) {
       if (!(refused instanceof Problem)) throw refused;
-      error.replaceChildren(...(refused.status === 412 ? [t("machine.remove_stale")] : wordsOf(refused)));
+      error.replaceChildren(...(refused.status === 412 ? [t("machine.remove_stale")] : lineOf(refused)));
     }
     button.disabled = false;
   });

@@ -1,7 +1,7 @@
 /* The volumetric error in the volume: arrows in space or in a plane, before and after compensation. */
 import * as api from "../api.js";
 import { h, mark, write } from "../dom.js";
-import { notice, segments, wordFormat } from "../parts.js";
+import { problemNotice, segments, wordFormat } from "../parts.js";
 import { roundReach } from "../plots/error-chart.js";
 import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
@@ -108,8 +108,8 @@ export function mapCard(job, result, proof) {
     draw(true);
   }
 
-  function fail({ title, detail, action }) {
-    parts.picture.replaceChildren(notice("fault", title || t("problem.refused"), detail, action));
+  function fail(problem) {
+    parts.picture.replaceChildren(problemNotice(problem));
   }
 
   /** A slider tells more often than there are frames. */

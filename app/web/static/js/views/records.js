@@ -2,9 +2,8 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, statesTables } from "../flow.js";
-import { card, head, kindOf, linkButton, notice, shapeOf, tableFrame, wordOf } from "../parts.js";
+import { card, head, kindOf, linkButton, problemNotice, shapeOf, tableFrame, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { wordProblem } from "../problems.js";
 import { dateTime, duration, number, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
 import { describe as describeChange } from "./compare-card.js";
@@ -118,8 +117,7 @@ async function comparison([later, earlier]) {
     return [title, describeChange(now, then)];
   } catch (error) {
     if (!(error instanceof api.Problem)) throw error;
-    const { title: what, text, action } = wordProblem(error);
-    return [title, notice("fault", what, text, action)];
+    return [title, problemNotice(error)];
   }
 }
 

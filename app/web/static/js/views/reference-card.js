@@ -1,9 +1,8 @@
 /* A result against a direct measurement that the operator has as a file. */
 import * as api from "../api.js";
 import { h, icon, mark } from "../dom.js";
-import { linkButton, notice, tableFrame } from "../parts.js";
+import { linkButton, problemNotice, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { wordProblem } from "../problems.js";
 import { nameOfAny } from "../tables.js";
 import { number, t, typed } from "../texts.js";
 import { quantity, stored, unitOf } from "../units.js";
@@ -29,8 +28,7 @@ export function referenceCard(job) {
       answer.replaceChildren(...describe(await api.compareWithReference(job.id, chosen, stated)));
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
-      const { title, text, action } = wordProblem(error);
-      answer.replaceChildren(notice("fault", title, text, action));
+      answer.replaceChildren(problemNotice(error));
     } finally {
       file.value = "";
       check();

@@ -1,7 +1,7 @@
 /* Files into the control of a simulated machine: from as found to as left in one go. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { notice } from "../parts.js";
+import { problemNotice } from "../parts.js";
 import { t } from "../texts.js";
 
 /** What loads files of a job into its simulated control; null where the devices are real.
@@ -34,5 +34,5 @@ export function simulatedLoader(job, { system }, changed) {
 
 function refusal(error) {
   if (!(error instanceof api.Problem)) throw error;
-  return [notice("fault", error.title || t("problem.refused"), error.detail, error.action)];
+  return [problemNotice(error)];
 }

@@ -8,6 +8,9 @@ const STATES = ["usable", "doubtful", "not-usable"];
 
 const LARGE_UM = 10_000;
 
+/** A number in the service's words: "+0.12 mm". */
+const FIGURE = /([+−-]?)(\d+)(\.\d+)(?= (?:mm|ppm)|°)/;
+
 /** Values of a reason by the last word of their name, which is their unit. */
 const SHOWN = {
   s: (value) => `${number(value, 1)} s`,
@@ -18,7 +21,7 @@ const SHOWN = {
 };
 
 function shown(name, value) {
-  if (typeof value === "string") return value;
+  if (typeof value === "string") return value.replace(FIGURE, (_, sign, whole, decimals = "") => sign + number(whole + decimals, Math.max(0, decimals.length - 1)));
   const show = SHOWN[name.split("_").at(-1)];
   return show ? show(value) : number(value, Number.isInteger(value) ? 0 : 2);
 }
@@ -26,6 +29,7 @@ function shown(name, value) {
 /** A reason in the language of the page; in the service's words where it is of a kind unknown here. */
 function sentence({ kind, run, values, remedy }, said) {
   const texts = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, shown(name, value)]));
+  if (values.why_kind) texts.why = known(`verdict.why.${values.why_kind}`, values.why);
   const own = known(`verdict.${kind}`, null, texts);
   if (own === null) return [said, remedy];
   return [run ? `${t("verdict.run", { run })} ${own}` : own, known(`verdict.${kind}_remedy`, remedy)];

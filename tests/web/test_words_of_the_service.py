@@ -1,0 +1,153 @@
+"""What the service says in English is said in every language of the page.
+
+The words are collected where the service has them: one that is added there and not in
+the catalogues is found here.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from truepath.app.compensation.installed import list_formats
+from truepath.app.estimation import change_search, notices, separation
+from truepath.app.estimation.budget import SOURCES
+from truepath.app.files.refraction import CAUSES, Refraction
+from truepath.app.files.verdict import Verdict
+from truepath.app.jobs.cell_supervisor import MOVING
+from truepath.app.jobs.job import JobKind
+from truepath.app.jobs.live_notice import OnNotice
+from truepath.app.jobs.transitions import State
+from truepath.app.kinematics import effects, identifiable
+from truepath.app.measurement.messages import CellState
+from truepath.app.results import plan_document, temperature_model
+from truepath.app.results.verdict import judge_air
+from truepath.app.web.pages import LANGUAGES, catalogue
+
+UNITS = (
+    "um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"
+    "|urad|rad|mm_s|um|mm|deg|ms|hz|s"
+)
+ENGLISH = frozenset(
+    re.findall(
+        r"\w+",
+        "the a an of to and or not with it its is are be by on from this that cannot "
+        "does tool target targets lines points shows show them other further second",
+    )
+)
+
+
+def keys_of_words() -> Iterator[str]:
+    """Yield the key of each word that the page takes over from the service."""
+    yield from (f"budget.{source}" for source in SOURCES)
+    yield from (f"kind.{kind}" for kind in JobKind if kind is not JobKind.PLAN)
+    yield from (f"state.{state}" for state in State)
+    yield from (f"verdict.why.{kind}" for kind in CAUSES)
+    yield from (f"notice.done_{action}" for action in OnNotice)
+    changes = inspect.getsource(change_search), inspect.getsource(notices)
+    named = re.findall(r'"((?:set-up|axes|line|lost|something)-[a-z-]+)"', str(changes))
+    yield from (f"notice.{kind}" for kind in named)
+    unable = {*CellState, "starting", "disconnected"} - {*MOVING, CellState.READY}
+    yield from (f"condition.reason.{state}" for state in unable)
+    for kind in list_formats().values():
+        yield from (f"export.choice.{name}" for name in kind.choices)
+        yield from (
+            f"export.word.{w}" for words in kind.choices.values() for w in words
+        )
+    for file in Path(effects.__file__).parent.glob("*.py"):
+        source = file.read_text("utf-8")
+        for stem in re.findall(rf'"([a-z_]+?)_(?:{UNITS})"', source):
+            yield f"parameter.{stem}"
+
+
+def test_every_word_of_the_service_has_one_in_every_language():
+    wanted = set(keys_of_words())
+    assert len(wanted) > 80
+    for language in LANGUAGES:
+        assert wanted - catalogue(language).keys() == set()
+
+
+@pytest.mark.parametrize("kind", CAUSES)
+def test_why_the_air_is_not_corrected_comes_with_its_kind(kind):
+    why = "" if kind == "nothing-known" else CAUSES[kind]
+    (reason,) = judge_air([Refraction("nobody", why=why)], ["run"]).reasons
+    assert reason.values == {"why": CAUSES[kind], "why_kind": kind}
+    assert CAUSES[kind] in str(Verdict((reason,)).reasons[0])
+
+
+def test_words_of_another_version_stand_as_they_are():
+    (reason,) = judge_air([Refraction("nobody", why="fog")], ["run"]).reasons
+    assert reason.values == {"why": "fog", "why_kind": ""}
+
+
+def unobservable() -> Iterator[str]:
+    """Yield every form in which the service says what data do not determine."""
+    head = "ECZ (roll of Z)"
+    merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
+    for said in (merged, f"{head} does not move the target"):
+        for cure in separation._TRIALS:
+            for length in ("", " at least 140 mm"):
+                yield from _fill(
+                    separation._statement, said, f"a second {cure.format(length)}"
+                )
+    yield from _fill(identifiable.Confounded.__str__, head, "")
+    yield from _fill(plan_document._list_unobservable, "A, C", "")
+
+
+def _fill(function, said: str, asked: str) -> Iterator[str]:
+    """Yield the sentences that a function puts together, with these in their blanks."""
+    blanks = {"said": said, "named": said, "axes": said, "does": "shows it"}
+    for node in ast.walk(ast.parse(dedent(inspect.getsource(function)))):
+        if not isinstance(node, ast.JoinedStr) or len(ast.unparse(node)) < 45:
+            continue
+        parts = [
+            str(part.value)
+            if isinstance(part, ast.Constant)
+            else blanks.get(
+                ast.unparse(part.value),
+                asked if "asked" in ast.unparse(part) else "EXZ, EYZ",
+            )
+            for part in node.values
+        ]
+        if parts[0] == said:
+            yield "".join(parts)
+
+
+def temperature_refusals() -> Iterator[str]:
+    """Yield why the service says nothing of a machine's temperature."""
+    tree = ast.parse(inspect.getsource(temperature_model))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "BadInput":
+            (text,) = node.args
+            parts = text.values if isinstance(text, ast.JoinedStr) else [text]
+            yield "".join(
+                str(part.value) if isinstance(part, ast.Constant) else "7"
+                for part in parts
+            )
+
+
+@pytest.mark.ui
+@pytest.mark.xdist_group("browser")
+def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
+    page = panel.open("#/connect", language="de")
+    said = {
+        "sayUnobservable": sorted(set(unobservable())),
+        "sayTemperatureRefusal": sorted(set(temperature_refusals())),
+    }
+    assert [len(texts) for texts in said.values()] >= [12, 4]
+    for function, texts in said.items():
+        for text in texts:
+            found = page.evaluate(
+                "([name, text]) => import('/static/js/statements.js')"
+                ".then((module) => module[name](text))",
+                [function, text],
+            )
+            assert found is not None, text
+            left = set(re.findall(r"\w+", found.lower())) & ENGLISH
+            assert not left, f"{text!r} is said as {found!r}"
