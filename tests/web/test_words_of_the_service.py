@@ -106,15 +106,14 @@ def _fill(function, said: str, asked: str) -> Iterator[str]:
     for node in ast.walk(ast.parse(dedent(inspect.getsource(function)))):
         if not isinstance(node, ast.JoinedStr) or len(ast.unparse(node)) < 45:
             continue
-        parts = [
-            str(part.value)
-            if isinstance(part, ast.Constant)
-            else blanks.get(
-                ast.unparse(part.value),
-                asked if "asked" in ast.unparse(part) else "EXZ, EYZ",
-            )
-            for part in node.values
-        ]
+        parts: list[str] = []
+        for part in node.values:
+            if isinstance(part, ast.FormattedValue):
+                blank = ast.unparse(part.value)
+                usual = asked if "asked" in blank else "EXZ, EYZ"
+                parts.append(blanks.get(blank, usual))
+            elif isinstance(part, ast.Constant):
+                parts.append(str(part.value))
         if parts[0] == said:
             yield "".join(parts)
 
@@ -140,7 +139,7 @@ def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
         "sayUnobservable": sorted(set(unobservable())),
         "sayTemperatureRefusal": sorted(set(temperature_refusals())),
     }
-    assert [len(texts) for texts in said.values()] >= [12, 4]
+    assert all(len(texts) > 4 for texts in said.values())
     for function, texts in said.items():
         for text in texts:
             found = page.evaluate(
