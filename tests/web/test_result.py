@@ -60,7 +60,7 @@ def test_what_the_data_cannot_tell_is_said_in_german(panel, service):
     card = page.locator(".card", has_text="Was diese Daten nicht verraten")
     expect(card.locator("li")).to_have_text(
         "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und EYZ zu "
-        "unterscheiden. Ein Ziel mindestens 140 mm seitlich zeigt den Unterschied."
+        "unterscheiden. Erkennbar wird es mit einem Ziel mindestens 140 mm seitlich."
     )
 
 

@@ -7,7 +7,9 @@ from string import Formatter
 import pytest
 from playwright.sync_api import expect
 
+from truepath.app.files.refraction import CAUSES, Refraction
 from truepath.app.files.verdict import SENTENCES, TITLES, Reason, Verdict, verdict_json
+from truepath.app.results.verdict import judge_air
 from truepath.app.web.pages import LANGUAGES, catalogue
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
@@ -18,6 +20,10 @@ LEFT_OUT = Reason(
     {"samples": 42, "line": 7, "from_s": 61.2, "to_s": 61.3, "distance_um": 5012.0},
 )
 OPEN = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
+SHIFTED = Reason("axis-shifted", "doubtful", {"axes": "X", "by": "+0.42 mm"})
+(AIR,) = judge_air(
+    [Refraction("nobody", why=CAUSES["no-temperature"])], ["run"]
+).reasons
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
 
 
@@ -51,13 +57,15 @@ def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
 
 
 def test_the_reasons_are_told_in_german(panel, service):
-    page = shown(panel, service, LEFT_OUT, OPEN, BEYOND, language="de")
+    page = shown(panel, service, LEFT_OUT, OPEN, SHIFTED, AIR, BEYOND, language="de")
     band = page.locator(".verdict-band")
     expect(band.get_by_role("heading")).to_have_text("Nicht verwenden")
     rows = band.locator("li")
     expect(rows.nth(0)).to_contain_text("das 3,50-Fache des Rauschens")
     expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm ab")
-    expect(rows.nth(2)).to_contain_text("42 Messpunkte der Linie 7, von 61,2 s bis")
+    expect(rows.nth(2)).to_contain_text("um +0,42 mm neben ihrem Ort")
+    expect(rows.nth(3)).to_contain_text("die Temperatur der Luft wurde nicht gemessen")
+    expect(rows.nth(4)).to_contain_text("42 Messpunkte der Linie 7, von 61,2 s bis")
 
 
 def test_a_doubtful_result_says_so(panel, service):

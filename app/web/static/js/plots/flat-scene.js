@@ -2,7 +2,7 @@
 import { mark, s } from "../dom.js";
 import { number } from "../texts.js";
 import { decimalsOf, unitOf } from "../units.js";
-import { mixed } from "./length-scale.js";
+import { mix } from "./length-scale.js";
 
 const MARGIN = { side: 62, top: 52, bottom: 40 };
 const AWAY_PX = 13; // texts from their edge
@@ -105,19 +105,23 @@ function dots(marker, places, texts) {
   const { color, width } = marker.line ?? {};
   return places.map((place, i) => {
     if (!place) return null;
-    const [cx, cy] = place;
-    const open = of(marker.symbol, i) === "circle-open";
-    const rim = open ? { fill: "none", stroke: tone(i), "stroke-width": 1.5 } : { fill: tone(i), stroke: color, "stroke-width": width };
-    return s("circle", { cx, cy, r: 0.5 * of(marker.size, i) + 0.5 * (width ?? 0), ...rim },
-      texts && s("title", {}, texts[i].replaceAll("<br>", "\n")));
+    const [symbol, radius] = [of(marker.symbol, i), 0.5 * of(marker.size, i) + 0.5 * (width ?? 0)];
+    const rim = symbol === "circle-open" ? { fill: "none", stroke: tone(i), "stroke-width": 1.5 } : { fill: tone(i), stroke: color, "stroke-width": width };
+    return dot(symbol, place, radius, rim, texts && s("title", {}, texts[i].replaceAll("<br>", "\n")));
   });
+}
+
+function dot(symbol, [x, y], radius, rim, title) {
+  if (symbol !== "diamond") return s("circle", { cx: x, cy: y, r: radius, ...rim }, title);
+  const corners = [[0, -radius], [radius, 0], [0, radius], [-radius, 0]];
+  return s("polygon", { points: corners.map(([right, down]) => `${x + right},${y + down}`).join(" "), ...rim }, title);
 }
 
 /** Colour of the i-th place: one for all, or by a value on a scale from 0. */
 function toneOf({ color, colorscale, cmax }) {
   if (!Array.isArray(color)) return () => color;
   const stops = colorscale.map(([, stop]) => stop);
-  return (i) => mixed(stops, Math.min(1, color[i] / cmax));
+  return (i) => mix(stops, Math.min(1, color[i] / cmax));
 }
 
 /** Name and ends of each axis, along the edge that is lowest in the picture, for Z leftmost. */

@@ -15,12 +15,12 @@ export function lengthScale(lengths_um) {
   return {
     top_um,
     plotly: stops.map((stop, i) => [i / (stops.length - 1), stop]),
-    of: (length_um) => mixed(stops, Math.min(1, length_um / top_um)),
+    of: (length_um) => mix(stops, Math.min(1, length_um / top_um)),
   };
 }
 
 /** The colour at a share of a range, between evenly spread stops. */
-export function mixed(stops, share) {
+export function mix(stops, share) {
   const at = share * (stops.length - 1);
   const i = Math.min(Math.floor(at), stops.length - 2);
   const [from, to] = [stops[i], stops[i + 1]].map(channels);

@@ -111,13 +111,11 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)),
     h("div", { class: "curve-pictures" }, chart, h("div", {}, space, key)), weak, more(plan, unobservable)].filter(Boolean));
   const curve = drawPlanCurve(chart, points, put);
-  let closed = false;
   const path = begin();
   put(ahead.at, false);
 
   async function begin() {
     const found = await drawPlanSpace(space, place(plan, machine), points[ahead.at].row);
-    if (closed) found.close();
     space.dataset.drawn = "";
     found.choose(points[ahead.at].row);
     return found;
@@ -143,7 +141,6 @@ function drawAhead(body, byPlace, machine, choice, pick) {
   return {
     age: (isStale) => mark(stale, "hidden", !isStale),
     close() {
-      closed = true;
       curve.close();
       path.then((found) => found.close());
     },

@@ -8,8 +8,8 @@ const STATES = ["usable", "doubtful", "not-usable"];
 
 const LARGE_UM = 10_000;
 
-/** A number in the service's words: "+0.12 mm". */
-const FIGURE = /([+−-]?)(\d+)(\.\d+)(?= (?:mm|ppm)|°)/;
+/** A number in the service's words: that of "+0.12 mm". */
+const FIGURE = /\d+\.\d+(?= mm|°)/g;
 
 /** Values of a reason by the last word of their name, which is their unit. */
 const SHOWN = {
@@ -21,7 +21,7 @@ const SHOWN = {
 };
 
 function shown(name, value) {
-  if (typeof value === "string") return value.replace(FIGURE, (_, sign, whole, decimals = "") => sign + number(whole + decimals, Math.max(0, decimals.length - 1)));
+  if (typeof value === "string") return value.replace(FIGURE, (figure) => number(Number(figure), figure.split(".")[1].length));
   const show = SHOWN[name.split("_").at(-1)];
   return show ? show(value) : number(value, Number.isInteger(value) ? 0 : 2);
 }
