@@ -110,6 +110,33 @@ def test_without_a_graphics_processor_arrows_are_drawn_flat_and_turn(panel, serv
     assert not page.evaluate("'Plotly' in window"), "loaded without need"
 
 
+OVERLAPS = """() => {
+  const frame = document.querySelector(".flat-scene").getBoundingClientRect();
+  const texts = [...document.querySelectorAll(".flat-scene text")].map((element) =>
+    ({ text: element.textContent, box: element.getBoundingClientRect() }));
+  const isCut = ({ box }) => box.left < frame.left || box.right > frame.right
+    || box.bottom > frame.bottom;
+  const shared = (a, b, low, high) =>
+    Math.min(a[high], b[high]) - Math.max(a[low], b[low]);
+  const meet = (a, b) => shared(a.box, b.box, "left", "right") > 1
+    && shared(a.box, b.box, "top", "bottom") > 1;
+  return texts
+    .filter((one, i) => isCut(one) || texts.slice(i + 1).some((b) => meet(one, b)))
+    .map(({ text }) => text);
+}"""
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+def test_texts_of_a_flat_picture_are_whole_and_apart(panel, service, size):
+    page = show(panel, service, size=size)
+    card = page.locator("[data-card=map]")
+    expect(card.locator(".flat-scene .axis")).to_have_count(3)
+    for view, axes in {"Space": 3, "Top": 2, "Front": 2, "Side": 2}.items():
+        card.get_by_role("button", name=view).click()
+        expect(card.locator(".flat-scene .axis")).to_have_count(axes)
+        assert page.evaluate(OVERLAPS) == []
+
+
 def test_a_plane_shows_what_lies_in_it_and_what_was_not_reached(panel, service):
     page = show(panel, service)
     card = page.locator("[data-card=map]")

@@ -4,9 +4,11 @@ import { number } from "../texts.js";
 import { decimalsOf, unitOf } from "../units.js";
 import { mix } from "./length-scale.js";
 
-const MARGIN = { side: 62, top: 52, bottom: 40 };
+const ROOM_MARGIN = { side: 10, top: 56, bottom: 10 }; // below the buttons of the views
+const TEXT_MARGIN = { side: 62, top: 56, bottom: 40 };
 const AWAY_PX = 13; // texts from their edge
-const SHORTEST_PX = 30; // an edge that has room for texts
+const SHORTEST_PX = 30; // an edge that has room for its name
+const ENDS_PX = { across: 120, down: 36 }; // for its ends as well
 const TURN_PER_PX = 0.008;
 const STEEPEST = Math.PI / 2;
 const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7];
@@ -34,9 +36,10 @@ export function drawFlat(element, traces, room, eye) {
     const [width, height] = [element.clientWidth, element.clientHeight];
     if (!width || !height) return;
     for (const [name, value] of [["width", width], ["height", height], ["viewBox", `0 0 ${width} ${height}`]]) mark(svg, name, value);
-    const at = projection(own, room, width, height);
+    const travel = travelOf(own.traces[0]);
+    const at = projection(own, room, travel, width, height);
     svg.replaceChildren(...own.traces.map((trace, i) => s("g", { "data-trace": i, opacity: trace.opacity }, figure(trace, at))),
-      ...axes(travelOf(own.traces[0]), at));
+      ...axes(travel, at));
   }
 
   return {
@@ -65,19 +68,34 @@ function angles({ x, y, z }) {
   return { around: flat > 0 ? Math.atan2(y, x) : -Math.PI / 2, above: Math.atan2(z, flat) };
 }
 
-/** Places in pixels: the room fills the frame from wherever it is looked at. */
-function projection({ around, above }, room, width, height) {
+/** Places in pixels: room and travel, with the texts at its edges, fill the frame from wherever they are looked at. */
+function projection({ around, above }, room, travel, width, height) {
   const [c, d] = [Math.cos(around), Math.sin(around)];
   const [e, f] = [Math.cos(above), Math.sin(above)];
-  const flat = ([x, y, z]) => [c * y - d * x, e * z - f * (c * x + d * y)];
-  const corners = CORNERS.map((bits) => flat(corner(room, bits)));
-  const [[left, right], [low, high]] = [0, 1].map((i) => corners.map((p) => p[i])).map((all) => [Math.min(...all), Math.max(...all)]);
-  const scale = Math.min((width - 2 * MARGIN.side) / (right - left), (height - MARGIN.top - MARGIN.bottom) / (high - low));
-  const [x0, y0] = [0.5 * width, 0.5 * (height + MARGIN.top - MARGIN.bottom)];
+  const flat = ([x, y, z]) => [c * y - d * x, f * (c * x + d * y) - e * z];
+  const boxes = [[room, ROOM_MARGIN], [travel, TEXT_MARGIN]].map(([box, { side, top, bottom }]) => {
+    const corners = CORNERS.map((bits) => flat(corner(box, bits)));
+    const extent = (i, before, after) => ({ low: Math.min(...corners.map((p) => p[i])), high: Math.max(...corners.map((p) => p[i])), before, after });
+    return [extent(0, side, side), extent(1, top, bottom)];
+  });
+  const [across, down] = [0, 1].map((i) => boxes.map((box) => box[i]));
+  const scale = Math.min(largestScale(across, width), largestScale(down, height));
+  const [x0, y0] = [start(across, scale, width), start(down, scale, height)];
   return (place) => {
     const [u, v] = flat(place);
-    return [x0 + scale * (u - 0.5 * (left + right)), y0 - scale * (v - 0.5 * (low + high))];
+    return [x0 + scale * u, y0 + scale * v];
   };
+}
+
+/** Pixels a unit at which extents, each with its margins in pixels, lie within a size. */
+const largestScale = (extents, size) =>
+  Math.min(...extents.flatMap((a) => extents.map((b) => (size - a.before - b.after) / (b.high - a.low))));
+
+/** Where the origin lies if extents with their margins are in the middle of a size. */
+function start(extents, scale, size) {
+  const first = Math.min(...extents.map(({ low, before }) => scale * low - before));
+  const last = Math.max(...extents.map(({ high, after }) => scale * high + after));
+  return 0.5 * (size - first - last);
 }
 
 const corner = (room, bits) => [0, 1, 2].map((i) => room[i][(bits >> i) & 1]);
@@ -130,28 +148,36 @@ function axes(travel, at) {
   return travel.flatMap((ends, i) => {
     const edges = CORNERS.filter((bits) => !((bits >> i) & 1)).map((bits) => {
       const [low, high] = [bits, bits | (1 << i)].map((b) => at(corner(travel, b)));
-      return { low, high, middle: low.map((v, k) => 0.5 * (v + high[k])) };
+      return { low, high, half: low.map((v, k) => 0.5 * (v + high[k])) };
     });
-    const score = (edge) => (i === 2 ? -edge.middle[0] : edge.middle[1] - 0.01 * edge.middle[0]);
-    const { low, high, middle: half } = edges.reduce((best, edge) => (score(edge) > score(best) + 1e-6 ? edge : best));
-    if (Math.hypot(high[0] - low[0], high[1] - low[1]) < SHORTEST_PX) return [];
-    const way = away(low, high, half, middle);
-    const text = (value) => number(value, decimalsOf("travel"));
-    return [label(half, way, `${"XYZ"[i]} (${unitOf("travel")})`, "axis"), label(low, way, text(ends[0])), label(high, way, text(ends[1]))];
+    const score = ({ half }) => (i === 2 ? -half[0] : half[1] - 0.01 * half[0]);
+    const edge = edges.reduce((best, other) => (score(other) > score(best) + 1e-6 ? other : best));
+    return textsAt(edge, middle, `${"XYZ"[i]} (${unitOf("travel")})`, ends.map((value) => number(value, decimalsOf("travel"))));
   });
 }
 
-/** Direction across an edge that leads out of the picture. */
-function away(low, high, half, middle) {
-  const along = [high[0] - low[0], high[1] - low[1]];
+/** The texts of an edge that has room for them: its name, and its ends, which stay within it beside those of another edge. */
+function textsAt({ low, high, half }, middle, name, ends) {
+  const along = [0, 1].map((k) => high[k] - low[k]);
   const length = Math.hypot(...along);
-  const across = [-along[1] / length, along[0] / length];
-  const outward = across[0] * (half[0] - middle[0]) + across[1] * (half[1] - middle[1]);
-  return outward < 0 ? across.map((v) => -v) : across;
+  if (length < SHORTEST_PX) return [];
+  const way = away(along.map((v) => v / length), half, middle);
+  const texts = [label(half, way, name, anchorOf(way[0]), "axis")];
+  if (Math.abs(along[0]) < ENDS_PX.across && Math.abs(along[1]) < ENDS_PX.down) return texts;
+  const inward = Math.abs(along[0]) > 0.5 * length ? along[0] : null;
+  return [...texts, label(low, way, ends[0], anchorOf(inward ?? way[0])), label(high, way, ends[1], anchorOf(inward === null ? way[0] : -inward))];
 }
 
-function label([x, y], [dx, dy], text, name) {
-  const anchor = Math.abs(dx) < 0.35 ? "middle" : dx < 0 ? "end" : "start";
+/** Direction across an edge that leads out of the picture. */
+function away([right, down], half, middle) {
+  const outward = -down * (half[0] - middle[0]) + right * (half[1] - middle[1]);
+  return outward < 0 ? [down, -right] : [-down, right];
+}
+
+/** On which side of its place a text stands: right, left or, where that hardly matters, in the middle. */
+const anchorOf = (right) => (Math.abs(right) < 0.35 ? "middle" : right < 0 ? "end" : "start");
+
+function label([x, y], [dx, dy], text, anchor, name) {
   return s("text", { class: name, x: x + AWAY_PX * dx, y: y + AWAY_PX * dy + 5 + 4 * dy, "text-anchor": anchor }, text);
 }
 
