@@ -97,7 +97,7 @@ def unobservable() -> Iterator[str]:
                     separation._statement, said, f"a second {cure.format(length)}"
                 )
     yield from _fill(identifiable.Confounded.__str__, head, "")
-    yield from _fill(plan_document._list_unobservable, "A, C", "")
+    yield from _fill(plan_document._list_unobservable, "B, C", "")
 
 
 def _fill(function, said: str, asked: str) -> Iterator[str]:
