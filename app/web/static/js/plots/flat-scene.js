@@ -124,7 +124,7 @@ function dots(marker, places, texts) {
   return places.map((place, i) => {
     if (!place) return null;
     const [symbol, radius] = [of(marker.symbol, i), 0.5 * of(marker.size, i) + 0.5 * (width ?? 0)];
-    const rim = symbol === "circle-open" ? { fill: "none", stroke: tone(i), "stroke-width": 1.5 } : { fill: tone(i), stroke: color, "stroke-width": width };
+    const rim = symbol === "circle-open" ? { fill: "none", stroke: tone(i), "stroke-width": 1.5 } : { fill: tone(i), stroke: color ?? "none", "stroke-width": width };
     return dot(symbol, place, radius, rim, texts && s("title", {}, texts[i].replaceAll("<br>", "\n")));
   });
 }
