@@ -143,8 +143,8 @@ def _list_left_out(
     if missing := [name for name in every if name not in names]:
         text = f"Left out, as not all results state it alike: {', '.join(missing)}."
         told.append(("usable", text))
-    lost = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
-    some = sorted(set.union(*lost) - set.intersection(*lost))
+    lost: list[set[str]] = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
+    some = sorted(set[str]().union(*lost) - lost[0].intersection(*lost))
     if some:
         text = f"Left out, as not all results state lost motion of {', '.join(some)}."
         told.append(("usable", text))
