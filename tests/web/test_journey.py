@@ -11,6 +11,8 @@ import scripted_data
 from playwright.sync_api import Locator, Page, expect
 from scripted_data import MACHINE, machine_entry, machine_history, verification
 
+from truepath.app.files.verdict import Reason, Verdict, verdict_json
+
 NEXT = "#next button"
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 PHONE = (390, 844)
@@ -152,6 +154,25 @@ def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
     expect(page.locator("iframe.preview")).to_be_visible()
     issued = service.requests[-1][2]
     assert issued["verification_job"] == proof
+
+
+@pytest.mark.parametrize(
+    ("language", "words"),
+    [("de", "nicht um die Luft berichtigt"), ("en", "not corrected for the air")],
+)
+def test_air_that_was_not_known_while_verifying_is_said_beside_the_decision(
+    panel, service, language, words
+):
+    result = measured(service)
+    proof = service.new_job("verify")["id"]
+    air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
+    content = verification(result, "undecided")
+    content["run_verdict"] = verdict_json(Verdict((air,)))
+    service.verifications[proof] = content
+    service.finish(proof)
+    page = panel.open(f"#/verify/{proof}", language=language)
+    expect(page.locator(".proof")).to_be_visible()
+    expect(page.locator(".verdict-band")).to_contain_text(words)
 
 
 CAUSES = {

@@ -7,6 +7,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { circlesCard } from "./circles-card.js";
+import { verdictBand } from "./verdict-band.js";
 
 const DOUBTFUL = 0.01; // chance below which no machine explains a measurement, as in the service
 const LOOKS = 5; // newest verifications that are looked through
@@ -31,9 +32,9 @@ export function decisionOf({ conformity, agreement }) {
   return conformity.measured?.conformity ?? (agreement.consistent ? "agrees" : "disagrees");
 }
 
-/** The verdict, and the numbers that it rests on. */
+/** The verdict, what is wrong with its measurement, and the numbers that it rests on. */
 export function proofCards({ job, verification }) {
-  return [verdict(job, verification), numbers(verification), circlesCard(verification)].filter(Boolean);
+  return [verdict(job, verification), verdictBand(verification.run_verdict), numbers(verification), circlesCard(verification)].filter(Boolean);
 }
 
 function verdict(job, verification) {
