@@ -22,7 +22,7 @@ IsFree = Callable[[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]], bool]
 
 
 def drive_again(
-    driven: Commanded, first: int, is_free: IsFree = lambda *_: True
+    driven: Commanded, first: int, is_free: IsFree | None = None
 ) -> Commanded:
     """Return a part that measures the last rows again.
 
@@ -31,11 +31,12 @@ def drive_again(
 
     driven : all rows so far, at the last of which the machine stands
     first : row of the first line, or point, to be measured again
+    is_free : whether a straight way is free; where absent, all of them are
     """
     again = select_rows(driven, slice(first, None))
     if not isinstance(driven, Path) or not isinstance(again, Path):
-        is_there = first == len(driven) - 1
-        if is_there or is_free(driven.position[-1], driven.position[first]):
+        goes_straight = is_free is None or first == len(driven) - 1
+        if goes_straight or is_free(driven.position[-1], driven.position[first]):
             return again
         back = select_rows(driven, slice(first, -1))
         forth = select_rows(driven, slice(first + 1, None))

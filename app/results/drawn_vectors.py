@@ -44,12 +44,11 @@ class DrawnVectors:
     ) -> DrawnComponents:
         """Return the components of some places, each along its own direction."""
         own = self.select(rows)
-        noise_um: Float64[np.ndarray, "k d"] = UM_PER_MM * np.einsum(
-            "ni,nie->ne", direction, own.noise_mm
-        )
+        noise_um = UM_PER_MM * np.einsum("ni,nie->ne", direction, own.noise_mm)
         scale_um = UM_PER_MM * np.einsum("ni,ni->n", direction, own.scale_mm)
         # All places err together: one number a draw, the same wherever it is asked for.
-        common = np.random.default_rng(_SEED).standard_normal(noise_um.shape[1])
+        draws = int(own.noise_mm.shape[2])
+        common = np.random.default_rng(_SEED).standard_normal(draws)
         return DrawnComponents(
             UM_PER_MM * np.einsum("ni,ni->n", direction, own.measured_mm),
             noise_um,
