@@ -35,8 +35,8 @@ def drive_again(
     """
     again = select_rows(driven, slice(first, None))
     if not isinstance(driven, Path) or not isinstance(again, Path):
-        goes_straight = is_free is None or first == len(driven) - 1
-        if goes_straight or is_free(driven.position[-1], driven.position[first]):
+        here, there = driven.position[-1], driven.position[first]
+        if first == len(driven) - 1 or is_free is None or is_free(here, there):
             return again
         back = select_rows(driven, slice(first, -1))
         forth = select_rows(driven, slice(first + 1, None))
