@@ -116,13 +116,11 @@ def stands(rig):
     return rig.read_position()["position"] == before
 
 
+@pytest.mark.long
 @pytest.mark.fault_row(25)
 @pytest.mark.fault_row(9)
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize(
-    "kind",
-    ["measure-otf", pytest.param("measure-standstill", marks=pytest.mark.long)],
-)
+@pytest.mark.parametrize("kind", ["measure-otf", "measure-standstill"])
 def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig, kind):
     rows = "path" if kind == "measure-otf" else "points"
     job_id = kill_in_motion(start, **{"kind": kind, rows: ROWS})

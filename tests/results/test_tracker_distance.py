@@ -13,7 +13,11 @@ def reasons_of(verdict: Verdict):
 
 
 @pytest.mark.parametrize(
-    ("offset_um", "state"), [(-40.0, "doubtful"), (250.0, "not-usable")]
+    ("offset_um", "state"),
+    [
+        (-40.0, "doubtful"),
+        pytest.param(250.0, "not-usable", marks=pytest.mark.long),
+    ],
 )
 def test_a_wrong_home_distance_is_named_with_its_size(record, offset_um, state):
     setting = Setting(hidden=(TrackerRangeOffset(offset_um),))

@@ -30,6 +30,8 @@ LOOKS = list(product((DESK, PHONE), (False, True)))
 JOBS = re.compile(r"/api/v1/jobs[/?]")
 HINDRANCES = ("moderate", "serious", "critical")
 AXE = Axe()
+ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
+    .filter((one) => one instanceof CSSTransition).map((one) => one.finished))"""
 ALL = {"resultTypes": ["violations"]}
 # Light or dark only changes colours: the other rules read the same document again.
 CONTRAST = {**ALL, "runOnly": ["color-contrast"]}
@@ -126,7 +128,11 @@ def views_of_a_calibration(service) -> dict[str, str]:
 
 
 def hindrances(page: Page, where: str, options: dict[str, Any]) -> list[str]:
-    """What axe-core calls moderate or worse, with the elements it means."""
+    """What axe-core calls moderate or worse, with the elements it means.
+
+    Colours are judged where they end: on their way they are neither of both.
+    """
+    page.evaluate(ENDED_TRANSITIONS)
     found = AXE.run(page, options=options).response["violations"]
     return [
         f"{where}: {rule['id']} ({rule['impact']}) {node['target']} {node['html']}"
