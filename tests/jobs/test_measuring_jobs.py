@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from arming import arm_at_once
 from scripted_cell import ScriptedLive, wait_until
-from sqlalchemy import event, text
+from sqlalchemy import Connection, event, text
 
 from truepath.app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
 from truepath.app.files.commanded_file import (
@@ -859,6 +859,13 @@ def test_progress_and_live_views_are_told_but_not_kept(
     assert len(heard) == count
 
 
+def lock_catalogue(connection: Connection) -> None:
+    """Let nobody else write until the transaction ends."""
+    locks_whole = connection.dialect.name == "sqlite"  # by its first statement
+    lock = "LOCK TABLE jobs, events IN EXCLUSIVE MODE"
+    connection.execute(text("SELECT 1" if locks_whole else lock))
+
+
 @pytest.mark.fault_row(37)
 def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
     dispatcher, running, make_cell, context, until, measured
@@ -867,7 +874,7 @@ def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
     with context.store._database.engine.connect() as raw:
         connection = raw.execution_options(truepath_writes=True)
         with connection.begin():
-            connection.execute(text("SELECT 1"))
+            lock_catalogue(connection)
             begun = time.monotonic()
             (answered,) = dispatcher.stop()
             took_s = time.monotonic() - begun
@@ -886,7 +893,7 @@ def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
     with context.store._database.engine.connect() as raw:
         connection = raw.execution_options(truepath_writes=True)
         with connection.begin():
-            connection.execute(text("SELECT 1"))
+            lock_catalogue(connection)
             asks = threading.Thread(target=dispatcher.pause, args=(running.id,))
             asks.start()
             wait_until(lambda: "pause" in make_cell.cell.heard, "the pause")
