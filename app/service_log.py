@@ -71,7 +71,7 @@ def configure_log(level: str, log_format: str, file: LogFile | None = None) -> N
     root = logging.getLogger()
     root.handlers = [handler] if file is None else [handler, _open_file(file)]
     root.setLevel(level.upper())
-    for name in ("uvicorn.error", "uvicorn", "alembic"):
+    for name in ("uvicorn.error", "uvicorn", "alembic", "httpx2"):
         quiet = max(logging.WARNING, root.level)
         logging.getLogger(name).setLevel(quiet)
 

@@ -79,6 +79,12 @@ def service_log(monkeypatch):
     root.setLevel(level)
 
 
+def test_requests_of_our_own_client_are_not_a_line_each(service_log):
+    logging.getLogger("httpx2").info("HTTP Request: GET /api/v1/jobs")
+    logging.getLogger("httpx2").warning("connection lost")
+    assert [line["event"] for line in service_log()] == ["connection lost"]
+
+
 def run_to_its_end(body, name="cell"):
     child = ChildProcess(name, body)
     child.start()
