@@ -85,6 +85,12 @@ class CalibrationResult(EstimatedModel):
         """The machine."""
         return self.model.machine
 
+    @property
+    def length_scale_ppm(self) -> float:
+        """Standard uncertainty that all its lengths have in common; 0 if not stated."""
+        stated = self.provenance.get("length_scale_ppm")
+        return float(stated) if isinstance(stated, int | float) else 0.0
+
 
 class _Observability(FileModel):
     unobservable: list[Text]

@@ -19,9 +19,11 @@ from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.results.length_scale import TWICE
 from truepath.app.results.volumetric_error import (
     Spread,
     draw_parameters,
+    find_scale_um,
     make_grid,
     make_spread,
 )
@@ -31,11 +33,15 @@ _SIDES = (1.0, -1.0)  # + and − direction
 _SHARE = 0.95  # of the places, below the stated quantile
 
 
-def compute_both_directions(estimated: EstimatedModel) -> Spread | None:
+def compute_both_directions(
+    estimated: EstimatedModel, length_scale_ppm: float = 0.0
+) -> Spread | None:
     """Return length of the error over both directions; None without lost motion.
 
     Mean and 95 % are over positions that fill the travel evenly, as in the account of
     compensation files; the largest is that on a grid with the corners too.
+
+    length_scale_ppm : standard uncertainty that all measured lengths have in common
     """
     model = estimated.model
     if not any(effect.half_difference for effect in model.effects):
@@ -45,11 +51,15 @@ def compute_both_directions(estimated: EstimatedModel) -> Spread | None:
     volumetric_map = build_volumetric_map(model)
     theta = estimated.theta[:, None] + draw_parameters(estimated.covariance)
     theta = np.column_stack([estimated.theta, theta])
+    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)
     lengths: list[Float64[np.ndarray, "n d"]] = []
     for side in _SIDES:
         coming = replace(at, approach=np.full_like(at.approach, side))
         J = UM_PER_MM * volumetric_map.jacobian(coming).reshape(-1, model.size)
-        lengths.append(np.linalg.norm((J @ theta).reshape(len(at), 3, -1), axis=1))
+        error = (J @ theta).reshape(len(at), 3, -1)
+        scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
+        every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
+        lengths.append(np.linalg.norm(every, axis=1))
     inside = np.vstack([one[: len(even)] for one in lengths])
     stated = np.stack(
         [
@@ -58,7 +68,7 @@ def compute_both_directions(estimated: EstimatedModel) -> Spread | None:
             np.vstack(lengths).max(axis=0),
         ]
     )
-    return make_spread(stated[:, 0], stated[:, 1:])
+    return make_spread(stated[:, 0], stated[:, 1:-2], stated[:, -2:])
 
 
 def fill_travel(machine: Machine) -> Float64[np.ndarray, "n a"]:

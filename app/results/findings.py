@@ -17,9 +17,11 @@ from truepath.app.estimation.disturbances import CheckedEstimate
 from truepath.app.estimation.prior_model import PriorModel
 from truepath.app.estimation.run_estimate import RunEstimate
 from truepath.app.estimation.run_parts import Knock
+from truepath.app.files.refraction import state_length_ppm
 from truepath.app.files.run import RunSummary
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Verdict
+from truepath.app.kinematics.machine import TrackerNoise
 from truepath.app.planning.grade import Grade
 from truepath.app.results.as_if_driven import judge_program
 from truepath.app.results.both_directions import compute_both_directions
@@ -59,6 +61,14 @@ class Provenance:
         if self.model is None or self.repeats_model:
             return Verdict()
         return self.model.judge_use()
+
+    def state_length_scale_ppm(self, tracker: TrackerNoise) -> float:
+        """Return the standard uncertainty that all lengths have in common.
+
+        Of several Runs that which knows its air worst: one tracker measures them all.
+        """
+        ppm = tracker.range_ppm
+        return max(state_length_ppm(run.refraction, ppm) for run in self.runs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +128,8 @@ class Findings:
     contributions : what each Run given brought, if it was asked
     budget : what each source of uncertainty brings, if it was asked
     both_directions : the volumetric error with lost motion, where that is determined
+    length_scale_ppm : standard uncertainty that all lengths have in common, of air and
+        tracker: in the volumetric error, in no table
     """
 
     estimate: Estimate
@@ -133,6 +145,7 @@ class Findings:
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
     both_directions: Spread | None = None
+    length_scale_ppm: float = 0.0
 
     @property
     def main(self) -> RunFindings:
@@ -185,11 +198,13 @@ def state_findings(
         order, if left out
     """
     sources = range(len(estimate.runs)) if given is None else given
+    tracker = estimate.model.machine.tracker
+    length_scale_ppm = provenance.state_length_scale_ppm(tracker)
     return Findings(
         estimate,
         provenance,
         build_error_tables(estimate, estimate.measured),
-        compute_volumetric_error(estimate),
+        compute_volumetric_error(estimate, length_scale_ppm),
         tuple(
             RunFindings(
                 number,
@@ -205,7 +220,8 @@ def state_findings(
         ),
         trials,
         grade,
-        both_directions=compute_both_directions(estimate),
+        both_directions=compute_both_directions(estimate, length_scale_ppm),
+        length_scale_ppm=length_scale_ppm,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.files.units import UM_PER_MM
+from truepath.app.results.length_scale import TWICE, state_scale_share
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95
@@ -55,10 +56,9 @@ def state_measured(
     bias = again.mean(axis=1) - value
     more = added * (1.0 + np.sqrt(2.0 / known_by))
     louder = _state(UM_PER_MM * _take_off(vector_mm[:, :, None], more))[:, 0] - value
-    scaled = vector_mm[:, :, None] + scale_mm[:, :, None] * np.array([-1.0, 1.0])
-    apart = _state(UM_PER_MM * _take_off(scaled, added)) - value[:, None]
-    common = np.mean(apart**2, axis=1)
-    spread = np.sqrt(again.var(axis=1) + bias**2 + louder**2 + common)
+    scaled = vector_mm[:, :, None] + scale_mm[:, :, None] * np.array(TWICE)
+    common = state_scale_share(value, _state(UM_PER_MM * _take_off(scaled, added)))
+    spread = np.sqrt(again.var(axis=1) + bias**2 + louder**2 + common**2)
     # Each is at least as long as the one before, whatever the noise.
     value = np.maximum.accumulate(np.maximum(value - bias, 0.0))
     return _name(value, spread)

@@ -4,6 +4,9 @@ Before is the estimated map on a grid, the mean of both directions of travel. Af
 what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the
 covariance of the estimate (JCGM 101). Both are without the rigid motion of the whole
 volume. That the machine then does as promised is for a measurement of its own to show.
+
+The scale of air and tracker is common to all lengths and shows in no residual: it is in
+the uncertainty of each figure, though in none of the tables.
 """
 
 from __future__ import annotations
@@ -13,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.files.units import UM_PER_MM
-from truepath.app.kinematics.conditions import make_standstill
+from truepath.app.files.units import PER_PPM, UM_PER_MM
+from truepath.app.kinematics.conditions import Conditions, make_standstill
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.machine import LinearAxis, Machine
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.app.results.length_scale import TWICE, state_scale_share
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -28,10 +32,14 @@ _QUANTILES = 101  # every per cent
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A number in µm with its standard uncertainty (k = 1)."""
+    """A number in µm with its standard uncertainty (k = 1).
+
+    scale_uncertainty_um : the part of it that comes from the scale of all lengths
+    """
 
     value_um: float
     uncertainty_um: float
+    scale_uncertainty_um: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +67,23 @@ class VolumetricError:
     after: Spread
 
 
-def compute_volumetric_error(estimated: EstimatedModel) -> VolumetricError:
-    """Return the volumetric error of the first target over the axis travel."""
+def compute_volumetric_error(
+    estimated: EstimatedModel, length_scale_ppm: float = 0.0
+) -> VolumetricError:
+    """Return the volumetric error of the first target over the axis travel.
+
+    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    """
     model, covariance = estimated.model, estimated.covariance
     linear = _FEW if model.machine.rotary_axes else _GRID
     position_mm = make_grid(model.machine, linear, _FEWEST)
-    J = UM_PER_MM * build_volumetric_map(model).jacobian(
-        make_standstill(model.machine, position_mm)
+    volumetric_map, at = (
+        build_volumetric_map(model),
+        make_standstill(model.machine, position_mm),
     )
+    J = UM_PER_MM * volumetric_map.jacobian(at)
     error = J @ estimated.theta
+    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)[:, :, None]
     drawn = J.reshape(-1, model.size) @ draw_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
     after = _measure_lengths(left)
@@ -79,9 +95,28 @@ def compute_volumetric_error(estimated: EstimatedModel) -> VolumetricError:
         make_spread(
             _measure_lengths(error[:, :, None])[:, 0],
             _measure_lengths(error[:, :, None] + left),
+            _measure_lengths(error[:, :, None] + by_scale * TWICE),
         ),
-        make_spread(after.mean(axis=1), after),
+        make_spread(
+            after.mean(axis=1),
+            after,
+            np.stack(
+                [_measure_lengths(left + s * by_scale).mean(axis=1) for s in TWICE],
+                axis=1,
+            ),
+        ),
     )
+
+
+def find_scale_um(
+    volumetric_map: VolumetricMap, at: Conditions, length_scale_ppm: float
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what one standard uncertainty of the scale makes of the map at places.
+
+    From where it counts is no matter: a shift of all places goes with the rigid motion.
+    """
+    away_mm = at.point_mm - volumetric_map.centre_mm
+    return UM_PER_MM * PER_PPM * length_scale_ppm * away_mm
 
 
 def make_grid(machine: Machine, linear: int, rotary: int) -> Float64[np.ndarray, "n a"]:
@@ -114,7 +149,14 @@ def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray,
 
 
 def make_spread(
-    value: Float64[np.ndarray, "3"], drawn: Float64[np.ndarray, "3 d"]
+    value: Float64[np.ndarray, "3"],
+    drawn: Float64[np.ndarray, "3 d"],
+    at_twice: Float64[np.ndarray, "3 2"],
 ) -> Spread:
-    """Return mean, 95 % and largest with the spread of those drawn."""
-    return Spread(*map(Figure, value.tolist(), drawn.std(axis=1).tolist()))
+    """Return mean, 95 % and largest with the spread of those drawn.
+
+    at_twice : the same with all lengths off by `TWICE` the uncertainty of their scale
+    """
+    by_scale = state_scale_share(value, at_twice)
+    total = np.hypot(drawn.std(axis=1), by_scale)
+    return Spread(*map(Figure, value.tolist(), total.tolist(), by_scale.tolist()))

@@ -12,11 +12,13 @@ from truepath.app.files.refraction import (
     state_scale_ppm,
 )
 from truepath.app.files.run import Run, RunEvent, summarize_run
+from truepath.app.results.conformity import Conformity, decide_conformity
 from truepath.app.results.environment_json import (
     describe_refraction,
     describe_scale,
     environment_json,
 )
+from truepath.app.results.findings import state_findings
 from truepath.app.results.verdict import judge_air
 from truepath.drivers.interfaces.records import (
     AirSamples,
@@ -136,3 +138,23 @@ def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
     both = state_length_ppm(Refraction("instrument"), 0.5)
     assert both == pytest.approx(np.hypot(air_ppm, 0.5))
     assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0
+
+
+def test_ranges_that_nobody_corrects_decide_no_tolerance(estimate, provenance):
+    corrected, open_air = (
+        state_findings(
+            estimate,
+            replace(
+                provenance,
+                runs=tuple(replace(r, refraction=by) for r in provenance.runs),
+            ),
+        ).volumetric.before.mean
+        for by in (Refraction("instrument"), Refraction("nobody", why="no pressure"))
+    )
+    for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
+        decided = [
+            decide_conformity(one.value_um, 2.0 * one.uncertainty_um, tolerance_um)
+            for one in (corrected, open_air)
+        ]
+        assert decided[0] is not Conformity.UNDECIDED
+        assert decided[1] is Conformity.UNDECIDED

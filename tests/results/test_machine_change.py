@@ -98,3 +98,33 @@ def test_where_the_tracker_stood_is_no_change(estimate):
     assert not change.is_significant
     assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
     assert change.volume.change_um == 0.0
+
+
+def stretch(result, scale, stated_ppm):
+    """The result of the same machine by lengths that are all too long."""
+    theta = result.theta.copy()
+    for effect in result.model.effects:
+        motion = effect.motion
+        if motion is not None and effect.iso_symbol in ("EXX", "EYY", "EZZ"):
+            axis = motion.axis
+            at = np.linspace(axis.low, axis.high, 50)
+            wanted = scale * (at - (0.0 if axis.low <= 0.0 <= axis.high else axis.low))
+            part = result.model.slices[effect.name]
+            theta[part] += np.linalg.lstsq(motion.rows(at), wanted, rcond=None)[0]
+    provenance = {**result.provenance, "length_scale_ppm": stated_ppm}
+    return replace(result, theta=theta, provenance=provenance)
+
+
+def test_another_scale_of_the_air_is_no_change_of_the_machine(estimate):
+    certain = replace(estimate, covariance=1e-4 * estimate.covariance)
+    before = draw_result(certain, 1)
+    # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
+    pair = (
+        stretch(before, 0.0, stated_ppm=20.0),
+        stretch(draw_result(certain, 2), 40e-6, stated_ppm=20.0),
+    )
+    assert not find_changes(*pair).is_significant
+    blind = [replace(one, provenance={"runs": one.provenance["runs"]}) for one in pair]
+    change = find_changes(*blind)
+    assert change.volume.is_significant
+    assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}

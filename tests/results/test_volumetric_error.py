@@ -57,3 +57,38 @@ def test_half_the_uncertainty_leaves_half(estimate, seen):
     halved = compute_volumetric_error(replace(estimate, covariance=covariance))
     assert halved.after.mean.value_um == pytest.approx(seen.after.mean.value_um / 2)
     assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)
+
+
+def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
+    estimate,
+):
+    ppm, certain = 40.0, replace(estimate, covariance=1e-6 * estimate.covariance)
+    stated = compute_volumetric_error(certain, ppm).before.mean
+    without = compute_volumetric_error(certain).before.mean
+    low, high = (
+        np.array([getattr(a, end) for a in estimate.model.machine.axes])
+        for end in ("low", "high")
+    )
+    place = compute_volumetric_error(certain)
+    away_mm = place.position_mm - (low + high) / 2.0
+    rng = np.random.default_rng(4)
+    scale = 1e-3 * ppm * rng.standard_normal(2000)
+    true = [
+        np.linalg.norm(place.error_um + one * away_mm, axis=1).mean() for one in scale
+    ]
+    off = np.abs(np.array(true) - stated.value_um)
+    assert np.mean(off <= 2.0 * stated.uncertainty_um) >= 0.94
+    assert np.mean(off <= 2.0 * without.uncertainty_um) < 0.1
+    assert stated.value_um == without.value_um
+
+
+def test_what_compensation_leaves_is_as_uncertain_as_the_scale_of_its_lengths(
+    estimate,
+):
+    certain = replace(estimate, covariance=1e-12 * estimate.covariance)
+    left = compute_volumetric_error(certain, 1.0).after.largest
+    # Nothing but the scale is unknown: the farthest corner is off by 1 ppm of its way.
+    size = np.array([a.high - a.low for a in estimate.model.machine.axes])
+    corner_um = 1e-3 * np.linalg.norm(size) / 2.0
+    assert left.scale_uncertainty_um == pytest.approx(corner_um, rel=1e-3)
+    assert left.uncertainty_um == pytest.approx(corner_um, rel=1e-3)

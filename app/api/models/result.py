@@ -72,6 +72,11 @@ class FigureOut(BaseModel):
 
     value_um: float
     uncertainty_um: float
+    scale_uncertainty_um: float | None = Field(
+        None,
+        description="The part of it that comes from the scale of all lengths, of air "
+        "and tracker. Earlier versions do not have it, nor the scale in their sum.",
+    )
 
 
 class VolumetricSpreadOut(BaseModel):
@@ -138,6 +143,11 @@ class ProvenanceOut(BaseModel):
     options: OptionsOut
     model: UsedModelOut | None
     measured_s: float
+    length_scale_ppm: float | None = Field(
+        None,
+        description="Standard uncertainty that all lengths have in common, of air and "
+        "tracker: in the volumetric error, in no table. Earlier versions lack it.",
+    )
     feed_mm_min: list[float] | None
     temperature_degC: dict[str, tuple[float, float]] = Field(  # noqa: N815
         description="Lowest and highest, by sensor."

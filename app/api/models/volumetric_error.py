@@ -19,6 +19,12 @@ class SizeOut(BaseModel):
 
     value_um: float = Field(examples=[15.32])
     uncertainty_um: float = Field(examples=[0.11])
+    scale_uncertainty_um: float | None = Field(
+        None,
+        description="The part of it that comes from the scale of all lengths, of air "
+        "and tracker. Earlier results do not have it, nor the scale in their sum.",
+        examples=[0.07],
+    )
 
 
 class SpreadOut(BaseModel):

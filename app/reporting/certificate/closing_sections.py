@@ -240,7 +240,7 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
     ):
         if ppm is not None:
             scale_ppm = language.number(ppm, 2)
-            yield language.say("verification_length_scale", ppm=scale_ppm)
+            yield language.say("length_scale", ppm=scale_ppm)
 
 
 def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:

@@ -66,7 +66,15 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
         ],
         "is_measured": certificate.left is not None,
         "left_note": _say_compensated(certificate, language),
+        "scale_note": _say_scale(certificate, language),
     }
+
+
+def _say_scale(certificate: Certificate, language: Language) -> str:
+    """Return the scale that is in these uncertainties; nothing where none is."""
+    sources = (certificate.found, certificate.left)
+    ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
+    return language.say("length_scale", ppm=language.number(ppm, 2)) if ppm else ""
 
 
 def _say_compensated(certificate: Certificate, language: Language) -> str:

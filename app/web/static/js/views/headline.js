@@ -18,7 +18,7 @@ export function headline(job, result, proof) {
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
       h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
-    h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) })),
+    h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) }), " ", wordScale(before.mean)),
     toleranceField((tolerance_um) => ask(tolerance_um)), decided);
   let asked = null;
 
@@ -69,6 +69,9 @@ function describeProof({ compensated, volumetric_error_um: { measured }, conform
 const value = ({ value_um, uncertainty_um }, name) => h("span", { class: "headline-value" },
   h("strong", {}, figure(value_um, "gap", digits()), h("span", { class: "unit" }, unitOf("gap"))),
   h("span", { class: "headline-u" }, `± ${quantity(COVERAGE * uncertainty_um, "gap", digits())}`), h("small", {}, name));
+
+/** What of the uncertainty all lengths have in common; earlier results do not state it. */
+const wordScale = ({ scale_uncertainty_um: scale }) => (scale ? t("headline.scale", { scale: quantity(COVERAGE * scale, "gap", 2) }) : "");
 
 const digits = () => decimalsOf("error");
 
