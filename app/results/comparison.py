@@ -8,7 +8,8 @@ way, so that like is compared with like. The values of both directions are avera
 map of a result is the mean of both.
 
 The normalised error is E_n = d / (2 √(u² + u_ref²)) as in ISO/IEC 17043: |E_n| ≤ 1 says
-that both agree within their expanded uncertainties (k = 2).
+that both agree within their expanded uncertainties (k = 2). In u of positioning is the
+scale of air and tracker, which tables leave out: the reference has another one.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from jaxtyping import Float64
 from truepath.app.errors import BadInput
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import DirectMeasurement
-from truepath.app.files.units import UM_PER_MM, scale_of
+from truepath.app.files.units import PER_PPM, UM_PER_MM, scale_of
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.kinematics.effects.error_motion import find_arm, reference_position_mm
 from truepath.app.kinematics.machine import Axis, LinearAxis, Machine, position_unit
@@ -30,6 +31,7 @@ from truepath.app.kinematics.symbols import (
     SQUARENESS,
     find_unit,
     is_location,
+    is_positioning,
     list_error_motions,
 )
 from truepath.app.results.direct_error import (
@@ -196,7 +198,7 @@ def _compare_error(
         position_unit=position_unit(axis),
         position_mm=theirs.position_mm,
         value=value,
-        sigma=sigma,
+        sigma=np.hypot(sigma, gauge @ _find_scale_um(result, axis, symbol, theirs)),
         reference=gauge @ theirs.mean,
         reference_sigma=np.sqrt((gauge**2) @ theirs.sigma**2),
         forward=theirs.forward - removed,
@@ -206,6 +208,15 @@ def _compare_error(
         merged=tuple(shares),
         missing=missing,
     )
+
+
+def _find_scale_um(
+    result: CalibrationResult, axis: Axis, symbol: str, theirs: DirectError
+) -> Float64[np.ndarray, " n"]:
+    """Return what one standard uncertainty of the scale makes of an error motion."""
+    if isinstance(axis, LinearAxis) and is_positioning(symbol):
+        return UM_PER_MM * PER_PPM * result.length_scale_ppm * theirs.position_mm
+    return np.zeros(len(theirs.position_mm))
 
 
 def _compare_numbers(

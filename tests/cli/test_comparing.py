@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -209,3 +210,28 @@ def test_a_file_in_the_way_of_the_folder_is_refused(analysed, laser, tmp_path, c
     arguments = [str(analysed / "result.json"), str(laser), "-o", str(tmp_path / "out")]
     assert run(["compare", *arguments]) == 2
     assert "name a folder" in capsys.readouterr().err
+
+
+def test_another_scale_of_lengths_is_no_disagreement_beyond_what_is_stated(
+    analysed, record, tmp_path
+):
+    _, truth = record(1, rows=24)
+    longer = tuple(
+        replace(one, value=one.value + 0.02 * one.position_mm)
+        if one.error == "EXX"
+        else one
+        for one in measured(truth, record(1, rows=24)[0].machine)
+    )
+    laser = tmp_path / "longer.csv"
+    laser.write_bytes(encode_reference(longer))
+    content = json.loads((analysed / "result.json").read_text())
+    within = {}
+    for ppm in (0.0, 20.0):  # the laser is 20 ppm off the result
+        content["provenance"]["length_scale_ppm"] = ppm
+        result, out = tmp_path / "result.json", tmp_path / f"by {ppm:g}"
+        result.write_text(json.dumps(content))
+        assert run(["compare", str(result), str(laser), "-o", str(out)]) == 0
+        compared = json.loads((out / "comparison.json").read_text())
+        within[ppm] = compared["errors"]["EXX"]["share_within"]
+    assert within[20.0] == 1.0
+    assert within[0.0] < 0.3
