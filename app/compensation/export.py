@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +18,7 @@ from truepath.app.compensation.length_reference import (
     find_measured_degc,
     state_lengths,
 )
+from truepath.app.compensation.output import SCHEMA, find_stem, write_output
 from truepath.app.compensation.remaining_error import (
     EVEN,
     GRID,
@@ -43,15 +42,11 @@ from truepath.app.compensation.unmeasured import (
     find_measured_ranges,
 )
 from truepath.app.errors import BadInput
-from truepath.app.files.file_model import encode_json
 from truepath.app.files.temperature_file import read_result_at
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
-from truepath.app.files.whole_files import replace_file
 
 SPACING_MM = 10.0
-SCHEMA = "compensation/1"
-_PLAIN_NAME = re.compile(r"[A-Za-z0-9._-]+")
 _BETTER = 0.999  # of the error before: files that leave more are refused
 
 
@@ -87,19 +82,15 @@ def export_files(
     accept_verdict : write the files of a result that is not to be used all the same
     at_temperature_degc : of a temperature model, which `result` may be as well
 
-    Raises BundleError with the place in the result, BadInput as `export_result`,
-    NotUsable where the result is not to be used.
+    Raises BundleError with the place in the result, BadInput as `export_result` and
+    `write_output`, NotUsable where the result is not to be used.
     """
-    suffix, place = load_format(name, choices).suffix, Path(output)
+    stem = find_stem(output, load_format(name, choices).suffix)
     loaded, model = read_result_at(result, at_temperature_degc)
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
-    errors = map_errors(loaded)
-    has_suffix = place.name.endswith(suffix)
-    stem = place.name.removesuffix(suffix) if has_suffix else place.stem
-    _require_plain_name(output, stem)
     export = export_result(
-        errors,
+        map_errors(loaded),
         name,
         stem,
         spacing_mm=spacing_mm,
@@ -107,29 +98,7 @@ def export_files(
         choices=choices,
         temperature=model and StatedTemperature(model, at_temperature_degc or 0.0),
     )
-    place.parent.mkdir(parents=True, exist_ok=True)
-    beside = place.parent / f"{stem}.json"
-    alone = len(export.files) == 1 and place.suffix != "" and place != beside
-    written: list[Path] = []
-    digests: dict[str, str] = {}
-    for file, text in export.files.items():
-        target, data = place if alone else place.parent / file, text.encode("ascii")
-        replace_file(target, data)
-        written.append(target)
-        digests[target.name] = hashlib.sha256(data).hexdigest()
-    told = {"files": [str(file) for file in written], "files_sha256": digests}
-    account = {**export.account, **told}
-    replace_file(beside, encode_json(account, indent=1))
-    return account
-
-
-def _require_plain_name(output: str | Path, stem: str) -> None:
-    """Raise BadInput for a stem that controls cannot read: it stands in the files."""
-    if _PLAIN_NAME.fullmatch(stem) is None:
-        raise BadInput(
-            f"{output}: {stem!r} stands in the files that controls read; use letters "
-            "A to Z, digits, dots, dashes and underscores"
-        )
+    return write_output(export.files, export.account, output, stem, source=result)
 
 
 def export_result(

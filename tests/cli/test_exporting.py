@@ -147,3 +147,29 @@ def test_a_name_that_no_control_reads_is_refused(analysed, tmp_path, capsys, nam
     order = ["export", str(analysed / "result.json"), "--format", "heidenhain"]
     assert run([*order, "-o", str(tmp_path / name)]) == 2
     assert "letters A to Z" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec", "json"])
+@pytest.mark.parametrize("output", ["result.ini", "result.json", "result"])
+def test_the_result_itself_is_never_written_over(
+    analysed, tmp_path, capsys, name, output
+):
+    result = tmp_path / "result.json"
+    result.write_bytes((analysed / "result.json").read_bytes())
+    assert exported(tmp_path, name, tmp_path / output) == 2
+    assert {p.name for p in tmp_path.iterdir()} == {"result.json"}
+    assert result.read_bytes() == (analysed / "result.json").read_bytes()
+    assert "result.json: would be written over" in capsys.readouterr().err
+
+
+def test_an_account_replaces_an_account_and_no_other_file(analysed, tmp_path, capsys):
+    for _ in range(2):
+        assert exported(analysed, "siemens-lec", tmp_path / "axes.ini") == 0
+    machine = tmp_path / "machine.json"
+    for text in ('{"schema": "machine/1"}', "not JSON"):
+        machine.write_text(text)
+        assert exported(analysed, "siemens-lec", tmp_path / "machine.ini") == 2
+        assert machine.read_text() == text
+        said = capsys.readouterr().err
+        assert "machine.json: the account of the files would be written over it" in said
+    assert not (tmp_path / "machine.ini").exists()
