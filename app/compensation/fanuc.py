@@ -1,10 +1,12 @@
 """Fanuc: stored pitch error compensation, data and parameters as NC tapes.
 
 Values are increments from one point to the next in small integers, so the running sum
-is rounded, not each increment. Point number `3620` is the reference point; number k is
-that of the section that ends k − 3620 intervals above it, and comes out as a step in
-its middle; with interpolation, an option, it is spread over the section. A
-magnification keeps increments at 7 or below, which every control of this make takes.
+is rounded, not each increment. Point number `3620` is the reference point, at machine
+position 0 as parameter 1240 has it where nobody changed it; where that is out of the
+travel, increments of 0 lead to it. Number k is that of the section that ends k − 3620
+intervals above it, and comes out as a step in its middle; with interpolation, an
+option, it is spread over the section. A magnification keeps increments at 7 or below,
+which every control of this make takes.
 
 With `3605`#0 negative travel has increments of its own, from number `3626` on, and
 `3627` is their amount at the reference point; they count from the negative end as well.
@@ -35,7 +37,6 @@ from truepath.app.compensation.format import (
     TableFormat,
 )
 from truepath.app.errors import BadInput
-from truepath.app.kinematics.effects.error_motion import reference_position_mm
 from truepath.app.kinematics.machine import LinearAxis, Machine
 
 UNIT_MM = 0.001
@@ -70,8 +71,10 @@ class Fanuc(TableFormat):
         self.note = (
             "A1, A2, A3 are X, Y, Z, detection unit 1 µm; parameters first, then the "
             "data; switch power off and on and return to the reference point, in + "
-            f"direction. Points 0 to {_LAST_POINT} are those of all axes of the "
-            "control: of other axes they have to stand beyond those used here. "
+            "direction. It is taken to be at machine position 0 of each axis, as with "
+            "1240 = 0: from another one the files are off by as much. Points 0 to "
+            f"{_LAST_POINT} are those of all axes of the control: of other axes they "
+            "have to stand beyond those used here. "
         ) + (
             "Axes with 3605#0 = 1 need bidirectional pitch error compensation, an "
             "option of the control, and backlash (1851) 0; --directions mean does "
@@ -84,8 +87,7 @@ class Fanuc(TableFormat):
         self, axes: Sequence[LinearAxis], spacing_mm: float
     ) -> Mapping[str, int]:
         """Return rows as far apart for all axes as the numbers of points make them."""
-        sets = 2 if self._directions == "both" else 1
-        usual, spacing = super().limit_rows(axes, spacing_mm), spacing_mm
+        sets, spacing = 2 if self._directions == "both" else 1, spacing_mm
         while True:
             rows = {
                 axis.name: min(
@@ -94,9 +96,10 @@ class Fanuc(TableFormat):
                 )
                 for axis in axes
             }
-            # As many sections as rows, where both ends are beyond the travel.
-            if sum(1 + sets * count for count in rows.values()) <= _LAST_POINT + 1:
-                return usual if spacing == spacing_mm else rows
+            # One section more, where both ends are beyond the travel.
+            points = [_count_sections(axis, rows[axis.name]) + 1 for axis in axes]
+            if sum(1 + sets * count for count in points) <= _LAST_POINT + 1:
+                return rows
             spacing *= _WIDER
 
     def write(self, content: CompensationTables) -> dict[str, str]:
@@ -190,10 +193,9 @@ class _Tape:
 
 
 def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> _Tape:
-    zero = reference_position_mm(table.axis)
-    below = math.ceil((zero - table.axis.low) / interval - 1e-9)
-    above = math.ceil((table.axis.high - zero) / interval - 1e-9)
-    at = zero + interval * np.arange(-below, above + 1)
+    low, high = _find_span_mm(table.axis)
+    below, above = (math.ceil(end / interval - 1e-9) for end in (-low, high))
+    at = interval * np.arange(-below, above + 1)
     own, reference = table.own, first + below - 1
     lost = (table.forward_mm - table.backward_mm)[:, own]
     if both and np.abs(lost).max() > _LEAST_MM:
@@ -237,11 +239,8 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
     Where none down to half the spacing does that, the last points are beyond the ends.
     """
-    zero_mm = reference_position_mm(table.axis)
-    below, above = (
-        round((end - start) / UNIT_MM)
-        for start, end in ((table.axis.low, zero_mm), (zero_mm, table.axis.high))
-    )
+    low, high = _find_span_mm(table.axis)
+    below, above = round(-low / UNIT_MM), round(high / UNIT_MM)
     common, spacing = math.gcd(below, above), table.spacing_mm / UNIT_MM
     most = Fanuc.most_points - 1
     for count in range(
@@ -254,4 +253,18 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
 def _round_spacing_mm(table: AxisTable) -> float:
     """Return the spacing of the rows in whole micrometres, not below it."""
-    return math.ceil(table.spacing_mm / UNIT_MM - 1e-6) * UNIT_MM
+    low, high = _find_span_mm(table.axis)
+    spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
+    return math.ceil(spacing_mm / UNIT_MM - 1e-6) * UNIT_MM
+
+
+def _count_sections(axis: LinearAxis, rows: int) -> int:
+    """Return the sections of a tape whose table has so many rows over the travel."""
+    low, high = _find_span_mm(axis)
+    share = (high - low) / (axis.high - axis.low)
+    return min(math.ceil((rows - 1) * share - 1e-9), Fanuc.most_points - 1)
+
+
+def _find_span_mm(axis: LinearAxis) -> tuple[float, float]:
+    """Return the ends of the sections: those of the travel, and the reference point."""
+    return min(axis.low, 0.0), max(axis.high, 0.0)

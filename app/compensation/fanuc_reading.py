@@ -10,7 +10,6 @@ import numpy as np
 
 from truepath.app.compensation.format import InterpolatedTable
 from truepath.app.errors import BadInput
-from truepath.app.kinematics.effects.error_motion import reference_position_mm
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
@@ -22,18 +21,19 @@ _UNIT_MM, _FIRST = 0.001, 10_000
 def read_pitch_tables(
     files: Mapping[str, str], machine: Machine
 ) -> Iterator[InterpolatedTable]:
-    """Yield the summed increments of each axis, in mm. Raises BadInput."""
+    """Yield the summed increments of each axis, in mm. Raises BadInput.
+
+    The reference point is at machine position 0.
+    """
     data, parameters = (_find_tape(files, part) for part in ("-pitch", "-parameters"))
     increments, words = _read_data(data), _read_parameters(parameters)
     for index, axis in enumerate(machine.linear_axes):
-        zero_mm = reference_position_mm(axis)
-        yield _sum_increments(axis.name, index, zero_mm, increments, words)
+        yield _sum_increments(axis.name, index, increments, words)
 
 
 def _sum_increments(
     name: str,
     index: int,
-    zero_mm: float,
     data: dict[int, int],
     words: dict[tuple[int, int], float],
 ) -> InterpolatedTable:
@@ -49,7 +49,7 @@ def _sum_increments(
         return unit * (sums - sums[below])
 
     forward = add_up(int(first))
-    at = interval * (np.arange(len(forward)) - below) + zero_mm
+    at = interval * (np.arange(len(forward)) - below)
     backward = None
     if words.get((3605, index), 0.0) % 10 == 1:
         amount = _UNIT_MM * words[3627, index]

@@ -1,11 +1,12 @@
 """Fanuc: stored pitch error compensation, data `N1xxxxP…` and parameters 3605 to 3627.
 
 Data are increments in detection units times the magnification, of the sections between
-points: number 3620 is that of the section that ends at the reference point. The value
-of a section comes out at its middle, as a step; with interpolation, an option of the
-control, it is spread over it. With 3605#0 there is a second set for travel in the
-negative direction, from number 3626 on, 3627 being its amount at the reference point;
-increments count from the negative end in both. Source: B-63980EN, page 100; A-77810E.
+points: number 3620 is that of the section that ends at the reference point, at machine
+position 0. The value of a section comes out at its middle, as a step; with
+interpolation, an option of the control, it is spread over it. With 3605#0 there is a
+second set for travel in the negative direction, from number 3626 on, 3627 being its
+amount at the reference point; increments count from the negative end in both.
+Source: B-63980EN, page 100; A-77810E.
 """
 
 from __future__ import annotations
@@ -32,10 +33,9 @@ def read_fanuc(files: Mapping[str, str], machine: MachineFile) -> Iterator[Term]
     parameters: Parameters = {}
     for name, text in files.items():
         _read_tape(name, text, data, parameters)
-    for column, axis in enumerate(machine.axes):
+    for column in range(len(machine.axes)):
         if (3620, column + 1) in parameters:
-            zero = 0.0 if axis.low <= 0.0 <= axis.high else axis.low
-            yield from _read_axis(column, zero, data, parameters)
+            yield from _read_axis(column, data, parameters)
 
 
 def _read_tape(
@@ -56,7 +56,7 @@ def _read_tape(
 
 
 def _read_axis(
-    column: int, zero: float, data: dict[int, int], parameters: Parameters
+    column: int, data: dict[int, int], parameters: Parameters
 ) -> Iterator[Term]:
     def number(parameter: int) -> float:
         try:
@@ -75,7 +75,7 @@ def _read_axis(
         steps = [data.get(begin + k, 0) for k in range(last - first + 1)]
         sums = np.concatenate([[0.0], np.cumsum(steps)])
         below = reference - first + 1
-        at = zero + interval * (np.arange(len(sums)) - below)
+        at = interval * (np.arange(len(sums)) - below)
         value = unit * (sums - sums[below]) + amount
         return Curve(column, at, value, side, turn, is_stepped=True)
 

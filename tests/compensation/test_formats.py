@@ -63,9 +63,10 @@ def with_backlash(source):
 def losing(source):
     """Make the same machine of other travels, 8 µm of lost motion in each axis."""
 
-    def make(length_mm):
+    def make(length_mm, middle_mm=0.0):
+        ends = middle_mm + np.array([-length_mm / 2, length_mm / 2])
         axes = tuple(
-            replace(axis, low=-length_mm / 2, high=length_mm / 2)
+            replace(axis, low=float(ends[0]), high=float(ends[1]))
             for axis in source.machine.linear_axes
         )
         machine = replace(source.machine, axes=axes)
@@ -75,7 +76,6 @@ def losing(source):
         )
         size = np.array([4e-3 if p.unit == "mm" else 1e-5 for p in model.parameters])
         theta = size * np.random.default_rng(6).standard_normal(model.size)
-        ends = np.array([-length_mm / 2, length_mm / 2])
         half_um = {axis.name: (ends, np.full(2, 4.0)) for axis in axes}
         return map_errors(
             CalibrationResult(
@@ -459,6 +459,32 @@ def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
     error = flat(errors.error_mm(middle))[:, 2]
     left = error + flat(0.5 * sum(correction(middle, d) for d in (1.0, -1.0)))[:, 2]
     assert np.abs(left).max() < max(0.003, 0.5 * np.abs(error).max())
+
+
+@pytest.mark.parametrize("middle_mm", [430.0, -430.0])
+def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
+    losing, middle_mm
+):
+    errors = losing(400.0, middle_mm)
+    files = export_result(errors, "fanuc", "c").files
+    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
+    steps = {int(number): int(step) for number, step in data}
+    rows = files["c-parameters.txt"].split()[1:-1]
+    words = {int(row[1:6]): float(re.findall(r"A1P([\d.-]+)", row)[0]) for row in rows}
+    # The section of a point ends at it, and comes out in its middle.
+    numbers = np.arange(int(words[3621]), int(words[3622]) + 1)
+    middles = (numbers - words[3620] - 0.5) * words[3624]
+    place = along(errors, "X", np.linspace(middle_mm - 200.0, middle_mm + 200.0, 41))
+    added = np.array(
+        [
+            1e-3
+            * sum(steps[n] for n, at in zip(numbers, middles, strict=True) if at < x)
+            for x in place[:, 0]
+        ]
+    )
+    left = errors.error_mm(place, 1.0)[:, 0] + added
+    assert np.abs(flat(left)).max() < 0.0015
+    assert np.abs(flat(added)).max() > 0.004
 
 
 def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
