@@ -47,6 +47,10 @@ from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
 
 SPACING_MM = 10.0
+_UNDIRECTED = (
+    "lost motion: the result does not state what the direction of travel does; what is "
+    "left is stated without it"
+)
 _BETTER = 0.999  # of the error before: files that leave more are refused
 
 
@@ -125,7 +129,6 @@ def export_result(
     """
     kind = load_format(name, choices)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
-    gaps = [one.describe() for one in measured.values() if one.missing]
     lengths_degc = _find_length_degc(errors, temperature)
     stamp = write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature)
@@ -139,6 +142,7 @@ def export_result(
     before = find_remaining(errors, measured)
     after = find_remaining(errors, measured, correction)
     _require_gain(kind, before, after)
+    gaps = any(one.missing for one in measured.values())
     beyond_um = _find_beyond_um(errors, made, after) if gaps else 0.0
     account = {
         "schema": SCHEMA,
@@ -269,7 +273,10 @@ def _describe_content(
         "directions": kind.directions,
         "carries": kind.carries,
         "not_carried": kind.not_carried + (f", {beyond} ({rotary})" if rotary else ""),
-        "unobservable": list(errors.result.unobservable),
+        "unobservable": [
+            *errors.result.unobservable,
+            *([] if errors.result.states_direction else [_UNDIRECTED]),
+        ],
         "tables": {
             t.axis.name: {
                 "points": len(t.position_mm),
@@ -282,7 +289,9 @@ def _describe_content(
             }
             for t in tables
         },
-        "unmeasured": [one.describe() for one in measured.values() if one.missing],
+        "unmeasured": [
+            one.describe() for one in measured.values() if not one.is_known_whole
+        ],
         "beyond_the_travel": "the controller holds the end values",
         "interpolation_loss_um": max(
             (UM_PER_MM * float(np.abs(lost).max()) for lost in losses), default=0.0

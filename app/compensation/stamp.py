@@ -42,7 +42,7 @@ def write_stamp(
         f"units {kind.units}; directions of travel: {kind.directions}",
         f"carries {kind.carries}",
         f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
-        *(one.describe() for one in measured.values() if one.missing),
+        *(one.describe() for one in measured.values() if not one.is_known_whole),
         *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
@@ -66,6 +66,9 @@ def _list_ranges(
 ) -> Iterator[str]:
     """Yield the range of each axis that the files hold for."""
     for one in measured.values():
+        if not one.is_stated:
+            yield f"{one.axis.name} what the result does not state"
+            continue
         yield f"{one.axis.name} {one.low:g} to {one.high:g} mm"
     for axis in errors.machine.rotary_axes:
         low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))

@@ -40,12 +40,15 @@ class MeasuredRange:
     """The measured range of an axis, and what its table has beyond.
 
     choice : None for what the model says there, which nothing has measured
+    is_stated : whether the result says where it was measured; the range is the travel
+        where it does not
     """
 
     axis: LinearAxis
     low: float
     high: float
     choice: Unmeasured | None
+    is_stated: bool = True
 
     @property
     def missing(self) -> tuple[tuple[float, float], ...]:
@@ -68,8 +71,18 @@ class MeasuredRange:
             weight = np.minimum(weight, np.clip(share, 0.0, 1.0))
         return weight
 
+    @property
+    def is_known_whole(self) -> bool:
+        """Whether the whole travel was measured, as the result says."""
+        return self.is_stated and not self.missing
+
     def describe(self) -> str:
         """Return what was not measured, in plain ASCII."""
+        if not self.is_stated:
+            return (
+                f"{self.axis.name}: the result does not state where it was measured: "
+                "its table has what it says over the whole travel"
+            )
         parts = " and ".join(f"{a:g} to {b:g}" for a, b in self.missing)
         choice = self.choice or Unmeasured.HOLD
         return f"{self.axis.name} not measured from {parts} mm: {choice.words}"
@@ -82,17 +95,21 @@ def find_measured_ranges(
 ) -> dict[str, MeasuredRange]:
     """Return the measured range of each straight axis; all where none is stated.
 
-    Raises BadInput if a part was not measured and the choice is to refuse.
+    Raises BadInput if a part was not measured, or may not have been, and the choice is
+    to refuse.
     """
     ranges = {
         axis.name: MeasuredRange(
-            axis, *measured.get(axis.name, (axis.low, axis.high)), choice
+            axis,
+            *measured.get(axis.name, (axis.low, axis.high)),
+            choice,
+            axis.name in measured,
         )
         for axis in machine.linear_axes
     }
     if choice is Unmeasured.REFUSE:
-        said = [one.describe() for one in ranges.values() if one.missing]
+        said = [one.describe() for one in ranges.values() if not one.is_known_whole]
         if said:
-            text = "; ".join(text.partition(":")[0] for text in said)
+            text = "; ".join(text.rpartition(":")[0] for text in said)
             raise BadInput(f"{text}; measure there, or hold or fade the values")
     return ranges

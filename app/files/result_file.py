@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BeforeValidator, Field, model_validator
 
+from truepath.app.errors import BundleError
 from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from truepath.app.files.machine_file import MachineFile
 from truepath.app.files.model_file import model_from_json
@@ -56,6 +57,8 @@ class CalibrationResult(EstimatedModel):
     half_across, half_across_u : half the difference of both directions of error motions
         across or about an axis, and its standard uncertainty where it is stated: by
         symbol, over mm or deg, in µm or µrad
+    states_direction : whether the file says what the direction of travel does, be it
+        nothing
     """
 
     mode: str = "otf"
@@ -79,6 +82,7 @@ class CalibrationResult(EstimatedModel):
     half_across_u: dict[str, Float64[np.ndarray, " m"]] = field(
         default_factory=dict[str, Any]
     )
+    states_direction: bool = True
 
     @property
     def machine(self) -> Machine:
@@ -99,6 +103,13 @@ class _Observability(FileModel):
 class _LinearRange(FileModel):
     from_mm: float
     to_mm: float
+
+    @model_validator(mode="after")
+    def _require_order(self) -> _LinearRange:
+        if self.to_mm < self.from_mm:
+            problem = f"is {self.to_mm:g}, below from_mm {self.from_mm:g}"
+            raise refuse(problem, "write the lower end as from_mm", "to_mm")
+        return self
 
 
 class _RotaryRange(FileModel):
@@ -137,6 +148,13 @@ class _HalfDifference(FileModel):
             problem = f"are {len(value)} for {len(at)} in position_{along}"
             place = "half_difference", symbol, f"value_{unit}"
             raise refuse(problem, "write one a position", *place)
+        if len(sigma) not in (0, len(at)):
+            problem = f"are {len(sigma)} for {len(at)} in position_{along}"
+            place = "half_difference", symbol, f"uncertainty_{unit}"
+            raise refuse(problem, "write one a position, or none", *place)
+        if np.any(np.diff(at) <= 0.0):
+            place = "half_difference", symbol, f"position_{along}"
+            raise refuse("do not ascend", "sort the rows by position", *place)
         return (at, value), sigma
 
 
@@ -297,6 +315,7 @@ def result_from_json(
     machine = document.machine.machine()
     stated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()
+    _require_within_travel(ranges, machine, file)
     direction = document.direction or _Direction(half_difference={})
     return CalibrationResult(
         stated.model,
@@ -312,4 +331,20 @@ def result_from_json(
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
         *direction.read_across(),
+        document.direction is not None,
     )
+
+
+def _require_within_travel(
+    ranges: Mapping[str, tuple[float, float]], machine: Machine, file: str
+) -> None:
+    """Raise BundleError for a measured range of no part of the travel of its axis."""
+    for axis in machine.linear_axes:
+        low, high = ranges.get(axis.name, (axis.low, axis.high))
+        if high < axis.low or low > axis.high:
+            raise BundleError(
+                f"measured_range.{axis.name} is {low:g} to {high:g} mm, beyond the "
+                f"travel {axis.low:g} to {axis.high:g} mm",
+                file=file,
+                remedy="analyse the bundle again",
+            )

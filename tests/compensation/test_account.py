@@ -111,6 +111,22 @@ def test_or_the_file_is_refused_with_the_range(half_measured):
         export_result(half_measured, "isg-csv", "c", unmeasured=Unmeasured.REFUSE)
 
 
+def test_a_result_without_measured_range_or_direction_says_so_in_account_and_file(
+    source,
+):
+    result = replace(source.result, measured={}, states_direction=False)
+    silent = replace(source, result=result)
+    export = export_result(silent, "siemens-lec", "c")
+    said = export.account["unmeasured"]
+    assert [text.partition(":")[0] for text in said] == ["X", "Y", "Z"]
+    assert all("does not state where it was measured" in text for text in said)
+    assert f"; {said[0]}\n" in export.files["c.ini"]
+    assert "valid over X what the result does not state" in export.files["c.ini"]
+    assert export.account["unobservable"][-1].startswith("lost motion: the result")
+    with pytest.raises(BadInput, match="X: the result does not state where"):
+        export_result(silent, "siemens-lec", "c", unmeasured=Unmeasured.REFUSE)
+
+
 @pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
 def test_account_and_file_say_what_was_not_measured(half_measured, choice):
     export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
@@ -135,7 +151,9 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
 
 
 def test_a_result_measured_everywhere_says_nothing_of_it(source):
-    account = export_result(source, "isg-csv", "c").account
+    measured = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    whole = replace(source, result=replace(source.result, measured=measured))
+    account = export_result(whole, "isg-csv", "c").account
     assert account["unmeasured"] == []
     assert account["left_um"]["unmeasured_range"] == 0.0
 

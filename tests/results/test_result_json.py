@@ -277,3 +277,39 @@ def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
     model = estimate.model.with_effects(Unknown((0.0, 0.0, 0.0)))
     with pytest.raises(TypeError, match="tracker-pose has no form"):
         model_to_json(EstimatedModel(model, np.zeros(model.size), np.eye(model.size)))
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ((200.0, 100.0), r"measured_range\.X\.to_mm is 100, below from_mm 200"),
+        ((5000.0, 6000.0), r"measured_range\.X is 5000 to 6000 mm, beyond the travel"),
+    ],
+)
+def test_a_measured_range_of_no_part_of_the_travel_is_refused(content, ends, said):
+    low, high = ends
+    content["measured_range"]["X"] = {"from_mm": low, "to_mm": high}
+    with pytest.raises(BundleError, match=said):
+        result_from_json(content)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "said"),
+    [
+        ("position_mm", [50.0, 0.0], "position_mm do not ascend"),
+        ("uncertainty_um", [0.1], "uncertainty_um are 1 for 2 in position_mm"),
+    ],
+)
+def test_half_differences_that_cannot_be_read_are_refused(
+    content, column, values, said
+):
+    half = {"position_mm": [0.0, 50.0], "value_um": [1.0, 2.0]} | {column: values}
+    content["direction"]["half_difference"]["EXX"] = half
+    with pytest.raises(BundleError, match=said):
+        result_from_json(content)
+
+
+def test_a_result_without_a_direction_states_none(content):
+    assert result_from_json(content).states_direction
+    del content["direction"]
+    assert not result_from_json(content).states_direction

@@ -6,6 +6,7 @@ import { currentLanguage, known, number, t } from "./texts.js";
 const UNOBSERVABLE = {
   merged: /^(?<symbol>E[XYZABC]{2}) \(.*?\) cannot be told from (?<others>.+?) with /,
   still: /^(?<symbol>E[XYZABC]{2}) \(.*?\) does not move the target/,
+  undirected: /^lost motion: the result does not state what the direction of travel does/,
   resting: /^(?<axes>[A-Z, ]+): rotary axes stand still on this path/,
 };
 const REMEDIES = {
@@ -29,6 +30,7 @@ const TEMPERATURE_REFUSALS = {
   close: /^the results are at (?<count>\d+) different temperatures \((?<shown>.+) °C; less than (?<apart>[\d.]+) K apart/,
   vague: /^temperatures from (?<low>[\d.−-]+) to (?<high>[\d.−-]+) °C tell .+ to (?<u>[\d.]+) µm\/K only .+ the (?<matters>[\d.]+) µm\/K that matter/,
 };
+const UNSTATED = /^(\S+): the result does not state where it was measured/;
 const UNMEASURED = /^(\S+) not measured from (.+) mm: /;
 
 /** What data do not determine, and what would; a statement of another form stands as it is. */
@@ -52,8 +54,11 @@ function match(patterns, text) {
 
 /** Where an axis was not measured, and the choice (hold, fade) of what its table has there. */
 export function sayUnmeasured(text, choice) {
+  if (currentLanguage() === "en") return text;
+  const unstated = UNSTATED.exec(text);
+  if (unstated) return t("export.range_unstated", { axis: unstated[1] });
   const found = UNMEASURED.exec(text);
-  if (currentLanguage() === "en" || !found) return text;
+  if (!found) return text;
   const parts = found[2].split(" and ").map((part) => {
     const [from, to] = part.split(" to ").map((end) => number(end, (end.split(".")[1] ?? "").length));
     return t("statement.from_to", { from, to });
