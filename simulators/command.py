@@ -327,10 +327,9 @@ def _add_compensation(add: Callable[..., object]) -> None:
     )
     add(
         "--measuring-system",
-        choices=[1, 2],
+        metavar="1|2|X=1,Y=2",
         default=Rules().measuring_system,
-        type=int,
-        help="that is active, of the axes of a SINUMERIK",
+        help="that is active, of the axes of a SINUMERIK; 1 of axes not named",
     )
     add(
         "--reversed-sign",

@@ -51,7 +51,7 @@ def _load_compensation(bench: Bench, order: Order) -> dict[str, Any]:
         order.get("backlash_reading", Rules().backlash_reading),
         bool(order.get("reversed_sign", False)),
         float(order.get("tool_length_mm", 0.0)),
-        int(order.get("measuring_system", Rules().measuring_system)),
+        str(order.get("measuring_system", Rules().measuring_system)),
     )
     bench.load_compensation(LoadedTables.from_paths(_take(order, "files"), rules))
     return {"files": list(bench.compensation.files)}

@@ -20,4 +20,7 @@ def formats(json: Json = False) -> None:
         print(f"  carries      {one['carries']}")
         print(f"  not carried  {one['not_carried']}")
         for key, words in one["choices"].items():
-            print(f"  --{key.replace('_', '-')}  {', '.join(words)}")
+            by_axis = (
+                f", or X={words[0]},Y={words[-1]}" if key in one["by_axis"] else ""
+            )
+            print(f"  --{key.replace('_', '-')}  {', '.join(words)}{by_axis}")

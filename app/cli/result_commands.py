@@ -81,10 +81,11 @@ def export(
         typer.Option(help="Of Siemens: whose room for tables is used. [840d-sl]"),
     ] = None,
     measuring_system: Annotated[
-        Literal["1", "2"] | None,
+        str | None,
         typer.Option(
+            metavar="1|2|X=1,Y=2",
             help="Of Siemens leadscrew tables: the measuring system of the axes that "
-            "they are of. [1]"
+            "they are of. [1]",
         ),
     ] = None,
     backlash_reading: Annotated[

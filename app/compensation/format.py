@@ -131,6 +131,7 @@ class CompensationFormat(ABC):
     note : what to do with the files
     choices : what may be chosen, with its words, the first being usual: keywords of
         the constructor
+    by_axis : those of them that may be stated axis by axis, as `X=1,Y=2`
     """
 
     control: str
@@ -150,6 +151,7 @@ class CompensationFormat(ABC):
     sign_is_verified: ClassVar[bool]
     note: str
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    by_axis: ClassVar[tuple[str, ...]] = ()
 
     def limit_rows(
         self, axes: Sequence[LinearAxis], spacing_mm: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from truepath.app.compensation.axis_choices import split_by_axis
 from truepath.app.compensation.format import CompensationFormat
 from truepath.app.errors import BadInput
 from truepath.app.plugins import find_plugins, load
@@ -27,7 +28,8 @@ def load_format(
         if known is None:
             given = ", ".join(make.choices) or "nothing to choose"
             raise BadInput(f"the format {name} has no choice of {key}; it has {given}")
-        if word not in known:
+        stated = key in make.by_axis and split_by_axis(word, known)
+        if not stated and word not in known:
             raise BadInput(f"{key} of {name}: {word!r} is none of {', '.join(known)}")
     return make(**(choices or {}))
 
@@ -49,4 +51,5 @@ def describe_format(name: str, kind: CompensationFormat) -> dict[str, Any]:
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},
         "note": kind.note,
         "choices": {key: list(words) for key, words in kind.choices.items()},
+        "by_axis": list(kind.by_axis),
     }

@@ -147,6 +147,7 @@ class SiemensLec(Siemens):
         **Siemens.choices,
         **MeasuringSystem.choices,
     }
+    by_axis = MeasuringSystem.by_axis
 
     def __init__(
         self,
@@ -166,7 +167,8 @@ class SiemensLec(Siemens):
         )
 
     def write_tables(self, content: CompensationTables) -> Iterator[str]:
-        """Yield a table an axis."""
+        """Yield a table an axis. Raises BadInput for a system of no axis."""
+        self._system.require_axes(content.machine.axis_names)
         for table in content.tables:
             forward = table.axis.name in self._forward
             yield from self._system.write_straight(table, forward=forward)
@@ -244,6 +246,7 @@ class SiemensOrder(CompensationFormat):
 
     suffix = ".ini"
     choices = SiemensLec.choices
+    by_axis = SiemensLec.by_axis
     carries = (
         f"positioning in both directions, of rotary axes the mean of both, modulo a "
         f"turn; {SiemensCec.carries}"

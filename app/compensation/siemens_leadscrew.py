@@ -8,39 +8,59 @@ and 240.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import ClassVar
 
+from truepath.app.compensation.axis_choices import split_by_axis
 from truepath.app.compensation.format import AxisTable
 from truepath.app.compensation.rotary_tables import RotaryTable
+from truepath.app.errors import BadInput
 
 MEASURING_SYSTEMS = ("1", "2")
 
 
 class MeasuringSystem:
-    """The measuring system that all tables of an order are of.
+    """The measuring system that the table of each axis is of.
 
-    number : of `MEASURING_SYSTEMS`
-    index : e of the tables
+    word : of `MEASURING_SYSTEMS` for all axes, or by axis as `X=1,Y=2`; system 1 for
+        those that it does not name
     """
 
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "measuring_system": MEASURING_SYSTEMS
     }
+    by_axis: ClassVar[tuple[str, ...]] = ("measuring_system",)
 
-    def __init__(self, number: str) -> None:
-        self.number = number
-        self.index = MEASURING_SYSTEMS.index(number)
+    def __init__(self, word: str) -> None:
+        self._by_axis = split_by_axis(word, MEASURING_SYSTEMS)
+        self._usual = MEASURING_SYSTEMS[0] if self._by_axis else word
+        title, index, active = f"system {word}", str(self._find_index("")), "each axis"
+        if self._by_axis:
+            stated = ", ".join(f"{n} of {axis}" for axis, n in self._by_axis.items())
+            title, index = f"system {stated}, {self._usual} of others", "e"
+            active = "its axis, e being one less than its number"
         self.remark = (
-            f"tables of measuring system {number}: $AA_ENC_COMP[{self.index}, ...]; it "
-            "has to be the active one of each axis"
+            f"tables of measuring {title}: $AA_ENC_COMP[{index}, ...]; it has to be "
+            f"the active one of {active}"
         )
         self.note = (
-            f"the tables are of measuring system {number} ($AA_ENC_COMP[{self.index}, "
-            f"...]), which has to be the active one of each axis; MD38000[{self.index}]"
-            f" must hold the points; load with MD32700[{self.index}] = 0, set it to 1, "
-            "reference the axes"
+            f"the tables are of measuring {title} ($AA_ENC_COMP[{index}, ...]), which "
+            f"has to be the active one of {active}; MD38000[{index}] must hold the "
+            f"points; load with MD32700[{index}] = 0, set it to 1, reference the axes"
         )
+
+    def require_axes(self, names: Collection[str]) -> None:
+        """Raise BadInput where a measuring system is stated of no axis of a machine."""
+        for axis in self._by_axis:
+            if axis not in names:
+                raise BadInput(
+                    f"measuring_system: the machine has no axis {axis}; it has "
+                    f"{', '.join(names)}"
+                )
+
+    def _find_index(self, axis: str) -> int:
+        """Return e of the table of an axis."""
+        return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._usual))
 
     def write_straight(self, table: AxisTable, *, forward: bool) -> list[str]:
         """Return the lines of a straight axis.
@@ -49,7 +69,7 @@ class MeasuringSystem:
         """
         values = table.forward_mm if forward else table.mean_mm
         return self._write(
-            f"{table.axis.name}1",
+            table.axis.name,
             values[:, table.own].tolist(),
             table.spacing_mm,
             (float(table.position_mm[0]), float(table.position_mm[-1])),
@@ -63,7 +83,7 @@ class MeasuringSystem:
         same. Source: K3, pages 238 to 242.
         """
         return self._write(
-            f"{table.axis.name}1",
+            table.axis.name,
             table.error_deg.tolist(),
             table.spacing_deg,
             (float(table.position_deg[0]), float(table.position_deg[-1])),
@@ -79,10 +99,11 @@ class MeasuringSystem:
         *,
         modulo: bool,
     ) -> list[str]:
-        place = f"[{self.index},{axis}]"
+        index = self._find_index(axis)
+        place = f"[{index},{axis}1]"
         return [
             *(
-                f"$AA_ENC_COMP[{self.index},{row},{axis}]={value:z.6f}"
+                f"$AA_ENC_COMP[{index},{row},{axis}1]={value:z.6f}"
                 for row, value in enumerate(values)
             ),
             f"$AA_ENC_COMP_STEP{place}={step:.9g}",

@@ -120,7 +120,7 @@ def _choose_rules(account: Mapping[str, Any]) -> dict[str, str | float | int]:
     if "backlash_reading" in choices:
         rules["backlash_reading"] = choices["backlash_reading"]
     if "measuring_system" in choices:
-        rules["measuring_system"] = int(choices["measuring_system"])
+        rules["measuring_system"] = choices["measuring_system"]
     if choices.get("tool_length") == "followed":
         rules["tool_length_mm"] = abs(float(account["holds_for"]["offset_mm"][2]))
     return rules

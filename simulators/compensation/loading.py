@@ -139,7 +139,7 @@ def _read_terms(
         yield from read_fanuc(files, machine)
     elif form == "siemens":
         for name, text in files.items():
-            yield from read_siemens(name, text, machine, rules.measuring_system)
+            yield from read_siemens(name, text, machine, rules)
     else:
         for name, text in files.items():
             yield from read_linuxcnc(name, text, machine)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from truepath.simulators.compensation.correction import Curve, Term
+from truepath.simulators.compensation.rules import Rules
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile
 
@@ -32,14 +33,14 @@ class _Table:
 
 
 def read_siemens(
-    name: str, text: str, machine: MachineFile, measuring_system: int
+    name: str, text: str, machine: MachineFile, rules: Rules
 ) -> Iterator[Term]:
     """Yield what the tables of an INI file add.
 
-    measuring_system : the active one of the axes. Tables of the other would do
-    nothing: they are refused by a SimulatorError.
+    rules : with the active measuring system of the axes. Tables of the other would do
+        nothing: they are refused by a SimulatorError.
     """
-    leadscrew, cross = _collect(name, text, measuring_system)
+    leadscrew, cross = _collect(name, text, rules)
     for axis, table in leadscrew.items():
         column = _find_column(name, axis, machine)
         yield Term(column, (_make_curve(name, table, column),), -1.0)
@@ -47,7 +48,7 @@ def read_siemens(
 
 
 def _collect(
-    name: str, text: str, measuring_system: int
+    name: str, text: str, rules: Rules
 ) -> tuple[dict[str, _Table], dict[int, _Table]]:
     leadscrew: dict[str, _Table] = {}
     cross: dict[int, _Table] = {}
@@ -61,10 +62,11 @@ def _collect(
         kind, word, index, value = found.groups()
         places = [place.strip() for place in index.split(",")]
         if kind == "ENC_COMP":
-            if places[0] != str(measuring_system - 1):
+            active = rules.find_measuring_system(places[-1].rstrip("0123456789"))
+            if places[0] != str(active - 1):
                 raise SimulatorError(
                     f"{name}, row {number}: {places[-1]} is controlled by measuring "
-                    f"system {measuring_system}; a table of the other does nothing"
+                    f"system {active}; a table of the other does nothing"
                 )
             table = leadscrew.setdefault(places[-1], _Table())
         else:

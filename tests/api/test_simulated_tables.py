@@ -69,7 +69,7 @@ def test_the_control_is_set_as_the_files_were_made(client, control, job, make_fi
         ),
         (
             {"format": "siemens-lec", "choices": {"measuring_system": "2"}},
-            {"measuring_system": 2},
+            {"measuring_system": "2"},
         ),
         ({"format": "isg-csv"}, {}),
     ):

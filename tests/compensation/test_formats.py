@@ -352,6 +352,45 @@ def test_leadscrew_tables_are_of_the_measuring_system_that_is_chosen(source, nam
     np.testing.assert_array_equal(texts["1"], texts["2"])
 
 
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
+def test_the_measuring_system_may_differ_from_axis_to_axis(source, name):
+    choices = {"measuring_system": "Y=2,Z=1"}
+    export = export_result(source, name, "c", choices=choices)
+    (text,) = (t for t in export.files.values() if "$AA_ENC_COMP[" in t)
+    assert set(re.findall(r"^\$AA_ENC_COMP\[(\d),\d+,(\w1)\]", text, re.M)) == {
+        ("0", "X1"),
+        ("1", "Y1"),
+        ("0", "Z1"),
+    }
+    assert "$AA_ENC_COMP_STEP[1,Y1]=" in text
+    assert "; tables of measuring system 2 of Y, 1 of Z, 1 of others: " in text
+    assert "MD32700[e] = 0" in export.account["note"]
+    assert export.account["choices"]["measuring_system"] == "Y=2,Z=1"
+    plain = export_result(source, name, "c")
+    both = [
+        load_format(name).read(one.files, source.machine)(
+            along(source, "Y", np.linspace(10, 400, 7)), 1.0
+        )
+        for one in (export, plain)
+    ]
+    np.testing.assert_array_equal(*both)
+
+
+@pytest.mark.parametrize(
+    "word", ["3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"]
+)
+def test_a_measuring_system_that_is_none_is_refused(word):
+    with pytest.raises(BadInput, match="1, 2"):
+        load_format("siemens", {"measuring_system": word})
+
+
+def test_choices_of_other_formats_and_axes_are_not_taken_by_axis(source):
+    with pytest.raises(BadInput, match="control of siemens: 'X=828d' is none"):
+        load_format("siemens", {"control": "X=828d"})
+    with pytest.raises(BadInput, match="the machine has no axis A; it has X, Y, Z"):
+        export_result(source, "siemens", "c", choices={"measuring_system": "A=2"})
+
+
 def test_leadscrew_tables_of_both_measuring_systems_of_an_axis_are_refused(source):
     text = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
     with pytest.raises(BadInput, match=r"x\.ini, row 2: X1 .* measuring system 1"):

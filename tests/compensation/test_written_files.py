@@ -40,8 +40,8 @@ RESOLUTION_MM = {"fanuc": 1.1e-3}
 def simulate(order, files, position, direction):
     """What the simulated controller adds, (n, 3)."""
     reading = "difference" if order == "heidenhain-difference" else "negative-value"
-    system = 2 if order == "siemens-system-2" else 1
-    rules = Rules(reading, tool_length_mm=100.0, measuring_system=system)
+    systems = {"siemens-system-2": 2, "siemens-system-by-axis": "X=2"}
+    rules = Rules(reading, tool_length_mm=100.0, measuring_system=systems.get(order, 1))
     correction = LoadedTables(files, rules).correct(SIMULATED)
     assert correction is not None
     return correction.added(position, np.full_like(position, direction))

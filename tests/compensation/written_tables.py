@@ -19,6 +19,7 @@ ORDERS = {
     "linuxcnc": ("linuxcnc", {}),
     "siemens": ("siemens", {}),
     "siemens-system-2": ("siemens", {"measuring_system": "2"}),
+    "siemens-system-by-axis": ("siemens", {"measuring_system": "X=2,Y=1"}),
     "heidenhain": ("heidenhain", {}),
     "heidenhain-difference": ("heidenhain", {"backlash_reading": "difference"}),
     "fanuc": ("fanuc", {}),

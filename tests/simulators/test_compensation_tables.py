@@ -70,6 +70,16 @@ def test_leadscrew_tables_act_on_the_measuring_system_that_is_active():
             add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system=system))
 
 
+def test_the_active_measuring_system_may_differ_from_axis_to_axis():
+    text = LEADSCREW + LEADSCREW.replace("[0,", "[1,").replace("X1", "Y1")
+    for rule in ("X=1,Y=2", "Y=2"):
+        add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system=rule))
+    with pytest.raises(SimulatorError, match="X1 is controlled by measuring system 2"):
+        add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system="X=2,Y=2"))
+    with pytest.raises(SimulatorError, match="expected 1, 2 or X=1,Y=2, not 'Y=3'"):
+        add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system="Y=3"))
+
+
 def cross_table(number, axis, out, values, step, extra=""):
     rows = [f"$AN_CEC[{number},{k}]={value}" for k, value in enumerate(values)]
     high = step * (len(values) - 1)

@@ -37,6 +37,12 @@ class FormatOut(BaseModel):
         description="What may be chosen, by name; the first word is usual.",
         examples=[{"control": ["840d-sl", "828d", "808d"]}],
     )
+    by_axis: list[str] = Field(
+        default_factory=list[str],
+        description="Those of `choices` that may be stated axis by axis, as "
+        "`X=1,Y=2`; the usual word for the others.",
+        examples=[["measuring_system"]],
+    )
 
 
 class FormatList(BaseModel):
