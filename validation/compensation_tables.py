@@ -86,6 +86,12 @@ def judge(machine: CalibratedMachine, errors: ErrorMap) -> Iterator[Outcome]:
         )
 
 
+def judge_seed(seed: int, folder: Path) -> Iterator[Outcome]:
+    """Yield what the files leave of the machine of a seed; its result is kept."""
+    machine = calibrate(seed, folder)
+    yield from judge(machine, map_errors(read_result(machine.result)))
+
+
 def main() -> None:
     """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -98,14 +104,9 @@ def main() -> None:
         outcomes = [
             outcome
             for seed in range(FIRST_SEED, FIRST_SEED + options.machines)
-            for outcome in _judge_seed(seed, options.keep or Path(folder))
+            for outcome in judge_seed(seed, options.keep or Path(folder))
         ]
     write_section("compensation-tables", _describe(outcomes), DOCUMENT)
-
-
-def _judge_seed(seed: int, folder: Path) -> Iterator[Outcome]:
-    machine = calibrate(seed, folder)
-    yield from judge(machine, map_errors(read_result(machine.result)))
 
 
 def _measure_um(machine: CalibratedMachine, tables: LoadedTables) -> float:
