@@ -10,6 +10,7 @@ import zipfile
 import pytest
 
 from truepath.app.compensation.export import export_files
+from truepath.app.compensation.unmeasured import Unmeasured
 
 
 @pytest.fixture
@@ -60,6 +61,38 @@ def test_the_files_are_those_of_the_command_line(client, place, analysed, tmp_pa
     packed = client.get(made["links"]["archive"])
     with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
         assert set(archive.namelist()) == {*made["files"], "compensation.json"}
+
+
+def test_the_account_is_that_of_the_command_line(client, place, analysed, tmp_path):
+    choices = {"measuring_system": "X=2,Y=1"}
+    order = {"format": "siemens", "unmeasured": "fade", "choices": choices}
+    made = client.post(place, json=order).json()
+    account = export_files(
+        analysed / "result.json",
+        "siemens",
+        tmp_path / "compensation",
+        unmeasured=Unmeasured.FADE,
+        choices=choices,
+    )
+    own = {"files", "verdict", "schema", "id", "links"}
+    shared = (set(made) & set(account)) - own
+    assert shared >= {"volumetric_error_um", "left_um", "tables", "unmeasured", "note"}
+    told = {key: account[key] for key in shared - {"provenance"}}
+    assert {key: made[key] for key in told} == json.loads(json.dumps(told))
+    assert made["verdict"] == account["verdict"]["state"]
+    assert client.get(made["links"]["self"]).json() == made
+    lec = client.get(f"{made['links']['self']}/files/compensation-lec.ini")
+    assert "$AA_ENC_COMP[1,0,X1]" in lec.text
+
+
+def test_a_choice_by_axis_is_listed_and_refused_like_another(client, place, is_problem):
+    formats = client.get("/api/v1/compensation-formats").json()["items"]
+    by_axis = {one["name"]: one["by_axis"] for one in formats}
+    assert by_axis["siemens"] == by_axis["siemens-lec"] == ["measuring_system"]
+    assert by_axis["linuxcnc"] == by_axis["siemens-cec"] == []
+    for word in ("X=3", "A=2"):
+        order = {"format": "siemens", "choices": {"measuring_system": word}}
+        is_problem(client.post(place, json=order), 422, "bad-input")
 
 
 def test_files_are_kept_with_the_result_and_made_once(client, service, place):
