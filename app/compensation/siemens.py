@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,6 +28,7 @@ from truepath.app.compensation.format import (
 from truepath.app.compensation.rotary_tables import (
     RotaryAddition,
 )
+from truepath.app.compensation.siemens_controls import CONTROLS, DEFAULT_CONTROL
 from truepath.app.compensation.siemens_cross import (
     FACTOR_MM,
     CrossTable,
@@ -51,36 +52,6 @@ from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
-
-@dataclass(frozen=True, slots=True)
-class Control:
-    """What a control has room for.
-
-    note : where the numbers are from
-    """
-
-    title: str
-    leadscrew_points: int
-    cross_points: int
-    cross_tables: int
-    note: str
-
-
-CONTROLS = {
-    "840d-sl": Control("840D sl", 1000, 500, 62, "MD38000 and MD18342 size the tables"),
-    "828d": Control(
-        "828D", 200, 200, 8, "8 cross tables of 200 points, fixed; MD38000 the others"
-    ),
-    "808d": Control(
-        "808D",
-        200,
-        200,
-        8,
-        "no public text at hand states its limits: those of the 828D are taken; "
-        "compare MD38000 and MD18342 before loading",
-    ),
-}
-DEFAULT_CONTROL = "840d-sl"
 _CONTROLS = tuple(CONTROLS)
 _USUAL_SYSTEM = MEASURING_SYSTEMS[0]
 
@@ -157,6 +128,7 @@ class SiemensLec(Siemens):
     ) -> None:
         super().__init__(control)
         self._system = MeasuringSystem(measuring_system)
+        self._system.require_known(self.room.measuring_systems, self.room.title)
         self._forward = forward
         self.remarks = (self._system.remark,)
         self.most_points = self.room.leadscrew_points

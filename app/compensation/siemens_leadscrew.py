@@ -58,6 +58,15 @@ class MeasuringSystem:
                     f"{', '.join(names)}"
                 )
 
+    def require_known(self, known: Collection[str], control: str) -> None:
+        """Raise BadInput where a control has no such measuring system."""
+        for number in (self._usual, *self._by_axis.values()):
+            if number not in known:
+                raise BadInput(
+                    f"measuring_system: the {control} has {', '.join(known)} alone, "
+                    f"not {number}; choose another control or measuring system"
+                )
+
     def _find_index(self, axis: str) -> int:
         """Return e of the table of an axis."""
         return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._usual))

@@ -384,6 +384,14 @@ def test_a_measuring_system_that_is_none_is_refused(word):
         load_format("siemens", {"measuring_system": word})
 
 
+@pytest.mark.parametrize("word", ["2", "X=1,Y=2"])
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
+def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, word):
+    choices = {"control": "808d", "measuring_system": word}
+    with pytest.raises(BadInput, match="the 808D has 1 alone, not 2"):
+        load_format(name, choices)
+
+
 def test_choices_of_other_formats_and_axes_are_not_taken_by_axis(source):
     with pytest.raises(BadInput, match="control of siemens: 'X=828d' is none"):
         load_format("siemens", {"control": "X=828d"})
