@@ -61,7 +61,10 @@ class CircleFigures:
 def find_circles(
     position: Float64[np.ndarray, "n a"],
 ) -> list[Int64[np.ndarray, " k"]]:
-    """Return the places of each circle, in both senses: equal chords that turn."""
+    """Return the places of each circle, in both senses: equal chords that turn.
+
+    Circles in different planes may share centre and radius, and are different circles.
+    """
     found: dict[tuple[float, ...], list[Int64[np.ndarray, " k"]]] = {}
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
@@ -74,10 +77,11 @@ def find_circles(
     begins, ends = np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)
     for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
         own: Int64[np.ndarray, " k"] = np.arange(first, last + 2)
-        _, centre_mm, radius = _fit_nominal(position[own])
+        plane, centre_mm, radius = _fit_nominal(position[own])
         off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
         if len(own) >= _FEWEST and off.max() < 10.0 * _SAME_MM:
-            key = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
+            at = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
+            key = (*plane.tolist(), *at)
             found[key] = [*found.get(key, []), own]
     return [np.concatenate(both) for both in found.values()]
 

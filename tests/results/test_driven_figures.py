@@ -99,6 +99,19 @@ def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
     assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
+def test_circles_of_one_size_in_two_planes_are_two_circles(mill, rng):
+    out, _ = circle_in_both_senses()
+    in_xz, in_yz = out[:, [0, 2, 1]], out[:, [2, 0, 1]]
+    position = np.array([200.0, 200.0, -150.0]) + 100.0 * np.vstack([in_xz, in_yz])
+    deviation = np.zeros_like(position)
+    deviation[: len(out), 0] = 4e-3 * in_xz[:, 0]  # X is too long as XZ is driven
+    found = evaluate(mill, np.round(position, 4), deviation, rng).circles
+    assert [one.plane for one in found] == ["XZ", "YZ"]
+    assert [len(one.angle_deg) for one in found] == [len(out), len(out)]
+    assert found[0].figures_um["G"] == pytest.approx(4.0, abs=0.05)
+    assert found[1].figures_um["G"] == pytest.approx(0.0, abs=0.05)
+
+
 SHAPES_UM = {  # radial, by the outward direction of a place and its sense
     "an exact circle": lambda out, sense: 0.0 * sense,
     "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
