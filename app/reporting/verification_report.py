@@ -32,7 +32,8 @@ from truepath.app.results.driven_figures import LINE_FIGURES, LineFigures
 from truepath.app.results.held_places import K
 from truepath.app.results.number_format import format_expanded, format_number
 from truepath.app.results.verification import Verification
-from truepath.app.results.verification_json import state_findings, verification_json
+from truepath.app.results.verification_json import verification_json
+from truepath.app.results.verification_statements import state_findings
 
 VERIFICATION, REPORT = "verification.json", "report.html"
 _HEIGHT = 130.0

@@ -18,6 +18,10 @@ from truepath.app.estimation.extrapolation import (
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import PER_PPM, UM_PER_MM
 from truepath.app.results.length_statistics import DRAWS
+from truepath.app.results.lost_motion import (
+    list_lost_departures_mm,
+    list_usual_lost_motion_mm,
+)
 from truepath.app.results.measured_places import MeasuredPlaces, join_places
 from truepath.app.results.predicted_motion import Correction, predict_displacement
 
@@ -85,23 +89,14 @@ class Consistency:
         return self.repeated >= DOUBTFUL
 
 
-@dataclass(frozen=True, slots=True)
-class MapScale:
-    """How much of the result's map the machine still has: 1 as found, 0 compensated.
-
-    Near 2 the controller adds the correction with the wrong sign.
-    """
-
-    value: float
-    uncertainty: float
-
-
 @dataclass(frozen=True)
 class HeldPlaces:
     """Measurement and prediction at places, in their m components, mm.
 
     scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
+    lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
+    worn_mm : (m, a) by lost motion of the usual size, of each axis
     less_rigid : (m, m) takes the best-fit pose and seats out of components
     """
 
@@ -112,6 +107,8 @@ class HeldPlaces:
     scale_mm: Float64[np.ndarray, " m"]
     columns: Float64[np.ndarray, "m p"]
     bend_mm2: Float64[np.ndarray, " m"]
+    lost_mm: Float64[np.ndarray, "m s"]
+    worn_mm: Float64[np.ndarray, "m a"]
     less_rigid: Float64[np.ndarray, "m m"]
 
     @staticmethod
@@ -148,6 +145,8 @@ class HeldPlaces:
             PER_PPM * scale_ppm * places.project(away_mm),
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
+            places.project(list_lost_departures_mm(result, at)),
+            places.project(list_usual_lost_motion_mm(at)),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
         )
 
@@ -164,6 +163,8 @@ class HeldPlaces:
             np.concatenate([part.scale_mm for part in parts]),
             np.concatenate([part.columns for part in parts]),
             np.concatenate([part.bend_mm2 for part in parts]),
+            np.concatenate([part.lost_mm for part in parts]),
+            np.concatenate([part.worn_mm for part in parts]),
             block_diag(*(part.less_rigid for part in parts)),
         )
 
@@ -182,12 +183,16 @@ class HeldPlaces:
             self.places.collect_covariance(M @ covariance @ M),
         )
 
-    def predict_covariance(
-        self, parameters: Float64[np.ndarray, "p p"]
-    ) -> Float64[np.ndarray, "m m"]:
-        """Return the covariance of the prediction by that of the parameters, mm²."""
-        spread = self.columns @ parameters @ self.columns.T
-        return spread + np.diag(self.bend_mm2)
+    def predict_covariance(self) -> Float64[np.ndarray, "m m"]:
+        """Return the covariance of what the result predicts, mm²."""
+        spread = self.columns @ self.result.covariance @ self.columns.T
+        return spread + self.lost_mm @ self.lost_mm.T + np.diag(self.bend_mm2)
+
+    def free_covariance(self) -> Float64[np.ndarray, "m m"]:
+        """Return that of a machine which errs otherwise, and has play by now, mm²."""
+        spread = self.columns @ self.result.covariance @ self.columns.T
+        free = _FREE**2 * (spread + self.lost_mm @ self.lost_mm.T)
+        return free + self.worn_mm @ self.worn_mm.T + np.diag(self.bend_mm2)
 
     def draw(
         self, covariance: Float64[np.ndarray, "m m"], seed: int
@@ -210,6 +215,21 @@ class HeldPlaces:
         data, taken = whitened[:, 0], _orthonormalise(whitened[:, 1:])
         left = data - taken @ (taken.T @ data)
         return float(left @ left), len(data) - taken.shape[1]
+
+    def fit_share(
+        self, data: Float64[np.ndarray, " m"], shape: Float64[np.ndarray, " m"]
+    ) -> tuple[float, float]:
+        """Return how many times a shape is in data, and the inverse variance of that.
+
+        Pose and seats are fitted beside it; the noise is that of the measurement.
+        """
+        factor = np.linalg.cholesky(self.covariance_mm2)
+        columns = np.column_stack([data, shape, self.places.nuisance])
+        white = np.linalg.solve(factor, columns)
+        taken = _orthonormalise(white[:, 2:])
+        own = white[:, 1] - taken @ (taken.T @ white[:, 1])
+        square = float(own @ own)
+        return float(own @ white[:, 0]) / max(square, 1e-300), square
 
     def match_chi_square(
         self,
@@ -237,7 +257,7 @@ def judge_consistency(
     spread : (m, m) covariance of what the result predicts, mm²
     """
     chi_square, freedom = held.compute_chi_square(spread)
-    free = held.predict_covariance(_FREE**2 * held.result.covariance)
+    free = held.free_covariance()
     _, noise_freedom = held.match_chi_square(free, np.zeros_like(free))
     known_by = max(noise_freedom, _FEWEST)
     rest, _ = held.compute_chi_square(free)
@@ -253,19 +273,6 @@ def judge_consistency(
         known_by,
         float(fdtrc(rest_freedom, known_by, rest / scale / rest_freedom)),
     )
-
-
-def find_map_scale(held: HeldPlaces) -> MapScale | None:
-    """Return how much of the map is in the measurement; None where it has no errors."""
-    factor = np.linalg.cholesky(held.covariance_mm2)
-    columns = [held.places.residual_mm, held.as_found_mm, held.places.nuisance]
-    white = np.linalg.solve(factor, np.column_stack(columns))
-    data, taken = white[:, 0], _orthonormalise(white[:, 2:])
-    shape = white[:, 1] - taken @ (taken.T @ white[:, 1])
-    square = float(shape @ shape)
-    if square < 1.0:
-        return None
-    return MapScale(float(shape @ data) / square, square**-0.5)
 
 
 def _orthonormalise(columns: Float64[np.ndarray, "m k"]) -> Float64[np.ndarray, "m r"]:

@@ -19,6 +19,7 @@ from truepath.app.kinematics.coarse_model import build_run_models
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.model import MachineModel
 from truepath.app.kinematics.second_order import compute_second_order_mm
+from truepath.app.results.lost_motion import find_lost_motion_mm
 
 _ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth
 
@@ -29,8 +30,12 @@ Correction = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
 def predict_displacement(
     result: CalibrationResult, at: Conditions, correction: Correction | None = None
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return how far off nominal the target is, as errors and controller move it."""
+    """Return how far off nominal the target is, as errors and controller move it.
+
+    Lost motion counts by the direction that each axis came from.
+    """
     moved = result.model.displacement_mm(at, result.theta)
+    moved = moved + find_lost_motion_mm(result, at)
     moved = moved + compute_second_order_mm(result.model, at, result.theta)
     return moved if correction is None else moved + correction(at)
 

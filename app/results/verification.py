@@ -45,9 +45,7 @@ from truepath.app.results.driven_figures import DrivenFigures, evaluate_driven
 from truepath.app.results.held_places import (
     Consistency,
     HeldPlaces,
-    MapScale,
     PlaceVectors,
-    find_map_scale,
     judge_consistency,
 )
 from truepath.app.results.length_statistics import (
@@ -55,6 +53,7 @@ from truepath.app.results.length_statistics import (
     state_measured,
     state_predicted,
 )
+from truepath.app.results.map_scale import MapScale, find_map_scale
 from truepath.app.results.measured_places import MeasuredPlaces, reduce_to_places
 from truepath.app.results.parts_of_run import align_parts
 from truepath.app.results.place_conformity import PlaceConformity, decide_places
@@ -209,56 +208,61 @@ def _state(
     tolerance_um: float | None,
     correction: Correction | None,
 ) -> Verification:
-    places, result = held.places, held.result
-    spread = held.predict_covariance(result.covariance)
-    residual, V = places.residual_mm, held.covariance_mm2
+    places, residual = held.places, held.places.residual_mm
+    spread, V = held.predict_covariance(), held.covariance_mm2
     measured = held.state(residual, V)
     predicted = held.state(held.predicted_mm, spread)
     deviation = held.state(residual - held.predicted_mm, V)
-    combined = measured.covariance_mm2 + predicted.covariance_mm2
-    drawn, departures = held.draw(places.noise_mm2, 1), held.draw(spread, 2)
+    noise = held.draw(places.noise_mm2, 1)
     scale_mm = places.collect(held.less_rigid @ held.scale_mm)
     consistency = judge_consistency(held, spread)
-    conformity = {
-        name: decide_places(
-            one.length_um,
-            one.length_sigma_um,
-            consistency.known_by,
-            tolerance_um,
-            sees_all=not places.unseen_directions,
-        )
-        for name, one in (("measured", measured), ("deviation", deviation))
-        if tolerance_um is not None
-    }
+    known_by = consistency.known_by
+    summaries = [one.summary for one in runs]
     return Verification(
-        result,
+        held.result,
         runs,
-        judge_air(
-            [one.summary.refraction for one in runs], [one.summary.name for one in runs]
-        ),
+        judge_air([one.refraction for one in summaries], [s.name for s in summaries]),
         places,
         measured,
         predicted,
         deviation,
-        combined,
+        measured.covariance_mm2 + predicted.covariance_mm2,
         {
-            "measured": state_measured(
-                measured.vector_mm, drawn, consistency.known_by, scale_mm
-            ),
-            "predicted": state_predicted(predicted.vector_mm, departures),
-            "deviation": state_measured(
-                deviation.vector_mm, drawn, consistency.known_by, scale_mm
-            ),
+            "measured": state_measured(measured.vector_mm, noise, known_by, scale_mm),
+            "predicted": state_predicted(predicted.vector_mm, held.draw(spread, 2)),
+            "deviation": state_measured(deviation.vector_mm, noise, known_by, scale_mm),
         },
         consistency,
-        find_map_scale(held),
-        conformity,
+        find_map_scale(held, is_compensated=correction is not None),
+        _decide(places, measured, deviation, known_by, tolerance_um),
         tolerance_um,
         correction is not None,
         evaluate_driven(
             places,
-            DrawnVectors(measured.vector_mm, drawn, scale_mm),
+            DrawnVectors(measured.vector_mm, noise, scale_mm),
             predicted.vector_mm,
         ),
         CirclesInMotion(),
     )
+
+
+def _decide(
+    places: MeasuredPlaces,
+    measured: PlaceVectors,
+    deviation: PlaceVectors,
+    known_by: float,
+    tolerance_um: float | None,
+) -> dict[str, PlaceConformity]:
+    """Return whether the machine and the prediction of it keep to a tolerance."""
+    if tolerance_um is None:
+        return {}
+    return {
+        name: decide_places(
+            one.length_um,
+            one.length_sigma_um,
+            known_by,
+            tolerance_um,
+            sees_all=not places.unseen_directions,
+        )
+        for name, one in (("measured", measured), ("deviation", deviation))
+    }

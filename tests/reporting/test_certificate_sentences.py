@@ -56,22 +56,24 @@ def issued():
 
 
 @pytest.mark.parametrize(
-    ("times", "is_compensated", "words"),
+    ("times", "cause", "words"),
     [
-        (2.0, True, "Die Steuerung addiert die Kompensation mit falschem Vorzeichen"),
-        (1.0, True, "Die Kompensation ist nicht aktiv"),
-        (0.0, False, "Eine Kompensation ist aktiv"),
+        (
+            2.0,
+            "wrong-sign",
+            "Die Steuerung addiert die Kompensation mit falschem Vorzeichen",
+        ),
+        (1.0, "not-active", "Die Kompensation ist nicht aktiv"),
+        (0.0, "active", "Eine Kompensation ist aktiv"),
     ],
 )
-def test_a_german_certificate_words_a_verification_in_german(
-    times, is_compensated, words
-):
-    scale = {"value": times, "uncertainty": 0.01}
-    content = VERIFICATION | {"map_scale": scale, "compensated": is_compensated}
-    worst, agreement, cause = word_findings(content, load_language("de"))
+def test_a_german_certificate_words_a_verification_in_german(times, cause, words):
+    scale = {"value": times, "uncertainty": 0.01, "cause": cause}
+    content = VERIFICATION | {"map_scale": scale}
+    worst, agreement, said = word_findings(content, load_language("de"))
     assert "von 30 Stellen: 5,60 µm ± 0,40 µm" in worst
     assert "eine veränderte Maschine würde es erklären" in agreement
-    assert words in cause
+    assert words in said
 
 
 def test_what_lines_leave_unseen_is_said_in_german():
@@ -94,7 +96,8 @@ def test_air_and_scale_of_a_verification_are_said_in_german():
 
 
 def test_a_scale_as_expected_is_not_commented():
-    expected = VERIFICATION | {"map_scale": {"value": 0.0, "uncertainty": 0.01}}
+    scale = {"value": 0.0, "uncertainty": 0.01, "cause": None}
+    expected = VERIFICATION | {"map_scale": scale}
     assert len(word_findings(expected, load_language("de"))) == 2
 
 

@@ -17,8 +17,10 @@ from truepath.app.results.measured_places import correlate_means
 from truepath.app.results.predicted_motion import predict_displacement
 from truepath.app.results.result_json import result_json
 from truepath.app.results.verification import verify
-from truepath.app.results.verification_json import state_findings, verification_json
+from truepath.app.results.verification_json import verification_json
+from truepath.app.results.verification_statements import state_findings
 from truepath.simulators import synthetic
+from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.scenario import load_machine
@@ -40,8 +42,8 @@ def calibrated(record):
 def remeasured(record):
     """Measure the machine again, from elsewhere; as it is or as another one."""
 
-    def measured(seed, mode="standstill", truth=None):
-        setting = synthetic.Setting(machine_seed=MACHINE, truth=truth)
+    def measured(seed, mode="standstill", truth=None, hidden=()):
+        setting = synthetic.Setting(machine_seed=MACHINE, truth=truth, hidden=hidden)
         rows = POINTS if mode == "standstill" else 14
         return record(seed, mode, rows=rows, feed=6000.0, setting=setting)
 
@@ -260,6 +262,30 @@ def test_a_compensation_that_is_not_active_is_named(calibrated, remeasured):
     found = verify(calibrated, remeasured(101)[0], correction=leave(-1.0, calibrated))
     assert any("is not active" in sentence for sentence in state_findings(found))
     assert verification_json(found)["map_scale"]["cause"] == "not-active"
+
+
+def test_files_that_carry_a_part_of_the_errors_are_not_taken_for_inactive(
+    calibrated, remeasured
+):
+    run, _ = remeasured(105, truth=truth_with(-0.15, calibrated))
+    found = verify(calibrated, run, correction=leave(-0.15, calibrated))
+    assert found.consistency.is_consistent
+    assert found.scale.value == pytest.approx(0.85, abs=0.03)
+    assert found.scale.expected == pytest.approx(0.85, abs=0.001)
+    assert found.scale.cause is None
+
+
+def test_lost_motion_that_a_result_states_is_in_what_it_predicts(
+    calibrated, remeasured
+):
+    run, _ = remeasured(107, hidden=(Backlash("X", 9.0),))
+    ends = np.array([calibrated.machine.axes[0].low, calibrated.machine.axes[0].high])
+    half = {"X": (ends, np.array([-4.5, -4.5]))}
+    aware = replace(calibrated, half_difference_um=half)
+    assert verify(aware, run).consistency.is_consistent
+    found = verify(calibrated, run)
+    assert not found.consistency.is_consistent
+    assert found.consistency.fits_together  # play is a change of the machine
 
 
 def test_a_result_is_not_verified_by_its_own_measurement(calibrated, record):

@@ -33,6 +33,11 @@ class ScaleOut(BaseModel):
 
     value: float = Field(description="1 as found, 0 compensated, 2 with a wrong sign.")
     uncertainty: float
+    expected: float | None = Field(
+        None,
+        description="1 as found, else what the named files leave of it. Verifications "
+        "of earlier versions do not have it.",
+    )
     cause: Literal["wrong-sign", "not-active", "active"] | None = Field(
         None,
         description="Why it is not what is expected, of the control's compensation; "

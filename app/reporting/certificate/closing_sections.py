@@ -19,7 +19,6 @@ from truepath.app.reporting.certificate.lengths import (
 from truepath.app.reporting.templating import View
 from truepath.app.results.held_places import DOUBTFUL
 from truepath.app.results.number_format import SIGN
-from truepath.app.results.verification_json import find_scale_cause
 
 Row = tuple[str, ...]
 _DECISIONS = ("within", "outside", "undecided")
@@ -228,13 +227,10 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         yield language.say("verification_unseen", axes=axes)
     if agreement := as_object(content.get("agreement")):
         yield _say_agreement(agreement, language)
-    if scale := as_object(content.get("map_scale")):
-        value, uncertainty = scale["value"], scale["uncertainty"]
-        known = bool(content["compensated"])
-        cause = find_scale_cause(value, uncertainty, is_compensated=known)
-        if cause is not None:
-            times = language.number(value, 2)
-            yield language.say(f"verification_scale_{cause}", times=times)
+    scale = as_object(content.get("map_scale"))
+    if cause := scale.get("cause"):
+        times = language.number(scale["value"], 2)
+        yield language.say(f"verification_scale_{cause}", times=times)
     for ppm in dict.fromkeys(
         one.get("length_scale_ppm") for one in _list_runs(content)
     ):
