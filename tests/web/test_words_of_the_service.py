@@ -11,12 +11,12 @@ import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
+from tests.sentences_of_the_service import ENGLISH, list_unobservable
 from truepath.app.compensation.installed import list_formats
-from truepath.app.estimation import change_search, notices, separation
+from truepath.app.estimation import change_search, notices
 from truepath.app.estimation.budget import SOURCES
 from truepath.app.files.refraction import CAUSES, Refraction
 from truepath.app.files.verdict import Verdict
@@ -24,22 +24,15 @@ from truepath.app.jobs.cell_supervisor import MOVING
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.transitions import State
-from truepath.app.kinematics import effects, identifiable
+from truepath.app.kinematics import effects
 from truepath.app.measurement.messages import CellState
-from truepath.app.results import plan_document, temperature_model
+from truepath.app.results import temperature_model
 from truepath.app.results.verdict import judge_air
 from truepath.app.web.pages import LANGUAGES, catalogue
 
 UNITS = (
     "um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"
     "|urad|rad|mm_s|um|mm|deg|ms|hz|s"
-)
-ENGLISH = frozenset(
-    re.findall(
-        r"\w+",
-        "the a an of to and or not with it its is are be by on from this that cannot "
-        "does tool target targets lines points shows show them other further second",
-    )
 )
 
 
@@ -86,38 +79,6 @@ def test_words_of_another_version_stand_as_they_are():
     assert reason.values == {"why": "fog", "why_kind": ""}
 
 
-def unobservable() -> Iterator[str]:
-    """Yield every form in which the service says what data do not determine."""
-    head = "ECZ (roll of Z)"
-    merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
-    for said in (merged, f"{head} does not move the target"):
-        for cure in separation._TRIALS:
-            for length in ("", " at least 140 mm"):
-                yield from _fill(
-                    separation._statement, said, f"a second {cure.format(length)}"
-                )
-    yield from _fill(identifiable.Confounded.__str__, head, "")
-    yield from _fill(plan_document._list_unobservable, "B, C", "")
-
-
-def _fill(function, said: str, asked: str) -> Iterator[str]:
-    """Yield the sentences that a function puts together, with these in their blanks."""
-    blanks = {"said": said, "named": said, "axes": said, "does": "shows it"}
-    for node in ast.walk(ast.parse(dedent(inspect.getsource(function)))):
-        if not isinstance(node, ast.JoinedStr) or len(ast.unparse(node)) < 45:
-            continue
-        parts: list[str] = []
-        for part in node.values:
-            if isinstance(part, ast.FormattedValue):
-                blank = ast.unparse(part.value)
-                usual = asked if "asked" in blank else "EXZ, EYZ"
-                parts.append(blanks.get(blank, usual))
-            elif isinstance(part, ast.Constant):
-                parts.append(str(part.value))
-        if parts[0] == said:
-            yield "".join(parts)
-
-
 def temperature_refusals() -> Iterator[str]:
     """Yield why the service says nothing of a machine's temperature."""
     tree = ast.parse(inspect.getsource(temperature_model))
@@ -136,7 +97,7 @@ def temperature_refusals() -> Iterator[str]:
 def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
     page = panel.open("#/connect", language="de")
     said = {
-        "sayUnobservable": sorted(set(unobservable())),
+        "sayUnobservable": sorted(set(list_unobservable())),
         "sayTemperatureRefusal": sorted(set(temperature_refusals())),
     }
     assert all(len(texts) > 4 for texts in said.values())

@@ -18,6 +18,7 @@ from truepath.app.reporting.certificate.heading_sections import (
 )
 from truepath.app.reporting.certificate.issue import Certificate
 from truepath.app.reporting.certificate.language import Language, load_language
+from truepath.app.reporting.certificate.limits import describe_limits
 from truepath.app.reporting.certificate.measurement_sections import (
     describe_measurement,
     describe_setup,
@@ -25,7 +26,6 @@ from truepath.app.reporting.certificate.measurement_sections import (
 from truepath.app.reporting.certificate.result_sections import (
     describe_brief,
     describe_budget,
-    describe_limits,
     describe_positioning,
     describe_single,
     describe_tables,

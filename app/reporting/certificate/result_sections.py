@@ -1,8 +1,7 @@
-"""The numbers: volumetric error, budget, tables, squareness, limits, ISO 230-2."""
+"""The numbers: volumetric error, budget, tables, squareness, ISO 230-2."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -35,13 +34,6 @@ from truepath.app.results.volumetric_error import (
 _K = 2.0
 _AT_ONCE = 3  # error motions of a table side by side on paper
 _POSITION_SIGN = {"mm": "mm", "deg": "°"}
-_MERGED = re.compile(
-    r"^(?P<symbol>E[XYZABC]{2}) \(.*?\) cannot be told from (?P<others>.+?) with "
-)
-_REMEDIES = (
-    ("limits_by_tool", re.compile(r"at least (\d+) mm longer or shorter")),
-    ("limits_by_side", re.compile(r"at least (\d+) mm to the side")),
-)
 
 
 def describe_brief(certificate: Certificate, language: Language) -> View:
@@ -169,18 +161,6 @@ def describe_single(certificate: Certificate, language: Language) -> View:
             )
             for symbol, (value, sigma, unit) in {**square, **places}.items()
         ]
-    }
-
-
-def describe_limits(certificate: Certificate, language: Language) -> View:
-    """Return what the measurement cannot tell."""
-    found = certificate.found.content["observability"]
-    return {
-        "unobservable": [_say_merged(text, language) for text in found["unobservable"]],
-        "weak": [language.mark(text) for text in found.get("weak", ())],
-        "rank": language.say(
-            "limits_rank", rank=found["rank"], parameters=found["parameters"]
-        ),
     }
 
 
@@ -317,30 +297,6 @@ def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ..
 
 def _unit_of(entry: Mapping[str, Any], stem: str) -> str:
     return next(unit for unit in ("um", "urad") if f"{stem}_{unit}" in entry)
-
-
-def _say_merged(text: str, language: Language) -> str:
-    """Return a statement of the analysis in the language; as it stands if it is new."""
-    found = _MERGED.match(text)
-    if found is None:
-        return text
-    symbol = found["symbol"]
-    said = [
-        language.say(
-            "limits_unobservable",
-            symbol=symbol,
-            name=language.continue_with(language.name_symbol(symbol)),
-            others=_join(found["others"], language),
-        )
-    ]
-    for key, pattern in _REMEDIES:
-        if remedy := pattern.search(text):
-            said.append(language.say(key, mm=remedy[1]))
-    return " ".join(said)
-
-
-def _join(others: str, language: Language) -> str:
-    return others.replace(" and ", f" {language.say('and')} ")
 
 
 def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str, ...]:

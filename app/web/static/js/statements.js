@@ -8,12 +8,13 @@ const UNOBSERVABLE = {
   still: /^(?<symbol>E[XYZABC]{2}) \(.*?\) does not move the target/,
   undirected: /^lost motion: the result does not state what the direction of travel does/,
   resting: /^(?<axes>[A-Z, ]+): rotary axes stand still on this path/,
+  unseen: /^(?<symbols>[\w, ]+): (?:\d+ common shapes are|a common shape is) not seen at the measured places/,
 };
 const REMEDIES = {
   by_tool: /at least (\d+) mm longer or shorter/, by_side: /at least (\d+) mm to the side/,
   by_other_tool: /tool longer or shorter/, by_other_side: /target to the side/, by_another: /another tool length or offset/,
   on_workpiece: /targets on the workpiece/, off_line: /off one line with these/,
-  by_lines: /lines or points tell too little/, by_standstill: /between standstills/,
+  by_lines: /lines or points tell too little/, by_standstill: /between standstills/, by_more_lines: /not corner to corner/,
 };
 const NUMBER = "−?[\\d.]+";
 const MOVED = new RegExp(`^(?:(.+): )?from (${NUMBER}) to (${NUMBER}) ± (${NUMBER}) (.+)$`);
@@ -37,8 +38,8 @@ const UNMEASURED = /^(\S+) not measured from (.+) mm: /;
 export function sayUnobservable(text) {
   const [key, found] = match(UNOBSERVABLE, text);
   if (currentLanguage() === "en" || !found) return text;
-  const { symbol, others = "", axes } = found.groups;
-  const said = t(`unobservable.${key}`, { symbol, axes, name: symbol && nameOf(symbol), others: others.replaceAll(" and ", ` ${t("statement.and")} `) });
+  const { symbol, symbols, others = "", axes } = found.groups;
+  const said = t(`unobservable.${key}`, { symbol, symbols, axes, name: symbol && nameOf(symbol), others: others.replaceAll(" and ", ` ${t("statement.and")} `) });
   const [cure, remedy] = match(REMEDIES, text);
   return remedy ? `${said} ${t(`unobservable.${cure}`, { length: number(remedy[1]) })}` : said;
 }

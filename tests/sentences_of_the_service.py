@@ -1,0 +1,56 @@
+"""Every form in which the service says what data do not determine, by its code."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator
+from textwrap import dedent
+
+from truepath.app.estimation import observability, separation
+from truepath.app.kinematics import identifiable
+from truepath.app.results import plan_document
+
+_NAMES = "EXZ, EYZ"
+ENGLISH = frozenset(
+    re.findall(
+        r"\w+",
+        "the a an of to and or not with it its is are be by on from this that cannot "
+        "does tool target targets lines points shows show them other further second",
+    )
+)
+
+
+def list_unobservable() -> Iterator[str]:
+    """Yield every form in which the service says what data do not determine."""
+    head = "ECZ (roll of Z)"
+    merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
+    for said in (merged, f"{head} does not move the target"):
+        for cure in separation._TRIALS:
+            for length in ("", " at least 140 mm"):
+                yield from _fill(
+                    separation._statement, said, f"a second {cure.format(length)}"
+                )
+    yield from _fill(identifiable.Confounded.__str__, head, "")
+    yield from _fill(plan_document._list_unobservable, "B, C", "")
+    yield from _fill(observability._blind_shapes, _NAMES, "")
+
+
+def _fill(function, said: str, asked: str) -> Iterator[str]:
+    """Yield the sentences that a function puts together, with these in their blanks."""
+    blanks = {"said": said, "named": said, "axes": said, "does": "shows it"}
+    blanks["many"] = "2 common shapes are"
+    for node in ast.walk(ast.parse(dedent(inspect.getsource(function)))):
+        if not isinstance(node, ast.JoinedStr) or len(ast.unparse(node)) < 45:
+            continue
+        parts: list[str] = []
+        for part in node.values:
+            if isinstance(part, ast.FormattedValue):
+                blank = ast.unparse(part.value)
+                usual = asked if "asked" in blank else _NAMES
+                parts.append(blanks.get(blank, usual))
+            elif isinstance(part, ast.Constant):
+                parts.append(str(part.value))
+        if parts[0] == said:
+            yield "".join(parts)
