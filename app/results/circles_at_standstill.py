@@ -18,6 +18,7 @@ expanded uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ from truepath.app.results.held_places import K
 from truepath.app.results.measured_places import MeasuredPlaces
 
 CIRCLE_FIGURES = ("G", "F_max", "F_min")
-_SAME_MM = 1e-3
+_SAME_MM, _SAME_CIRCLE_MM = 1e-3, 0.1
 _FEWEST = 12
 _BY_ERROR = 0.99
 _SIDE = float(ndtri(0.975))
@@ -65,7 +66,7 @@ def find_circles(
 
     Circles in different planes may share centre and radius, and are different circles.
     """
-    found: dict[tuple[float, ...], list[Int64[np.ndarray, " k"]]] = {}
+    found: list[tuple[Float64[np.ndarray, " c"], list[Int64[np.ndarray, " k"]]]] = []
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
     turn = np.einsum("ni,ni->n", step[1:], step[:-1]) / np.maximum(
@@ -80,10 +81,24 @@ def find_circles(
         plane, centre_mm, radius = _fit_nominal(position[own])
         off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
         if len(own) >= _FEWEST and off.max() < 10.0 * _SAME_MM:
-            at = (*np.round(centre_mm, 1).tolist(), round(radius, 1))
-            key = (*plane.tolist(), *at)
-            found[key] = [*found.get(key, []), own]
-    return [np.concatenate(both) for both in found.values()]
+            circle = np.array([*plane, *centre_mm, radius])
+            senses = _find_same(circle, found)
+            if senses is None:
+                found.append((circle, [own]))
+            else:
+                senses.append(own)
+    return [np.concatenate(senses) for _, senses in found]
+
+
+def _find_same(
+    circle: Float64[np.ndarray, " c"],
+    found: Sequence[tuple[Float64[np.ndarray, " c"], list[Int64[np.ndarray, " k"]]]],
+) -> list[Int64[np.ndarray, " k"]] | None:
+    """Return the senses of a circle that was found before; None of a new one."""
+    for other, senses in found:
+        if np.abs(other - circle).max() < _SAME_CIRCLE_MM:
+            return senses
+    return None
 
 
 def evaluate_circle(

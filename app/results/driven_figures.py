@@ -154,8 +154,7 @@ def _evaluate_line(
     if np.linalg.norm(direction) < 1.0 - 1e-6:
         return None  # a rotary axis turns
     along = (position[passed.place] - passed.origin_mm) @ passed.direction
-    target = np.round(along / _SAME_MM).astype(np.int64)
-    groups = _group_by_target(target, passed.sign)
+    groups = _group_by_target(along, passed.sign)
     if groups is None:
         return None
     at_mm, pairs = groups
@@ -191,22 +190,32 @@ def _evaluate_line(
 
 
 def _group_by_target(
-    target: Int64[np.ndarray, " k"], sign: Float64[np.ndarray, " k"]
+    along_mm: Float64[np.ndarray, " k"], sign: Float64[np.ndarray, " k"]
 ) -> tuple[Float64[np.ndarray, " t"], tuple[Rows, Rows]] | None:
     """Return targets that were come to from both sides, and the passes of each."""
     forward: Rows = []
     backward: Rows = []
-    at: list[float] = []
-    for one in np.unique(target):
-        up = np.flatnonzero((target == one) & (sign > 0))
-        down = np.flatnonzero((target == one) & (sign < 0))
+    at_mm: list[float] = []
+    for own in _split_at_gaps(along_mm):
+        up, down = own[sign[own] > 0], own[sign[own] < 0]
         if min(len(up), len(down)) >= _FEWEST_RUNS:
             forward.append(up)
             backward.append(down)
-            at.append(float(one) * _SAME_MM)
-    if len(at) < _FEWEST_TARGETS:
+            at_mm.append(float(along_mm[own].mean()))
+    if len(at_mm) < _FEWEST_TARGETS:
         return None
-    return np.array(at), (forward, backward)
+    return np.array(at_mm), (forward, backward)
+
+
+def _split_at_gaps(along_mm: Float64[np.ndarray, " k"]) -> Rows:
+    """Return the passes of each place, the lowest first.
+
+    Passes of one place differ by rounding: a place must not depend on which side of a
+    rounded number it falls.
+    """
+    order = np.argsort(along_mm, kind="stable")
+    gaps = np.flatnonzero(np.diff(along_mm[order]) > _SAME_MM) + 1
+    return [np.sort(own) for own in np.split(order, gaps)]
 
 
 def _compute_figures(

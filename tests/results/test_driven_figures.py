@@ -53,6 +53,23 @@ def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
     assert figures["A"] == pytest.approx(6.7 + 4.0 * s, abs=1e-6)
 
 
+def test_a_target_between_two_rounded_numbers_stays_one_target(mill, rng):
+    position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
+    at_edge = np.abs(position[:, 0] - TARGETS[1]) < 1.0
+    position[at_edge, 0] = 120.0005  # half of a thousandth from the first place
+    position += 1e-12 * rng.standard_normal(position.shape)  # means of many samples
+    (found,) = evaluate(mill, position, np.zeros((len(position), 3)), rng).lines
+    assert len(found.position_mm) == len(TARGETS)
+    assert found.runs == RUNS
+
+
+def test_both_senses_of_a_circle_stay_one_circle_whatever_its_centre(mill, rng):
+    out, position = circle_in_both_senses()
+    position += np.array([0.05, 0.05, 0.0]) + 1e-9 * rng.standard_normal(out.shape)
+    (found,) = evaluate(mill, position, np.zeros_like(out), rng).circles
+    assert len(found.angle_deg) == len(out)
+
+
 def test_what_the_tracker_scatters_is_said_beside_repeatability(mill, rng):
     position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
     still = np.zeros((len(position), 3))
