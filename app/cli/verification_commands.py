@@ -123,19 +123,21 @@ def _print_figures(content: Mapping[str, Any]) -> None:
     rows = [
         (
             f"{line['axes']} {line['standard']}",
-            *(f"{line['figures_um'][name]:.1f}" for name in "AERBM"),
+            *(_state_figure(line, name) for name in "AERBM"),
         )
         for line in content["lines"]
     ]
     if rows:
-        print_table("Lines, µm", ("line", *"AERBM"), rows)
+        print_table("Lines, µm (k = 2)", ("line", *"AERBM"), rows)
     rows = [
-        (f"{one['plane']} r {one['radius_mm']:.0f} mm", *map(_one_digit, one_values))
+        (
+            f"{one['plane']} r {one['radius_mm']:.0f} mm",
+            *(_state_figure(one, name) for name in ("G", "F_max", "F_min")),
+        )
         for one in content["circles"]
-        for one_values in [one["figures_um"].values()]
     ]
     if rows:
-        print_table("Circles, µm", ("circle", "G", "F max", "F min"), rows)
+        print_table("Circles, µm (k = 2)", ("circle", "G", "F max", "F min"), rows)
     names = ("H", "G", "F_max", "F_min")
     rows = [
         (
@@ -154,7 +156,3 @@ def _state_figure(one: Mapping[str, Any], name: str) -> str:
         return "—"
     expanded = 2.0 * one["uncertainty_um"][name]
     return f"{one['figures_um'][name]:.1f} ± {expanded:.1f}"
-
-
-def _one_digit(value: float) -> str:
-    return f"{value:.1f}"

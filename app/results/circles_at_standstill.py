@@ -4,16 +4,8 @@ Of the radial deviations, G is the range about the circle of least squares in bo
 senses, F the largest and smallest about the commanded centre. Standing still, they show
 geometry and lost motion, no servo.
 
-Noise makes a range larger: of an exact machine it makes all of it. Each figure f is the
-largest of many linear combinations a·m of the radial deviations m = t + e, so that
-whatever the true t,
-
-    f(m) − f(e) ≤ f(t) ≤ f(m) − a·e    with the a that is largest at t
-
-The interval from f(m) less the 99 % quantile of f(e) to f(m) plus 1.96 times the
-largest standard deviation of any a·e holds the true figure in 95 % of cases or more,
-with some hundreds of draws of e as well. Its middle is stated, with half of it as
-expanded uncertainty.
+Noise makes a range larger: of an exact machine it makes all of it. What is stated is
+the middle of what the noise leaves for each figure.
 """
 
 from __future__ import annotations
@@ -23,18 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.special import ndtri
 
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.results.drawn_vectors import DrawnVectors
-from truepath.app.results.held_places import K
+from truepath.app.results.enclosed_figure import enclose_largest
 from truepath.app.results.measured_places import MeasuredPlaces
 
 CIRCLE_FIGURES = ("G", "F_max", "F_min")
 _SAME_MM, _SAME_CIRCLE_MM = 1e-3, 0.1
 _FEWEST = 12
-_BY_ERROR = 0.99
-_SIDE = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +138,13 @@ def _enclose(
     name: str, raw: float, by_error: Float64[np.ndarray, " e"], largest_sigma: float
 ) -> tuple[float, float]:
     """Return the middle of the interval of a figure, and a quarter of its width."""
-    sign = -1.0 if name == "F_min" else 1.0  # a smallest is less the largest of −m
-    more = float(np.quantile(sign * by_error, _BY_ERROR))
-    less = _SIDE * largest_sigma
-    value = raw - sign * 0.5 * (more - less)
-    # A range below 0 is 0: the interval about it still reaches as far up.
-    return value if name[0] == "F" else max(value, 0.0), 0.5 * (more + less) / K
+    if name != "F_min":
+        value, uncertainty = enclose_largest(raw, by_error, largest_sigma)
+        # A range below 0 is 0: the interval about it still reaches as far up.
+        return value if name[0] == "F" else max(value, 0.0), uncertainty
+    # A smallest is less the largest of −m.
+    value, uncertainty = enclose_largest(-raw, -by_error, largest_sigma)
+    return -value, uncertainty
 
 
 def _find_largest_sigma(
