@@ -15,6 +15,7 @@ from truepath.app.reporting.certificate.closing_sections import (
     say_decision,
     word_findings,
 )
+from truepath.app.reporting.certificate.driven_section import describe_driven
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import load_language
 from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles
@@ -203,3 +204,42 @@ def test_circles_of_an_earlier_version_are_stated_without_a_figure(issued):
     view = describe_verification(issued(content), load_language("en"))["circles"]
     assert view["figure"] == ""
     assert len(view["rows"]) == 2
+
+
+LINE = {
+    "axes": "X",
+    "standard": "iso-230-2",
+    "runs": 5,
+    "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
+    "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
+    "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
+}
+STANDING = {
+    "plane": "YZ",
+    "radius_mm": 153.6,
+    "figures_um": {"G": 12.5, "F_max": 13.2, "F_min": -0.5},
+    "uncertainty_um": {"G": 4.0, "F_max": 2.5, "F_min": 2.5},
+    "predicted_um": {"G": 11.5, "F_max": 10.2, "F_min": -1.3},
+}
+
+
+def test_a_certificate_states_the_figures_that_a_verification_ran_for():
+    driven = describe_driven(
+        {"lines": [LINE], "circles": [STANDING]}, load_language("de")
+    )
+    measured, predicted = driven["lines"]
+    assert measured[0] == "X (ISO 230-2), 5 Läufe"
+    assert measured[1:] == (
+        "13,4 ± 6,8",
+        "12,9 ± 1,4",
+        "6,8 ± 6,6",
+        "4,2 ± 1,2",
+        "9,0 ± 1,0",
+    )
+    assert predicted == ("vorhergesagt", "—", "11,9", "—", "2,7", "9,1")
+    assert driven["circles"][0][:2] == ("YZ, Radius 154 mm", "12,5 ± 8,0")
+
+
+def test_a_verification_by_scattered_points_states_no_figures_of_standards():
+    driven = describe_driven({}, load_language("en"))
+    assert driven["lines"] == driven["circles"] == []

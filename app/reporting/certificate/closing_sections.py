@@ -10,6 +10,7 @@ import numpy as np
 from truepath.app.files.file_model import as_object
 from truepath.app.files.verdict import verdict_from_json
 from truepath.app.reporting.certificate.circle_section import describe_circles
+from truepath.app.reporting.certificate.driven_section import describe_driven
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.certificate.lengths import (
@@ -57,6 +58,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         "statements": word_findings(source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
+        "driven": describe_driven(source.content, language),
         "circles": describe_circles(source.content, language),
     }
 
