@@ -257,6 +257,22 @@ def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_reme
     assert issue("c.html")[0] == 0
 
 
+def test_a_pdf_with_a_letter_that_no_font_has_is_refused(issue, capsys):
+    customer = "customer=Werk \U0010fffd"
+    status, file = issue("c.pdf", "--state", customer)
+    assert status == 2
+    assert not file.exists()
+    assert "no installed font has \U0010fffd; install" in capsys.readouterr().err
+    assert issue("c.html", "--state", customer)[0] == 0
+
+
+def test_no_page_of_a_certificate_as_left_is_all_but_empty(issue, result, tmp_path):
+    left = measure_again(result, tmp_path)
+    _, file = issue("c.pdf", "--as-left", str(left), "--language", "de")
+    pages = [page.extract_text() for page in pypdf.PdfReader(file).pages]
+    assert all(len(page) > 400 for page in pages[:-1])
+
+
 def test_files_beside_the_result_are_stated_and_held_against_it(
     issue, analysed, result, tmp_path
 ):

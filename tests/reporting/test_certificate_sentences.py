@@ -243,3 +243,8 @@ def test_a_certificate_states_the_figures_that_a_verification_ran_for():
 def test_a_verification_by_scattered_points_states_no_figures_of_standards():
     driven = describe_driven({}, load_language("en"))
     assert driven["lines"] == driven["circles"] == []
+
+
+def test_a_number_below_nought_has_a_true_minus_sign_and_a_date_keeps_its_hyphens():
+    german = load_language("de")
+    assert german.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"

@@ -109,7 +109,8 @@ def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) ->
     if name not in record["files"]:
         raise PdfUnavailable(
             f"certificate {number} has no PDF: none could be made when it was issued; "
-            "print its HTML, or issue another where the extra `pdf` is installed"
+            "print its HTML, or issue another where the extra `pdf` is installed, and "
+            "fonts that have every letter of it"
         )
     return folder / number / name
 

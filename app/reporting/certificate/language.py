@@ -33,6 +33,7 @@ from truepath.app.results.number_format import format_expanded, format_number
 LANGUAGES = ("en", "de")
 LanguageCode = Literal["en", "de"]
 _POINT = re.compile(r"(?<=\d)\.(?=\d)")
+_MINUS = re.compile(r"(?<!\S)-(?=\d)")
 _SQUARE = {"C0Y": ("Y", "X"), "B0Z": ("Z", "X"), "A0Z": ("Z", "Y")}
 
 
@@ -64,8 +65,8 @@ class Language:
         return f"{value:,}".replace(",", "\u202f")
 
     def mark(self, text: str) -> str:
-        """Return numbers with the language's decimal mark."""
-        return _POINT.sub(self.decimal_mark, text)
+        """Return numbers with the language's decimal mark and a true minus sign."""
+        return _MINUS.sub("−", _POINT.sub(self.decimal_mark, text))
 
     @property
     def decimal_mark(self) -> str:

@@ -6,7 +6,10 @@ fetched. See docs/decisions/pdf.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NoReturn, Protocol, cast
 
 from truepath.app.errors import BadInput
@@ -14,6 +17,11 @@ from truepath.app.errors import BadInput
 REMEDY = (
     "install it with `pip install 'truepath[pdf]'` and the system library Pango "
     "(Debian: libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0); HTML needs neither"
+)
+_MISSING = re.compile(r"unsupported by fonts: \"(?P<letter>.+)\" \(U\+\w+\)", re.DOTALL)
+FONT_REMEDY = (
+    "install a font that has (Debian: fonts-noto-cjk for Chinese, Japanese and Korean, "
+    "fonts-noto-core for most others), or make HTML"
 )
 
 
@@ -39,11 +47,40 @@ def require_printer() -> None:
 
 
 def print_pdf(html: str) -> bytes:
-    """Return the PDF of an HTML page. Raises PdfUnavailable with the remedy."""
+    """Return the PDF of an HTML page.
+
+    Raises PdfUnavailable with the remedy, also where no font has a letter of it: a box
+    in its place would name nobody.
+    """
     page = _load_printer()(string=html, url_fetcher=_refuse)
-    printed = page.write_pdf(pdf_variant="pdf/ua-1")
+    with _collect_missing_letters() as missing:
+        printed = page.write_pdf(pdf_variant="pdf/ua-1")
+    if missing:
+        raise PdfUnavailable(
+            f"no PDF can be made here: no installed font has {' '.join(missing)}; "
+            f"{FONT_REMEDY}"
+        )
     assert printed is not None  # noqa: S101 (no file was named to write to)
     return printed
+
+
+@contextmanager
+def _collect_missing_letters() -> Iterator[dict[str, None]]:
+    """Collect the letters that WeasyPrint warns of, in the order of the text."""
+    missing: dict[str, None] = {}
+
+    def keep(record: logging.LogRecord) -> bool:
+        found = _MISSING.search(record.getMessage())
+        if found:
+            missing[found["letter"]] = None
+        return found is None
+
+    log = logging.getLogger("weasyprint")
+    log.addFilter(keep)
+    try:
+        yield missing
+    finally:
+        log.removeFilter(keep)
 
 
 def _load_printer() -> type[_Page]:
