@@ -18,12 +18,10 @@ from truepath.app.estimation.extrapolation import (
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import PER_PPM, UM_PER_MM
 from truepath.app.results.length_statistics import DRAWS
-from truepath.app.results.lost_motion import (
-    list_lost_departures_mm,
-    list_usual_lost_motion_mm,
-)
+from truepath.app.results.lost_motion import list_lost_departures_mm
 from truepath.app.results.measured_places import MeasuredPlaces, join_places
 from truepath.app.results.predicted_motion import Correction, predict_displacement
+from truepath.app.results.usual_changes import list_usual_changes_mm
 
 K = 2.0
 # Chances below which deviations are not consistent, and a measurement is in doubt.
@@ -96,7 +94,7 @@ class HeldPlaces:
     scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
     lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
-    worn_mm : (m, a) by lost motion of the usual size, of each axis
+    change_mm : (m, c) by what usually changes of an axis
     less_rigid : (m, m) takes the best-fit pose and seats out of components
     """
 
@@ -108,7 +106,7 @@ class HeldPlaces:
     columns: Float64[np.ndarray, "m p"]
     bend_mm2: Float64[np.ndarray, " m"]
     lost_mm: Float64[np.ndarray, "m s"]
-    worn_mm: Float64[np.ndarray, "m a"]
+    change_mm: Float64[np.ndarray, "m c"]
     less_rigid: Float64[np.ndarray, "m m"]
 
     @staticmethod
@@ -146,7 +144,7 @@ class HeldPlaces:
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             places.project(list_lost_departures_mm(result, at)),
-            places.project(list_usual_lost_motion_mm(at)),
+            places.project(list_usual_changes_mm(at)),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
         )
 
@@ -164,7 +162,7 @@ class HeldPlaces:
             np.concatenate([part.columns for part in parts]),
             np.concatenate([part.bend_mm2 for part in parts]),
             np.concatenate([part.lost_mm for part in parts]),
-            np.concatenate([part.worn_mm for part in parts]),
+            np.concatenate([part.change_mm for part in parts]),
             block_diag(*(part.less_rigid for part in parts)),
         )
 
@@ -189,10 +187,10 @@ class HeldPlaces:
         return spread + self.lost_mm @ self.lost_mm.T + np.diag(self.bend_mm2)
 
     def free_covariance(self) -> Float64[np.ndarray, "m m"]:
-        """Return that of a machine which errs otherwise, and has play by now, mm²."""
+        """Return that of a machine which errs otherwise, mm²."""
         spread = self.columns @ self.result.covariance @ self.columns.T
         free = _FREE**2 * (spread + self.lost_mm @ self.lost_mm.T)
-        return free + self.worn_mm @ self.worn_mm.T + np.diag(self.bend_mm2)
+        return free + self.change_mm @ self.change_mm.T + np.diag(self.bend_mm2)
 
     def draw(
         self, covariance: Float64[np.ndarray, "m m"], seed: int

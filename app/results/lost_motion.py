@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from truepath.app.files.result_file import CalibrationResult, Table
 from truepath.app.files.units import scale_of
 from truepath.app.kinematics.conditions import Conditions
-from truepath.app.kinematics.effects.error_motion import find_arm, find_usual_size
+from truepath.app.kinematics.effects.error_motion import find_arm
 from truepath.app.kinematics.symbols import find_unit
 
 Sigma = Float64[np.ndarray, " m"]
@@ -47,16 +47,6 @@ def list_lost_departures_mm(
         for symbol, table, sigma in _list_stated(result)
     ]
     return np.stack([np.zeros((len(at), 3)), *each], axis=2)
-
-
-def list_usual_lost_motion_mm(at: Conditions) -> Float64[np.ndarray, "n 3 a"]:
-    """Return what lost motion of the usual size moves the target by, of each axis."""
-    each = [
-        find_usual_size(symbol) * find_arm(symbol, at) * at.approach[:, [column]]
-        for column, name in enumerate(at.machine.axis_names)
-        for symbol in (f"E{name}{name}",)
-    ]
-    return np.stack(each, axis=2)
 
 
 def _list_stated(result: CalibrationResult) -> Iterator[tuple[str, Table, Sigma]]:

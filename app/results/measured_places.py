@@ -25,6 +25,7 @@ from truepath.app.numerics.rigid import RigidTransform
 PLACE_S = 1.0  # of a line: longer than most correlation times, shorter than a shape
 MOST_PLACES = 500
 _SEEN = 0.5
+_RESTS = 0.02  # of its travel: an axis that stands
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,26 @@ class MeasuredPlaces:
         """
         share = np.abs(self.component).max(axis=0, initial=0.0)
         return tuple(n for n, one in zip("XYZ", share, strict=True) if one < _SEEN)
+
+    @property
+    def resting_axes(self) -> tuple[str, ...]:
+        """Axes that all places were measured at one position of: nothing tells them."""
+        machine = self.at.machine
+        moved = np.ptp(self.at.position_mm, axis=0)
+        return tuple(
+            axis.name
+            for axis, one in zip(machine.axes, moved, strict=True)
+            if one < _RESTS * (axis.high - axis.low)
+        )
+
+    @property
+    def sees_all(self) -> bool:
+        """Whether every direction is seen, and every linear axis as it moves.
+
+        Rotary axes stand in all tests of linear ones, which say nothing of them.
+        """
+        linear = {axis.name for axis in self.at.machine.linear_axes}
+        return not self.unseen_directions and not linear & {*self.resting_axes}
 
 
 def reduce_to_places(

@@ -54,8 +54,8 @@ def decide_places(
     """Return whether lengths keep to a tolerance.
 
     sigma_um : their standard uncertainties; known_by : degrees of freedom of these
-    sees_all : whether every direction is measured somewhere; else what was seen may be
-        outside, but cannot prove that all is within
+    sees_all : whether every direction is measured somewhere, and every axis as it
+        moves; else what was seen may be outside, but cannot prove that all is within
     """
     factor = compute_joint_factor(len(length_um), known_by)
     half = factor * sigma_um

@@ -262,7 +262,7 @@ def _decide(
             one.length_sigma_um,
             known_by,
             tolerance_um,
-            sees_all=not places.unseen_directions,
+            sees_all=places.sees_all,
         )
         for name, one in (("measured", measured), ("deviation", deviation))
     }

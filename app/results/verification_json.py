@@ -58,6 +58,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         if found.places.is_whole
         else "three at standstills, the two across the travel on lines",
         "unseen_directions": list(found.places.unseen_directions),
+        "axes_at_rest": list(found.places.resting_axes),
         "gauge": "without the best-fit rigid motion over the measured places"
         f"{' of each Run' if len(found.runs) > 1 else ''}, each component counting "
         "the same",

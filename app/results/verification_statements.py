@@ -42,6 +42,7 @@ def state_findings(found: Verification) -> Iterator[str]:
         )
     yield from map(str, found.run_verdict.reasons)
     yield from _state_unseen(found)
+    yield from _state_resting(found)
     yield _state_agreement(found)
     yield from _state_scale(found)
     yield from state_circles(found.circles)
@@ -69,6 +70,16 @@ def _state_unseen(found: Verification) -> Iterator[str]:
             f"Nothing was measured along {' and '.join(unseen)}: whether the tolerance "
             "is kept there cannot be said; measure lines in other directions, or "
             "points."
+        )
+
+
+def _state_resting(found: Verification) -> Iterator[str]:
+    """Yield which axes were not driven: what they do as they move was not measured."""
+    if resting := found.places.resting_axes:
+        yield (
+            f"Not driven: {', '.join(resting)}. What the machine errs by as "
+            f"{'it moves' if len(resting) == 1 else 'they move'} was not measured; "
+            "drive every axis that the tolerance is to hold for."
         )
 
 

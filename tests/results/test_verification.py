@@ -320,6 +320,32 @@ def test_means_of_correlated_noise_are_correlated_as_their_samples_are(rng):
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
+def test_an_axis_that_was_not_driven_leaves_the_tolerance_undecided(
+    calibrated, remeasured
+):
+    run, _ = remeasured(101)
+    tolerance_um = 1e3
+    found = verify(calibrated, run, tolerance_um=tolerance_um)
+    assert found.places.resting_axes == ()
+    assert found.conformity["measured"].conformity == "within"
+    at = found.places.at
+    still = at.position_mm.copy()
+    still[:, 2] = still[0, 2]
+    resting = replace(found.places, at=replace(at, position_mm=still))
+    assert resting.resting_axes == ("Z",)
+    assert not resting.sees_all
+    said = list(state_findings(replace(found, places=resting)))
+    assert any(one.startswith("Not driven: Z.") for one in said)
+
+
+def test_a_machine_that_is_warmer_is_named_as_changed(calibrated, remeasured):
+    run, _ = remeasured(108)
+    warm = replace(run.tracker, position_mm=(1.0 + 3e-5) * run.tracker.position_mm)
+    found = verify(calibrated, replace(run, tracker=warm))
+    assert not found.consistency.is_consistent
+    assert found.consistency.fits_together
+
+
 def test_a_direction_that_no_component_lies_along_is_named(calibrated, remeasured):
     run, _ = remeasured(103, "otf")
     found = verify(calibrated, run)

@@ -273,6 +273,11 @@ class VerificationOut(BaseModel):
         description="Directions along which nothing was measured: no tolerance is kept "
         "there for certain.",
     )
+    axes_at_rest: list[str] = Field(
+        [],
+        description="Axes that were not driven: nothing is said of them, and where a "
+        "linear one is among them no tolerance is kept for certain.",
+    )
     gauge: str
     noise: NoiseOfStatedOut
     run: VerifyingRunOut = Field(description="The first of `runs`.")

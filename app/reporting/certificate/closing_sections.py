@@ -227,6 +227,8 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
     if unseen := content.get("unseen_directions"):
         axes = language.say("verification_and").join(unseen)
         yield language.say("verification_unseen", axes=axes)
+    if resting := content.get("axes_at_rest"):
+        yield language.say("verification_resting", axes=", ".join(resting))
     if agreement := as_object(content.get("agreement")):
         yield _say_agreement(agreement, language)
     scale = as_object(content.get("map_scale"))
