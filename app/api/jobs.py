@@ -238,7 +238,7 @@ def get_job_plan(job_id: JobId, service: ServiceDep) -> PlanOut:
         raise NotFound(f"job {job_id} ({job.state}) has no plan")
     if plan is None:
         plan = service.runs.get(job.run_id or "").plan
-    return PlanOut(**{**plan, "target_um": job.target_um})
+    return PlanOut.of(plan, job.target_um)
 
 
 def _describe(job: Job, response: Response) -> JobOut:

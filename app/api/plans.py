@@ -239,7 +239,7 @@ def _describe(job: Job, response: Response, service: Service) -> PlanResource:
         created=job.created,
         progress=job.progress.done if plan is None else 1.0,
         request=dict(service.store.read_plan_request(job.id)),
-        commanded=PlanOut(**plan, target_um=job.target_um) if plan else None,
+        commanded=PlanOut.of(plan, job.target_um) if plan else None,
         document=dict(plan["document"]) if plan else None,
         error=Problem(**describe_failure(failure)) if failure else None,
         links=PlanLinks.of(id=job.id),

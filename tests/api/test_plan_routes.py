@@ -116,6 +116,7 @@ def test_a_target_is_a_standard_uncertainty(planned):
 def test_no_swept_line_of_a_plan_touches_a_keep_out_box(planned):
     made = planned({**SHORT, "workspace": {"keep_out": [BOX]}})
     assert made["state"] == "succeeded", made["error"]
+    assert made["commanded"]["keep_out"] == [BOX]
     stops = np.array(made["commanded"]["position"])
     low, high = np.array(BOX["min_mm"]), np.array(BOX["max_mm"])
     for begin, end in pairwise(stops):

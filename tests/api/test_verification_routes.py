@@ -97,6 +97,7 @@ def test_no_point_and_no_way_of_a_verification_touches_a_box(
     at = ask(what=["random-points"], seed=4, keep_out=[box]).headers["Location"]
     wait_until(lambda: client.get(at).json()["state"] == "ready")
     plan = client.get(f"{at}/plan").json()
+    assert plan["keep_out"] == [box]
     inside = [all(0 <= v <= 150 for v in row[:3]) for row in plan["position"]]
     assert not any(inside)
     client.post(f"{at}/abort")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -21,7 +22,7 @@ from truepath.app.api.models.base import (
     TargetUm,
 )
 from truepath.app.api.models.plan_document import PlaceOut, PlanDocumentOut
-from truepath.app.api.models.workspace import WorkspaceIn
+from truepath.app.api.models.workspace import Box, WorkspaceIn
 from truepath.app.jobs.transitions import State
 from truepath.app.motion.commanded_rows import MAX_ROWS
 
@@ -146,6 +147,25 @@ class PlanOut(BaseModel):
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."
     )
+    keep_out: Annotated[list[Any], AsKept(Box, many=True)] | None = Field(
+        None,
+        description="Boxes of axis positions X, Y, Z that no motion of the job "
+        "touches; [] where none are stated, null where that is not known, as of an "
+        "uploaded Run.",
+    )
+
+    @classmethod
+    def of(cls, plan: Mapping[str, Any], target_um: float | None) -> Self:
+        """Return a plan as the store keeps it, or a Run."""
+        return cls(**{**plan, "target_um": target_um, "keep_out": _list_keep_out(plan)})
+
+
+def _list_keep_out(plan: Mapping[str, Any]) -> list[Any] | None:
+    """Return the boxes of what was asked of a plan; None of a Run, which has none."""
+    if "request" not in plan:
+        return None
+    workspace = plan["request"].get("workspace") or {}
+    return list(workspace.get("keep_out") or ())
 
 
 class PlanRequest(RequestBody):

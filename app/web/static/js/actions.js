@@ -234,7 +234,7 @@ export function createActions(store, go) {
     analyse: (run) => begin({ kind: "analyse", run_id: run }),
     validate: (run) => begin({ kind: "analyse", run_id: run, monte_carlo: {} }),
     discover: (run) => begin({ kind: "discover", run_id: run }),
-    driveExtra: ({ id }) => begin({ kind: "measure-extra", discovery_id: id }),
+    driveExtra: ({ id }, order) => begin({ kind: "measure-extra", discovery_id: id, ...order }),
     async upload(file) {
       const run = await during("upload", () => api.upload(file));
       if (run) await begin({ kind: "analyse", run_id: run.id });

@@ -1,5 +1,5 @@
-/* What the operator set on this panel: units, light or dark, language, tolerance, machine, model. */
-const KEYS = { units: "mm", theme: "auto", scale: "common", tolerance_um: "", machine: "", model: "{}" };
+/* What the operator set on this panel: units, light or dark, language, tolerance, machine, model, keep-out boxes. */
+const KEYS = { units: "mm", theme: "auto", scale: "common", tolerance_um: "", machine: "", model: "{}", keep_out: "{}" };
 
 /** Read a preference. */
 export function preference(name) {

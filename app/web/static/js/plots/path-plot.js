@@ -1,7 +1,7 @@
 /* The path in space: what is planned, what is done, where the machine is. */
 import { quantity } from "../units.js";
 import { colour } from "./colours.js";
-import { coordinates, drawScene, edges } from "./scene.js";
+import { boxTrace, coordinates, drawScene, edges } from "./scene.js";
 
 const REDRAW_MS = 250;
 const TRACE = { plan: 1, done: 2, now: 3 };
@@ -11,7 +11,7 @@ const linear = (axes) => ["X", "Y", "Z"].map((name) => axes.indexOf(name));
 
 const pick = (row, columns) => columns.map((c) => (c < 0 ? 0 : row[c]));
 
-function traces(rows, travel, standing) {
+function traces(rows, travel, standing, boxes) {
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
   const line = (name, width) => ({ color: colour(name), width });
   const dots = { size: 3.5, color: colour("plan") };
@@ -22,6 +22,7 @@ function traces(rows, travel, standing) {
     { ...base, mode: "lines", line: line("accent", 6), x: [], y: [], z: [] },
     { ...base, mode: "markers", x: [], y: [], z: [],
       marker: { size: 6, color: colour("text"), line: { color: colour("panel"), width: 2 } } },
+    boxTrace(boxes),
   ];
 }
 
@@ -44,7 +45,7 @@ export async function drawPath(element, plan, machine) {
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
   const standing = !plan.feed_mm_min?.length;
-  const scene = await drawScene(element, traces(rows, travel, standing), travel, true);
+  const scene = await drawScene(element, traces(rows, travel, standing, plan.keep_out ?? []), travel, true);
 
   const name = element.getAttribute("aria-label");
   let wanted = null;

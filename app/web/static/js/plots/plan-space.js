@@ -1,15 +1,15 @@
 /* A planned path in space with the tracker that looks at it: how much of it is chosen. */
 import { colour } from "./colours.js";
-import { coordinates, drawScene, edges } from "./scene.js";
+import { boxTrace, coordinates, drawScene, edges } from "./scene.js";
 
 const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
 
 /** Draw a plan; answers {choose(rows), view, close}.
  *
  * rows: [{at_mm, tracker_mm}, …], X, Y and Z of the axes and where the tracker stands
- * travel: of X, Y and Z; offset_mm: of the reflector on the tool
+ * travel: of X, Y and Z; offset_mm: of the reflector on the tool; boxes: that are kept clear
  */
-export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen) {
+export async function drawPlanSpace(element, { rows, travel, offset_mm, boxes }, chosen) {
   const stands = rows.filter((row, i) => row.tracker_mm !== rows[i - 1]?.tracker_mm).map((row) => row.tracker_mm);
   const around = travel.map(([low, high], i) => {
     const all = [low, high, low + offset_mm[i], high + offset_mm[i], ...stands.map((place) => place[i])];
@@ -25,6 +25,7 @@ export async function drawPlanSpace(element, { rows, travel, offset_mm }, chosen
     { ...base, mode: "lines", opacity: 0.55, line: line("trace-y", 1), ...parts[2] },
     { ...base, mode: "lines+markers", line: line("text", 6), marker: { size: [1, 5], color: colour("text") }, ...parts[3] },
     { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates(stands) },
+    boxTrace(boxes),
   ], around);
 
   /** What is left out, what is driven, the beams to its stops, the tool at its end. */

@@ -98,6 +98,14 @@ export function edges(travel) {
   return coordinates(points);
 }
 
+/** A trace of the edges of keep-out boxes. */
+export function boxTrace(boxes) {
+  const parts = boxes.map(({ min_mm, max_mm }) => edges(min_mm.map((low, i) => [low, max_mm[i]])));
+  const along = (name) => parts.flatMap((part) => part[name]);
+  return { type: "scatter3d", hoverinfo: "skip", showlegend: false, mode: "lines", line: { color: colour("fault"), width: 2.5 },
+    x: along("x"), y: along("y"), z: along("z") };
+}
+
 /** Layout of a scene over the travel of X, Y and Z that fills a frame. */
 function layout(travel, frame) {
   const axis = (name, i) => ({

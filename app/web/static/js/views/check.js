@@ -107,10 +107,13 @@ function describe(job, plan, machine) {
     const predicted = quantity(COVERAGE * plan.predicted_um, "error");
     facts.push([t("check.predicted"), t("check.predicted_at", { predicted, k: COVERAGE })]);
   }
+  if (plan.keep_out) facts.push([t("keepout.title"), nameBoxes(plan.keep_out)]);
   const time_s = job.progress?.eta_s ?? plan.duration_s;
   if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
   return facts;
 }
+
+const nameBoxes = (boxes) => boxes.map(({ name }, i) => name || t("keepout.box", { number: number(i + 1) })).join("; ") || t("keepout.none");
 
 function feeds(feed_mm_min) {
   const values = feed_mm_min.slice(1).filter((feed) => feed > 0);

@@ -100,7 +100,8 @@ function drawAhead(body, byPlace, machine, choice, pick) {
   const stale = h("div", { hidden: true }, notice("held", t("curve.stale"), t("curve.stale_text")));
   const chart = h("div", { class: "curve-chart" });
   const space = h("div", { class: "curve-space", role: "img", "aria-label": t("curve.space") });
-  const key = h("ul", { class: "key curve-key" }, [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")]]
+  const key = h("ul", { class: "key curve-key" }, [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")],
+    ...(plan.commanded.keep_out?.length ? [["box", t("keepout.title")]] : [])]
     .map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text)));
   const by = segments(t("curve.by"), [["time", t("curve.by_time")], ["target", t("curve.by_target")]], choice().by, (value) => {
     pick({ by: value });
@@ -161,10 +162,10 @@ function more(plan, unobservable) {
 
 /** Rows with where the tracker stands for each, the travel, and the reflector on the tool. */
 function place(plan, machine) {
-  const { axes, position, stations } = plan.commanded;
+  const { axes, position, stations, keep_out: boxes } = plan.commanded;
   const columns = ["X", "Y", "Z"].map((name) => axes.indexOf(name));
   const parts = stations ?? [{ position, position_mm: plan.curve.tracker_mm }];
   const rows = parts.flatMap((part) => part.position.map((row) => ({ at_mm: columns.map((c) => row[c]), tracker_mm: part.position_mm })));
   const offset_mm = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
-  return { rows, offset_mm, travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
+  return { rows, offset_mm, boxes: boxes ?? [], travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
 }

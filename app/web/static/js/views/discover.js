@@ -5,7 +5,7 @@ import { isDiscovery } from "../flow.js";
 import { card, head, linkButton, notice } from "../parts.js";
 import { t } from "../texts.js";
 import { quantity } from "../units.js";
-import { extraCard, extraLead } from "./extra-card.js";
+import { extraCards, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
 import { closingCard, versionsCard } from "./model-card.js";
 import { newMeasurement, onward } from "./onward.js";
@@ -31,7 +31,7 @@ export function lead(state, { actions, go }) {
 }
 
 /** Show what was found; before that, what is going to be done. */
-export function mount(root, { actions }) {
+export function mount(root, { store, actions }) {
   let drawn = null;
   let closing = null;
   root.append(head(t("discover.title"), t("discover.text")));
@@ -47,7 +47,7 @@ export function mount(root, { actions }) {
       closing = isDiscovery(job) && discovery ? closingCard(state, actions) : null;
       closing?.update(state);
       if (!isDiscovery(job)) body.replaceChildren(prospect(job));
-      else if (discovery) body.replaceChildren(...found(job, discovery, closing.element));
+      else if (discovery) body.replaceChildren(...found(state, extraCards(state, () => store.set({})), closing.element));
       else body.replaceChildren(h("p", { class: "empty" }, t("discover.loading")));
     },
     close() {},
@@ -67,10 +67,11 @@ function prospect(job) {
   return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
 }
 
-function found(job, { verdict, effects, possible = [], unnamed, gap, ask, explained_by: explained, lines }, closing) {
+function found({ job, discovery }, extra, closing) {
+  const { verdict, effects, possible = [], unnamed, gap, explained_by: explained, lines } = discovery;
   const cards = [...effects.map(effectCard), ...unnamed.map(structureCard), ...possible.map(effectCard)];
   const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [verdictBand(verdict), downloads(job), ...findings, gapCard(gap), extraCard(ask), closing, stripsCard(lines), whereCard(explained),
+  return [verdictBand(verdict), downloads(job), ...findings, gapCard(gap), ...extra, closing, stripsCard(lines), whereCard(explained),
     versionsCard(job.id)].filter(Boolean);
 }
 

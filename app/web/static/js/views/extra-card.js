@@ -4,26 +4,34 @@ import { isActive, isConnected, isMeasuring } from "../flow.js";
 import { card, pairs } from "../parts.js";
 import { duration, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { basedOrder, keepOutChoice, refuseBased } from "./keep-out-card.js";
 
 const DECIDED = 12; // expected log Bayes factor
 
 /** Button that has the extra lines driven, as soon as somebody arms them; null where none are asked for. */
-export function extraLead({ job, discovery, machine, jobs, busy }, actions) {
+export function extraLead(state, actions) {
+  const { job, discovery } = state;
   if (!discovery?.ask) return null;
-  const reason = refusal(machine, jobs, busy);
+  const reason = refusal(state);
   return { reason, next: { key: "extra", label: t("extra.drive"), disabled: Boolean(reason),
-    run: () => actions.driveExtra(job) } };
+    run: () => driveExtra(state, actions) } };
 }
 
-function refusal(machine, jobs, busy) {
+/** Prepare the extra lines; nothing moves yet. */
+export const driveExtra = (state, actions) => actions.driveExtra(state.job, basedOrder(machineIdOf(state)));
+
+const machineIdOf = ({ job, machine_id }) => job.machine ?? machine_id;
+
+function refusal(state) {
+  const { machine, jobs, busy } = state;
   if (busy) return t("plan.preparing");
   if (!isConnected(machine)) return t("extra.not_connected");
-  return jobs.some((job) => isMeasuring(job) && isActive(job)) ? t("plan.busy") : "";
+  return jobs.some((job) => isMeasuring(job) && isActive(job)) ? t("plan.busy") : refuseBased(machineIdOf(state));
 }
 
-/** A card with the questions and the lines; null where nothing is asked. */
-export function extraCard(ask) {
-  if (!ask) return null;
+/** Cards with the questions and the lines, and with what these keep clear of; none where nothing is asked. */
+export function extraCards({ job, discovery: { ask }, machine, machine_id }, changed) {
+  if (!ask) return [];
   const { questions, lines, duration_s, rows, decides } = ask;
   const element = card(t("extra.title"),
     h("ul", { class: "lines" }, questions.map((question) => h("li", {}, asked(question)))),
@@ -33,7 +41,7 @@ export function extraCard(ask) {
       [t("extra.expected"), t("extra.factor", { least: number(least(questions), 0), decided: DECIDED })]]),
     h("p", { class: "quiet" }, t(decides ? "extra.decides" : "extra.falls_short")));
   element.dataset.ask = String(decides);
-  return element;
+  return [element, keepOutChoice(machineIdOf({ job, machine_id }), machine, changed)];
 }
 
 const least = (questions) => Math.min(...questions.map((q) => q.expected_log_bayes));

@@ -5,17 +5,19 @@ import { modelInUse, useModel } from "../model-choice.js";
 import { card, linkButton, notice } from "../parts.js";
 import { sayDifference } from "../statements.js";
 import { currentLanguage, dateTime, known, number, t } from "../texts.js";
-import { extraLead } from "./extra-card.js";
+import { driveExtra, extraLead } from "./extra-card.js";
 
 const SHOWN = 8;
 
 /** Use the model, export with it, have the extra lines driven; `update(state)` keeps the last one true. */
-export function closingCard({ job, machine, discovery }, actions) {
+export function closingCard(first, actions) {
+  const { job, machine, discovery } = first;
+  let latest = first;
   const said = h("p", { class: "quiet", role: "status" });
   const use = h("button", { class: "button", type: "button", "data-needs": "operator", onclick: choose,
     disabled: discovery.verdict?.state === "not-usable" });
   const extra = discovery.ask && h("button", { class: "button", type: "button", "data-needs": "operator",
-    onclick: () => actions.driveExtra(job) }, icon("play"), t("extra.drive"));
+    onclick: () => driveExtra(latest, actions) }, icon("play"), t("extra.drive"));
   const element = card(t("model.next"), h("div", { class: "downloads" }, use,
     linkButton(`#/export/${job.id}`, "download", t("model.export")), extra), said);
   element.dataset.closing = "";
@@ -35,6 +37,7 @@ export function closingCard({ job, machine, discovery }, actions) {
   return {
     element,
     update(state) {
+      latest = state;
       if (extra) extra.disabled = Boolean(extraLead(state, actions)?.next.disabled);
     },
   };

@@ -10,8 +10,9 @@ export function pathCard(live) {
   const view = h("div", { class: "path-view", role: "img", "aria-label": t("path.title") });
   const missing = h("div", { class: "path-view path-missing" }, t("path.waiting"));
   const tools = h("div", { class: "path-tools", hidden: true });
+  const key = legend(live);
   const element = h("section", { class: `card path-card${live ? " is-live" : ""}` },
-    legend(live), missing, view, tools);
+    key, missing, view, tools);
   mark(view, "hidden", "");
   let plan = null;
   let plot = null;
@@ -21,6 +22,7 @@ export function pathCard(live) {
     plan = next;
     missing.hidden = true;
     view.hidden = false;
+    if (plan.keep_out?.length) key.append(entry("box", t("keepout.title")));
     const drawn = await drawPath(view, plan, machine);
     if (closed) drawn.close();
     else show(drawn);
@@ -49,8 +51,9 @@ export function pathCard(live) {
   };
 }
 
+const entry = (name, text) => h("li", { class: `is-${name}` }, h("i"), text);
+
 function legend(live) {
-  const entry = (name, text) => h("li", { class: `is-${name}` }, h("i"), text);
   return h("ul", { class: "path-legend" }, entry("planned", t("path.planned")),
     live && [entry("done", t("path.done")), entry("now", t("path.now"))]);
 }

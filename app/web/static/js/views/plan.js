@@ -1,12 +1,14 @@
 /* Step 2: how to measure, and how well. */
 import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
+import { boxesOf, orderBoxes } from "../keep-out.js";
 import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { temperatureCard } from "./conditions-card.js";
 import { curveCard } from "./curve-card.js";
+import { keepOutCard, refuseBoxes } from "./keep-out-card.js";
 import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
 import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
@@ -27,29 +29,35 @@ const isForTarget = () => choices.by === "target" && choices.reach_um !== null &
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
 const streams = () => choices.kind !== "measure-standstill";
 
+/** The usual path is not planned: it knows no boxes, and no place of the tracker. */
+const isUsualPath = () => choices.minutes === null && !isAdaptive() && !isForTarget();
+
 /** Several stations are measured to their end. */
 const mayEndEarly = () => isAdaptive() || stationCount() === 1;
 
 /** Button that leads on. */
-export function lead({ machine, busy, planned, job }, { actions, go }) {
+export function lead(state, { actions, go }) {
+  const { job } = state;
   const back = { label: t("shell.back"), run: () => go("#/connect") };
   if (isActive(job)) {
     return { back, reason: t("plan.busy"),
       next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
   }
-  const reason = refusal(machine, busy, planned);
+  const reason = refusal(state);
   return { back, reason,
     next: { key: "prepare", label: t("plan.next"), disabled: Boolean(reason),
-      run: () => actions.prepare(...orders(machine)) } };
+      run: () => actions.prepare(...orders(state)) } };
 }
 
-function refusal(machine, busy, planned) {
+function refusal({ machine, machine_id, busy, planned }) {
   const { most_feed_mm_min, minutes, expanded_um } = choices;
   if (busy) return planned !== null ? t("plan.planning", { percent: number(100 * planned) }) : t("plan.preparing");
   if (!isConnected(machine)) return t("plan.not_connected");
   if (streams() && !within(most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most)) return t("plan.feed_refused");
   if (!within(minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
-  if (choosesPlace() && minutes === null && !isAdaptive() && !isForTarget()) return t("place.minutes_missing");
+  if (choosesPlace() && isUsualPath()) return t("place.minutes_missing");
+  if (refuseBoxes(machine_id)) return refuseBoxes(machine_id);
+  if (boxesOf(machine_id).length && isUsualPath()) return t("keepout.minutes_missing");
   if (!isAdaptive() && refusePlace()) return refusePlace();
   return !mayEndEarly() || within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
 }
@@ -58,26 +66,30 @@ function refusal(machine, busy, planned) {
  *
  * Files and interface carry standard uncertainties, the page shows k = 2.
  */
-function orders(machine) {
+function orders(state) {
   const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes, on_notice, control_compensation: wish } = choices;
   const job = { kind, perpendicular_only,
     ...(wish === "any" ? {} : { control_compensation: wish }),
     ...(on_notice === "note" || !mayEndEarly() || (isAdaptive() && on_notice !== "pause") ? {} : { on_notice }),
     ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
   const limited = streams() && most !== null;
-  if (isAdaptive()) return [{ ...job, planning: { ...planOrder(machine), ...(minutes === null ? {} : { minutes }) } }, null];
-  if (isForTarget()) return [job, { ...planOrder(machine), target_um: choices.reach_um / COVERAGE }];
+  if (isAdaptive()) return [{ ...job, planning: { ...planOrder(state), ...(minutes === null ? {} : { minutes }) } }, null];
+  if (isForTarget()) return [job, { ...planOrder(state), target_um: choices.reach_um / COVERAGE }];
   if (minutes === null) {
     return [limited ? { ...job, feed_mm_min: Math.min(most, FEED_MM_MIN.usual) } : job, null];
   }
-  return [job, { ...planOrder(machine), minutes }];
+  return [job, { ...planOrder(state), minutes }];
 }
 
 /** What is asked of a plan whatever its length. */
-function planOrder(machine) {
+function planOrder({ machine, machine_id }) {
   const { most_feed_mm_min: most, perpendicular_only } = choices;
+  const { workspace = {}, ...site } = isAdaptive() ? {} : placeOrder(machine);
+  const boxes = orderBoxes(boxesOf(machine_id));
+  const within = { ...workspace, ...(boxes.length ? { keep_out: boxes } : {}) };
   return { mode: streams() ? "otf" : "standstill", perpendicular_only,
-    ...(streams() && most !== null ? { max_feed_mm_min: most } : {}), ...(isAdaptive() ? {} : placeOrder(machine)) };
+    ...(streams() && most !== null ? { max_feed_mm_min: most } : {}),
+    ...(Object.keys(within).length ? { workspace: within } : {}), ...site };
 }
 
 /** Show the choices. */
@@ -87,14 +99,24 @@ export function mount(root, { store, actions }) {
   const minutes = minutesField(changed);
   const target = targetField(changed);
   const policy = noticePolicy(changed);
-  const place = placeCard(() => {
-    if (choosesPlace() && choices.minutes === null) minutes.write(MINUTES.usual);
+  let shownId;
+  const changedWithin = () => {
+    planFor(store.get().machine_id);
     changed();
-  });
+  };
+
+  /** What the usual path does not know is planned. */
+  function planFor(machine_id) {
+    const isAsked = choosesPlace() || boxesOf(machine_id).length > 0;
+    if (isAsked && choices.minutes === null) minutes.write(MINUTES.usual);
+  }
+
+  const place = placeCard(changedWithin);
+  const keepOut = keepOutCard(changedWithin);
   const temperatures = temperatureCard(store);
   temperatures.element.classList.add("below");
   const curve = curveCard({
-    request: (most) => ({ ...planOrder(store.get().machine), minutes: most }),
+    request: (most) => ({ ...planOrder(store.get()), minutes: most }),
     foresee: actions.foresee,
     choice: () => choices,
     pick(picked) {
@@ -107,7 +129,7 @@ export function mount(root, { store, actions }) {
     head(t("plan.title"), t("plan.text")), answered(store.get()), modelNotice(store.get().machine), temperatures.element, curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
-        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
+        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place, keepOut.element),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
         target.element, compensationWish(changed), policy)),
   );
@@ -115,6 +137,11 @@ export function mount(root, { store, actions }) {
     update(state) {
       temperatures.update(state.conditions);
       curve.update(state);
+      keepOut.update(state);
+      if (shownId !== state.machine_id) {
+        shownId = state.machine_id;
+        planFor(shownId);
+      }
       curve.element.hidden = isAdaptive();
       minutes.element.hidden = isForTarget();
       feed.element.hidden = !streams();

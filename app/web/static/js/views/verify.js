@@ -7,6 +7,7 @@ import { prefer, preference } from "../preferences.js";
 import { plain, t, typed } from "../texts.js";
 import { decimalsOf, shown, stored, unitOf } from "../units.js";
 import { newMeasurement, onward } from "./onward.js";
+import { basedOrder, keepOutChoice, refuseBased } from "./keep-out-card.js";
 import { findProof, proofCards } from "./proof.js";
 
 const KINDS = ["diagonals", "random-points", "bidirectional", "circles", "circles-in-motion"];
@@ -25,18 +26,22 @@ export function lead(state, { actions, go }) {
     return { next: certify, back: id ? back : null, aside: again };
   }
   if (!isConnected(state.machine)) return { next: certify, back, reason: t("verify.not_connected") };
-  const refused = busy ? t("plan.preparing") : refusal();
+  const refused = busy ? t("plan.preparing") : refusal(machineIdOf(state));
   return { back, reason: refused, aside: { label: t("verify.skip"), run: certify.run },
-    next: { key: "verify", label: t("verify.prepare"), disabled: Boolean(refused), run: () => actions.verify(order(id)) } };
+    next: { key: "verify", label: t("verify.prepare"), disabled: Boolean(refused), run: () => actions.verify(order(id, machineIdOf(state))) } };
 }
 
-function refusal() {
+/** The machine that the result is of. */
+const machineIdOf = ({ job, machine_id }) => job.machine ?? machine_id;
+
+function refusal(machine_id) {
   if (!choices.what.size) return t("verify.none_chosen");
+  if (refuseBased(machine_id)) return refuseBased(machine_id);
   return Number.isNaN(choices.tolerance_um) || choices.tolerance_um < 0 ? t("headline.tolerance_refused") : "";
 }
 
-const order = (id) => ({
-  result_id: id, what: KINDS.filter((kind) => choices.what.has(kind)),
+const order = (id, machine_id) => ({
+  result_id: id, ...basedOrder(machine_id), what: KINDS.filter((kind) => choices.what.has(kind)),
   ...(choices.tolerance_um ? { tolerance_um: choices.tolerance_um } : {}),
   ...(choices.compensation_id ? { compensation_id: choices.compensation_id } : {}),
 });
@@ -93,6 +98,7 @@ function form(job, state, changed) {
       h("section", { class: "card stack" }, h("h2", {}, t("verify.against")), toleranceField(changed),
         h("div", { class: "field" }, h("label", { for: "verify-files" }, t("verify.state")), files,
           h("p", { class: "field-note" }, t("verify.state_note")))),
+      keepOutChoice(machineIdOf(state), state.machine, changed),
       notice(null, t("verify.moves"), t("verify.moves_text"))));
 }
 
