@@ -16,6 +16,7 @@ export function pathCard(live) {
   mark(view, "hidden", "");
   let plan = null;
   let plot = null;
+  let reached = null; // told before the picture is there, and of an ended job never again
   let closed = false;
 
   async function draw(next, machine) {
@@ -30,6 +31,7 @@ export function pathCard(live) {
 
   function show(drawn) {
     plot = drawn;
+    if (reached) plot.progress(...reached);
     view.dataset.drawn = "";
     tools.append(segments(t("path.view"), VIEWS.map((name) => [name, t(`path.${name}`)]), "iso",
       plot.view, true));
@@ -42,6 +44,7 @@ export function pathCard(live) {
       if (next && !plan) draw(next, machine);
     },
     progress(done, position) {
+      reached = [done, position];
       plot?.progress(done, position);
     },
     close() {
