@@ -308,6 +308,11 @@ def scripted_app(service: ScriptedService) -> FastAPI:
             return problem(404, "not-found", "Nothing is known", machine_id, "")
         return service.standings[machine_id]
 
+    @app.get(f"{API}/machines/{{machine_id}}/changes")
+    def changes(machine_id: str, since: str, until: str) -> Any:
+        service.looks.append(("changes", f"{machine_id} {since} {until}"))
+        return service.changes
+
     @app.get(f"{API}/jobs/{{job_id}}/verification")
     def verification(job_id: str) -> Any:
         return service.verifications[job_id]

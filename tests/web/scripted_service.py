@@ -77,6 +77,7 @@ class ScriptedService:
         self.held_machine = ""
         self.histories: dict[str, dict[str, Any]] = {}
         self.standings: dict[str, dict[str, Any]] = {}
+        self.changes: dict[str, Any] = {}
         self.comparison: dict[str, Any] = {}
         self.temperature: dict[str, Any] = {}
         self.temperature_refusal = "2 of 3 temperatures"

@@ -54,13 +54,15 @@ def test_the_grade_of_the_set_up_comes_with_what_would_better_it(panel, service)
 def test_what_the_data_cannot_tell_is_said_in_german(panel, service):
     service.result["observability"]["unobservable"] = [
         "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a "
-        "second target at least 140 mm to the side, in X or Y, separates them"
+        "second target at least 140 mm to the side, in X or Y, separates them "
+        "(to 3.0 µrad, k = 2, on the same path)"
     ]
     page = panel.open(f"#/result/{done(service)}", language="de")
     card = page.locator(".card", has_text="Was diese Daten nicht verraten")
     expect(card.locator("li")).to_have_text(
         "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und EYZ zu "
-        "unterscheiden. Erkennbar wird es mit einem Ziel mindestens 140 mm seitlich."
+        "unterscheiden. Erkennbar wird es mit einem Ziel mindestens 140 mm seitlich. "
+        "Auf derselben Bahn wird es dann auf 3,0 µrad bekannt (k = 2)."
     )
 
 

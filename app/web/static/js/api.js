@@ -112,6 +112,8 @@ export const tryDevices = (id) => call("POST", `/machines/${id}/devices:try`, { 
 export const machineHistory = (id) => call("GET", `/machines/${id}/history`);
 /** How the errors of a machine depend on its temperature. */
 export const machineTemperature = (id) => call("GET", `/machines/${id}/temperature`, { patience_ms: 120000 });
+/** What has changed between two calibrations of a machine, by their jobs. */
+export const machineChanges = (id, since, until) => call("GET", `/machines/${id}/changes?${new URLSearchParams({ since, until })}`);
 export const machineStanding = (id) => call("GET", `/machines/${id}/standing`);
 
 /** What has to be so before the machine moves. */

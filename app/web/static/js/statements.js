@@ -16,6 +16,7 @@ const REMEDIES = {
   on_workpiece: /targets on the workpiece/, off_line: /off one line with these/,
   by_lines: /lines or points tell too little/, by_standstill: /between standstills/, by_more_lines: /not corner to corner/,
 };
+const PRECISION = /\(to ([\d.]+) µrad, k = 2, on the same path\)/;
 const NUMBER = "−?[\\d.]+";
 const MOVED = new RegExp(`^(?:(.+): )?from (${NUMBER}) to (${NUMBER}) ± (${NUMBER}) (.+)$`);
 const STATED = new RegExp(`^(.+?) (${NUMBER}) ± (${NUMBER}) ?(.*)$`);
@@ -41,7 +42,9 @@ export function sayUnobservable(text) {
   const { symbol, symbols, others = "", axes } = found.groups;
   const said = t(`unobservable.${key}`, { symbol, symbols, axes, name: symbol && nameOf(symbol), others: others.replaceAll(" and ", ` ${t("statement.and")} `) });
   const [cure, remedy] = match(REMEDIES, text);
-  return remedy ? `${said} ${t(`unobservable.${cure}`, { length: number(remedy[1]) })}` : said;
+  const precision = PRECISION.exec(text);
+  return [said, remedy && t(`unobservable.${cure}`, { length: number(remedy[1]) }),
+    precision && t("unobservable.precision", { value: local(precision[1]) })].filter(Boolean).join(" ");
 }
 
 /** The first pattern that is in a text, by its key: [key, match]; null where none is. */

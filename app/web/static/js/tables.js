@@ -8,23 +8,21 @@ const ROTATIONS = "ABC";
  *
  * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties, known,
  *         extrapolated: whether each position lies beyond what was measured; measured: that range or null,
- *         halves: half the difference of both directions of approach, null where there is none,
- *         why: what the result says of an error motion that it does not hold}
+ *         halves: half the difference of both directions of approach, null where there is none}
  */
 export function tablesByAxis(result) {
   const entries = result.error_tables ?? {};
   const ways = result.direction?.half_difference ?? {};
-  const unseen = result.observability?.unobservable ?? [];
   const ranges = result.measured_range ?? {};
   const axes = Object.keys(result.machine?.axes ?? {}).sort(byLetter("XYZABC"));
   return axes.map((axis) => ({
     axis,
     tables: [...TRANSLATIONS + ROTATIONS].map((motion) => `E${motion}${axis}`)
-      .map((symbol) => read(symbol, entries[symbol] ?? {}, ways[symbol], unseen, ranges[axis])).sort(byMotion(axis)),
+      .map((symbol) => read(symbol, entries[symbol] ?? {}, ways[symbol], ranges[axis])).sort(byMotion(axis)),
   }));
 }
 
-function read(symbol, entry, way, unseen, range) {
+function read(symbol, entry, way, range) {
   const kind = TRANSLATIONS.includes(symbol[1]) ? "error" : "angle";
   const rotary = Boolean(entry.position_deg);
   const values = entry.value_um ?? entry.value_urad ?? [];
@@ -38,7 +36,6 @@ function read(symbol, entry, way, unseen, range) {
     measured: range ? [range.from_mm ?? range.from_deg, range.to_mm ?? range.to_deg] : null,
     halves: way ? way.value_um ?? way.value_urad : null,
     known: values.length > 0 && values.every((v) => v !== null),
-    why: unseen.find((text) => text.startsWith(symbol)) ?? "",
   };
 }
 

@@ -1,12 +1,12 @@
 /* The step Machine: which machines there are, how each stands, and who it is. */
 import * as api from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
-import { addressOf, isActive } from "../flow.js";
-import { card, head, notice } from "../parts.js";
-import { COVERAGE } from "../plots/error-chart.js";
+import { addressOf, isActive, isConnected, isMeasuring } from "../flow.js";
+import { card, head, notice, wordOf } from "../parts.js";
 import { dateTime, number, plain, t, typed } from "../texts.js";
-import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
+import { decimalsOf, quantity, shown, stored, unitOf } from "../units.js";
 import { deviceCard } from "./device-card.js";
+import { wordEntry } from "./history-card.js";
 import { machineForm, mayDescribe } from "./machine-form.js";
 import { removalCard } from "./machine-removal.js";
 
@@ -26,11 +26,12 @@ export function mount(root, { store, actions }) {
   const list = h("div", { class: "machine-list" });
   const identity = h("div", { class: "stack" });
   const adding = h("div");
+  let entries = [];
   const removed = h("div", { role: "status" });
   root.append(head(t("machine.title"), t("machine.text")), removed, h("div", { class: "stack" }, list, identity, adding));
 
   async function load(shown = null) {
-    const entries = await api.machines();
+    entries = await api.machines();
     if (mayDescribe()) adding.replaceChildren(addCard(add));
     if (!entries.length) {
       list.replaceChildren(notice(null, t("connect.no_machine")));
@@ -40,7 +41,16 @@ export function mount(root, { store, actions }) {
     const known = await Promise.all(entries.map(async (entry) => ({ entry, ...await standingOf(entry.id) })));
     const { machine_id: chosen } = store.get();
     list.replaceChildren(...known.map((one) => machineCard(one, { chosen, several: entries.length > 1, choose })));
+    showStates(store.get());
     await edit(entries.find(({ id }) => id === (shown ?? chosen)) ?? entries[0]);
+  }
+
+  /** The states alone: what is being typed below stays. */
+  function showStates(state) {
+    for (const entry of entries) {
+      const place = list.querySelector(`[data-machine="${CSS.escape(entry.id)}"] .machine-state`);
+      if (place) write(place, stateOf(entry, state));
+    }
   }
 
   async function add(id, machineFile) {
@@ -92,14 +102,33 @@ export function mount(root, { store, actions }) {
   }
 
   load().catch(actions.refuse);
-  return { update() {}, close() {} };
+  return { update: showStates, close() {} };
 }
 
-/** All calibrations of a machine, and how it stands by the newest; null where there is none to stand by. */
+/** What a machine is doing, in a word. */
+function stateOf({ id, cell, connected }, { machine_id, machine, jobs }) {
+  if (cell === "none") return t("machine.state_none");
+  const job = jobs.find((one) => one.machine === id && isActive(one) && isMeasuring(one));
+  if (job) return wordOf(job.state);
+  const answers = id === machine_id ? isConnected(machine) : connected;
+  return t(answers ? "connect.connected" : "connect.not_connected");
+}
+
+/** All calibrations of a machine; how it stands by the newest, and what has changed to it; null where nothing tells. */
 async function standingOf(id) {
   const history = await api.machineHistory(id);
   const isKnown = history.calibrations.some((one) => one.verdict !== "not-usable");
-  return { history, standing: isKnown ? await api.machineStanding(id).catch(absent) : null };
+  const standing = isKnown ? await api.machineStanding(id).catch(absent) : null;
+  return { history, standing, changes: await changesOf(id, standing) };
+}
+
+/** What has changed since the calibration that the newest is held against; null where there is none. */
+async function changesOf(id, standing) {
+  if (!standing?.reference_job) return null;
+  return api.machineChanges(id, standing.reference_job, standing.calibration).catch((error) => {
+    if (!(error instanceof api.Problem)) throw error;
+    return null; // other axes or targets: not comparable
+  });
 }
 
 function absent(error) {
@@ -107,14 +136,16 @@ function absent(error) {
   return null;
 }
 
-function machineCard({ entry, history, standing }, { chosen, several, choose }) {
+function machineCard({ entry, history, standing, changes }, { chosen, several, choose }) {
   const newest = history?.calibrations.findLast((one) => one.verdict !== "not-usable") ?? null;
   const names = [[entry.maker, entry.model].filter(Boolean).join(" "), entry.serial_number && t("machine.number", { serial: entry.serial_number }), entry.place];
   return h("section", { class: "card machine-entry", "data-machine": entry.id, "data-alarm": Boolean(standing?.is_alarm) },
     h("div", { class: "device-icon" }, icon("machine")),
-    h("div", {}, h("h2", {}, entry.name || entry.id), h("p", { class: "quiet" }, names.filter(Boolean).join(" · ") || t("machine.nameless"))),
+    h("div", {}, h("h2", {}, entry.name || entry.id), h("p", { class: "quiet" }, names.filter(Boolean).join(" · ") || t("machine.nameless")),
+      h("p", { class: "machine-state" })),
     h("dl", { class: "machine-facts" }, fact(t("machine.calibrated"), newest ? dateTime(newest.measured) : t("machine.never"), newest && ageOf(newest.measured)),
-      fact(t("machine.error_95"), newest ? errorOf(history, newest) : "–", newest && t("machine.error_note"))),
+      fact(t("machine.error_95"), newest ? wordEntry(history, newest, "p95") : "–", newest && t("machine.error_note")),
+      changes && driftOf(changes)),
     standingMark(standing),
     several && h("button", { class: "button", type: "button", "aria-pressed": String(entry.id === chosen), onclick: () => choose(entry) },
       entry.id === chosen && icon("check"), t(chooseWord(entry, chosen))));
@@ -135,17 +166,17 @@ function ageOf(stamp) {
   return t("machine.age_days", { days: number(Math.floor(age_ms / DAY_MS)) });
 }
 
-/** The error that 95 % of the places stay below, as it was found. */
-function errorOf({ entries }, { value, uncertainty }) {
-  const at = entries.findIndex(({ label }) => label === "p95");
-  if (at < 0 || value[at] === null) return "–";
+/** How far the volume has moved between two calibrations, beside what chance alone would show. */
+function driftOf({ since, volumetric: { difference_um: difference, by_chance_um: chance } }) {
   const digits = decimalsOf("error");
-  const u = uncertainty[at] === null ? "–" : quantity(COVERAGE * uncertainty[at], "gap", digits);
-  return `${figure(value[at], "gap", digits)} ± ${u}`;
+  return fact(t("machine.drift", { when: dateTime(since.measured) }), quantity(difference, "gap", digits),
+    t("machine.drift_note", { chance: quantity(chance, "gap", digits) }));
 }
 
 function standingMark(standing) {
-  const state = !standing ? "unknown" : standing.is_alarm ? "alarm" : "calm";
+  // Where neither a tolerance nor an earlier calibration judges it, nothing says that all is well.
+  const isJudged = standing?.tolerance === "within" || standing?.has_changed === false;
+  const state = standing?.is_alarm ? "alarm" : isJudged && standing.tolerance !== "not-sure" ? "calm" : "unknown";
   return h("p", { class: "standing", "data-standing": state }, icon(SHAPES[state]), h("span", {}, wordsOf(standing).join(" ")));
 }
 

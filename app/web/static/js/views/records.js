@@ -1,7 +1,7 @@
 /* Jobs and Runs that the service keeps. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { addressOf, hasEnded, statesTables } from "../flow.js";
+import { addressOf, hasEnded, machineName, statesTables } from "../flow.js";
 import { card, head, kindOf, linkButton, problemNotice, shapeOf, tableFrame, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { dateTime, duration, number, t } from "../texts.js";
@@ -39,7 +39,7 @@ export function mount(root, { store, actions, go }) {
   function list({ jobs: all }) {
     filter.offer([...new Set(all.map(({ kind }) => kind))]);
     const shown = all.filter((job) => filter.takes(job, errors));
-    jobs.replaceChildren(jobTable(shown, { go, errors, picked, pick, rename, isFiltered: all.length > 0 }));
+    jobs.replaceChildren(jobTable(shown, { go, errors, machines: store.get().machines, picked, pick, rename, isFiltered: all.length > 0 }));
   }
 
   async function rename({ id }, name) {
@@ -91,6 +91,10 @@ async function findErrors(machines) {
 
 const nameOf = (job) => job.name || [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
 
+/** What a record is called until somebody names it: machine, time and what was found, or what was done. */
+const suggestedName = (job, { errors, machines }) => [machineName({ machines, machine_id: job.machine, machine: null }),
+  dateTime(job.ended ?? job.created), errors.get(job.id) ?? kindOf(job.kind)].filter(Boolean).join(", ");
+
 /** Text and kind to look for; `offer(kinds)` tells what there is, `takes(job, errors)` whether a job is shown. */
 function filterFields(changed) {
   const text = h("input", { id: "record-text", type: "search", autocomplete: "off", oninput: changed });
@@ -125,11 +129,11 @@ const table = (titles, rows) => h("table", {},
   h("thead", {}, h("tr", {}, titles.map((title) => h("th", {}, title)),
     h("th", {}, h("span", { class: "unseen" }, t("records.actions"))))), h("tbody", {}, rows));
 
-function jobTable(jobs, { go, errors, picked, pick, rename, isFiltered }) {
+function jobTable(jobs, { go, errors, machines, picked, pick, rename, isFiltered }) {
   if (!jobs.length) return h("p", { class: "empty" }, t(isFiltered ? "records.none_such" : "records.no_jobs"));
   const titles = [t("records.name"), t("records.state"), t("records.kind"), t("records.created"), t("records.error"), t("records.took")];
   return table(titles, jobs.map((job) => h("tr", {},
-    h("td", {}, nameField(job, rename)),
+    h("td", {}, nameField(job, suggestedName(job, { errors, machines }), rename)),
     h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state)),
       verdictMark(job)),
     h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id) ?? "–"), h("td", {}, took(job)),
@@ -141,8 +145,8 @@ function jobTable(jobs, { go, errors, picked, pick, rename, isFiltered }) {
 }
 
 /** The name, which is changed in its place. */
-function nameField(job, rename) {
-  const input = h("input", { class: "name-field", value: job.name ?? "", maxlength: 200, autocomplete: "off", placeholder: t("records.unnamed"),
+function nameField(job, suggested, rename) {
+  const input = h("input", { class: "name-field", value: job.name ?? "", maxlength: 200, autocomplete: "off", placeholder: suggested, title: t("records.unnamed"),
     "aria-label": t("records.name_of", { kind: kindOf(job.kind), when: dateTime(job.created) }),
     disabled: document.body.dataset.role === "viewer", onchange: () => rename(job, input.value.trim()) });
   return input;

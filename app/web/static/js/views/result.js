@@ -17,6 +17,7 @@ import { askCard } from "./discover.js";
 import { budgetCard } from "./budget-card.js";
 import { compareCard } from "./compare-card.js";
 import { headline } from "./headline.js";
+import { historyCard } from "./history-card.js";
 import { newMeasurement, onward } from "./onward.js";
 import { mapCard } from "./map-card.js";
 import { findProof, isProof } from "./proof.js";
@@ -44,7 +45,7 @@ export function mount(root, { actions, go }) {
     charts = [];
   }
 
-  function draw({ job, result, runs, jobs, machines }) {
+  function draw({ job, result, runs, jobs, machines, machine_id }) {
     close();
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
@@ -58,7 +59,7 @@ export function mount(root, { actions, go }) {
     top.append(h("div", { class: "stack" }, headline(job, result, proof), summary(stream, result)), map.element);
     charts = drawTables(body, result);
     residuals = residualCard(result);
-    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), referenceCard(job), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
+    body.append(...[budgetCard(result), residuals?.element, compareCard(job, result, jobs, map.addOther), historyCard(job, job.machine ?? machine_id), referenceCard(job), trialsCard(job, result, actions), askCard(job, actions), overTimeCard(runs, go)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
@@ -184,8 +185,7 @@ function chartCard(table) {
   const open = h("button", { class: "button is-plain", type: "button",
     "aria-label": t("result.enlarge", { symbol: table.symbol }), onclick: () => showTable(table) }, icon("expand"));
   if (!table.known) {
-    const missing = h("div", { class: "chart-missing" }, h("p", {}, t("result.unknown")),
-      h("p", { class: "chart-why" }, sayUnobservable(table.why)));
+    const missing = h("div", { class: "chart-missing" }, h("p", {}, t("result.unknown"))); // why is said below, once
     return [h("article", { class: "chart is-missing", "data-symbol": table.symbol },
       h("header", {}, title), missing), null];
   }
