@@ -28,6 +28,8 @@ DESK, PHONE = (1280, 800), (390, 844)
 LEAST_TOUCH_PX = {DESK: 56, PHONE: 48}
 LOOKS = list(product((DESK, PHONE), (False, True)))
 JOBS = re.compile(r"/api/v1/jobs[/?]")
+STATED_BOX = """() => localStorage.setItem("truepath.keep_out", JSON.stringify(
+    {default: [{name: "vice", min_mm: [1, 1, 1], max_mm: [9, 9, null]}]}))"""
 HINDRANCES = ("moderate", "serious", "critical")
 AXE = Axe()
 ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
@@ -47,6 +49,7 @@ def test_no_view_hinders_anybody_before_and_after_a_calibration(
     options = CONTRAST if dark else ALL
     bad = hindrances(page, "records, empty", options)
     views = views_of_a_calibration(service)
+    page.evaluate(STATED_BOX)
     page.reload()
     for view, shown in views.items():
         page.goto(f"{panel.address}/#/{view}")
@@ -108,7 +111,8 @@ def views_of_a_calibration(service) -> dict[str, str]:
     trend = service.new_job("trend", run_id="run-1")["id"]
     service.trend = trend_of("due", expected_h=8.25, exceeded=0.9, grade="likely")
     service.finish(trend)
-    service.histories["default"] = machine_history("default", "2026-03-14T08:00:00Z")
+    dates = "2026-03-13T08:00:00Z", "2026-03-14T08:00:00Z"
+    service.histories["default"] = machine_history("default", *dates)
     service.compensations[job] = [compensation(job, "linuxcnc", "hold")]
     service.certificates[job] = [certificate(job, 1, "en")]
     return {

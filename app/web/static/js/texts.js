@@ -87,6 +87,9 @@ export function clock(moment) {
   return new Intl.DateTimeFormat(region(), { timeStyle: "medium" }).format(moment);
 }
 
+/** Day and month of an ISO stamp. */
+export const day = (stamp) => new Intl.DateTimeFormat(region(), { day: "numeric", month: "short" }).format(new Date(stamp));
+
 /** Date and time of an ISO stamp. */
 export function dateTime(stamp) {
   if (!stamp) return "–";

@@ -4,7 +4,7 @@ import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, machineName, statesTables } from "../flow.js";
 import { card, head, kindOf, linkButton, problemNotice, shapeOf, tableFrame, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { dateTime, duration, number, t } from "../texts.js";
+import { dateTime, day, duration, number, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
 import { describe as describeChange } from "./compare-card.js";
 import { dropZone } from "./drop.js";
@@ -91,9 +91,9 @@ async function findErrors(machines) {
 
 const nameOf = (job) => job.name || [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
 
-/** What a record is called until somebody names it: machine, time and what was found, or what was done. */
+/** What a record is called until somebody names it: machine, day and what was found, or what was done. */
 const suggestedName = (job, { errors, machines }) => [machineName({ machines, machine_id: job.machine, machine: null }),
-  dateTime(job.ended ?? job.created), errors.get(job.id) ?? kindOf(job.kind)].filter(Boolean).join(", ");
+  day(job.ended ?? job.created), errors.get(job.id) ?? kindOf(job.kind)].filter(Boolean).join(", ");
 
 /** Text and kind to look for; `offer(kinds)` tells what there is, `takes(job, errors)` whether a job is shown. */
 function filterFields(changed) {
