@@ -26,7 +26,9 @@ DEFAULT_LANGUAGE = "en"
 LANGUAGE_COOKIE = "truepath_language"
 
 # After a stop the page waits for these jobs; the newest 200, the most of one answer.
-_UNSETTLED = [State.FAULTED, *(state for state in State if state not in FINAL)]
+# Those that end without a word of the controller are among them.
+_UNHEARD = (State.FAULTED, State.INTERRUPTED)
+_UNSETTLED = [*_UNHEARD, *(state for state in State if state not in FINAL)]
 _UNSETTLED_JOBS = urlencode({"limit": 200, "state": _UNSETTLED}, doseq=True)
 
 _VARY = {"Vary": "Accept-Language, Cookie"}

@@ -97,10 +97,41 @@ def test_abort_works_from_the_keyboard(panel, service):
 
 
 def test_abort_without_motion_says_so(panel, service):
+    service.stopped = "true"
     page = panel.open()
     page.locator("#abort").click()
     expect(page.locator("#abort-title")).to_have_text("Nothing was moving")
     assert service.stops == 1
+
+
+def test_abort_without_a_job_does_not_say_that_an_unheard_machine_stands(
+    panel, service
+):
+    service.new_job("measure-otf", state="interrupted")
+    page = panel.open()
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("No job was under way")
+    expect(page.locator("#abort-text")).to_contain_text("Look at the machine")
+    service.stopped = "true"
+    page.locator("#abort-close").click()
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Nothing was moving")
+
+
+def test_a_service_that_ended_during_an_abort_has_confirmed_no_stop(panel, service):
+    service.deaf_to_stop = True
+    job = running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+
+    def interrupt(route):
+        service.change(job, state="interrupted")
+        route.continue_()
+
+    page.route("**/api/v1/stop", interrupt)
+    wait_unconfirmed(page, service)
+    service.stopped = "true"
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
 
 
 @pytest.mark.parametrize("kind", ["measure-otf", "verify"])

@@ -10,6 +10,7 @@
   const RETRY_MS = 2000;
   const POLL_MS = 300;
   const UNCONFIRMED_MS = 6000;
+  const UNHEARD = new Set(["faulted", "interrupted"]);
 
   const form = document.getElementById("abort-form");
   const button = document.getElementById("abort");
@@ -55,14 +56,15 @@
 
   /** Ids of jobs that may still move the machine, verifications among them; null if nobody lists them.
    *
-   * A job that faulted during the abort counts: the machine has not said that it stands.
+   * A job that faulted during the abort counts, or that the service left behind when it
+   * ended: the machine has not said that it stands.
    */
   async function underWay(watched) {
     const page = await ask(sheet.dataset.unsettledJobs, { cache: "no-store" });
     if (!Array.isArray(page?.items)) return null;
     return page.items
       .filter((job) => job.kind.startsWith("measure-") || job.kind === "verify")
-      .filter((job) => job.state !== "faulted" || watched.has(job.id))
+      .filter((job) => !UNHEARD.has(job.state) || watched.has(job.id))
       .map((job) => job.id);
   }
 
@@ -81,7 +83,8 @@
       const answer = await ask("/api/v1/stop", { method: "POST", keepalive: true });
       for (const job of answer?.jobs ?? []) current.watched.add(job.id);
       current.taken = current.taken || answer !== null;
-      current.confirmed = current.confirmed || stands(answer);
+      current.stands = current.stands || stands(answer);
+      current.confirmed = current.confirmed || current.stands;
       if (current.confirmed && attempt === current) report(current);
       await pause(Math.max(0, RETRY_MS - (performance.now() - begun)));
     }
@@ -103,7 +106,8 @@
     const waited_ms = performance.now() - current.begun;
     const note = sheet.dataset.abortTries.replace("{n}", current.count)
       .replace("{s}", (waited_ms / 1000).toFixed(0));
-    if (current.confirmed) show(current.watched.size ? "confirmed" : "idle");
+    if (current.confirmed && current.watched.size) show("confirmed");
+    else if (current.confirmed) show(current.stands ? "idle" : "unheard");
     else if (waited_ms > UNCONFIRMED_MS) show("unconfirmed", note);
     else show(current.taken ? "waiting" : "sending", note);
   }
@@ -111,7 +115,7 @@
   function abort() {
     if (attempt && !attempt.confirmed) return;
     const followed = document.body.dataset.measuring;
-    attempt = { begun: performance.now(), taken: false, confirmed: false, count: 0,
+    attempt = { begun: performance.now(), taken: false, stands: false, confirmed: false, count: 0,
       watched: new Set(followed ? [followed] : []) };
     report(attempt);
     send(attempt);
