@@ -18,6 +18,8 @@ pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 NEXT = "#next button"
 HOLD_S = 1.4
 REFUSED = ("the server responded with a status of",)
+NO_ANSWER = ("net::ERR_FAILED",)
+JOBS = re.compile(r"/api/v1/jobs[/?]")
 # As in a busy browser: states are drawn between a new address and its view.
 TURNS_SLOWLY = """
 window.visited = [];
@@ -260,7 +262,40 @@ def test_an_answer_cut_short_is_not_taken_for_one(panel, service):
         lambda route: route.fulfill(status=200, body='{"connected": tr'),
     )
     follow(page, "Connect devices")
-    expect(page.locator("#problems")).to_contain_text("The service does not answer")
+    expect(page.locator("#problems")).to_contain_text("The service has not answered")
+
+
+def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
+    panel, service, witness
+):
+    witness.expect(*NO_ANSWER)
+    measuring(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.route(JOBS, lambda route: route.abort())
+    page.locator("#pause").click()
+    problem = page.locator("#problems")
+    expect(problem).to_contain_text("The service has not answered")
+    expect(problem).to_contain_text("The page does not ask a second time.")
+    page.unroute(JOBS)
+    expect(page.locator("#pause")).to_be_enabled()
+    expect(problem).to_contain_text("The service has not answered")
+
+
+def test_a_service_that_answers_again_is_not_said_to_be_silent(panel, service, witness):
+    witness.expect(*NO_ANSWER)
+    page = panel.open("#/records")
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    service.silent = True
+    page.route(JOBS, lambda route: route.abort())
+    expect(page.locator("#stamp")).to_contain_text("STALE")
+    page.evaluate("location.hash = '#/run/job-1'")
+    problem = page.locator("#problems")
+    expect(problem).to_contain_text("The service does not answer")
+    page.unroute(JOBS)
+    service.silent = False
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    expect(problem).to_be_empty()
 
 
 def test_a_refused_connect_says_what_to_do(panel, service, witness):

@@ -34,7 +34,7 @@ export function createActions(store, go) {
   function refuse(error) {
     if (!(error instanceof api.Problem)) throw error;
     const offer = error.code === "not-in-control" ? { label: t("control.take"), run: takeControl } : null;
-    store.set({ problem: { ...worded(error), tone: "fault", offer } });
+    store.set({ problem: { ...worded(error), code: error.code, tone: "fault", offer } });
   }
 
   async function loadSystem() {
@@ -165,8 +165,13 @@ export function createActions(store, go) {
     try {
       hear(await api.job(id));
     } catch (error) {
-      refuse(error);
+      if (!store.get().problem) refuse(error);
     }
+  }
+
+  /** The service answers again: that it does not is true no more. */
+  function regain() {
+    if (store.get().problem?.code === "unreachable") store.set({ problem: null });
   }
 
   /** Make a job; where `request` asks for a plan, of the rows that are planned first. */
@@ -193,7 +198,7 @@ export function createActions(store, go) {
   const issue = (id, order) => during("issue", () => api.issueCertificate(id, order));
 
   return {
-    loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse,
+    loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse, regain,
     /** Open the ports; on to the plan, unless what has answered has to be looked at first. */
     connect: () => during("connect", async () => {
       await api.connect();

@@ -30,23 +30,26 @@ async function call(method, path, { json, form, version, key, patience_ms = PATI
     answer = await fetch(ROOT + path, { method, headers, body, signal, cache: "no-store" });
     text = await answer.text();
   } catch {
-    throw new Problem(0, { code: "unreachable" });
+    throw silence(method);
   }
-  const content = read(text, answer);
+  const content = read(text, answer, method);
   if (content.code === "not-logged-in") document.dispatchEvent(new CustomEvent("truepath:logged-out"));
   if (!answer.ok) throw new Problem(answer.status, content);
   return content;
 }
 
 /** The document of an answer. One cut short is no document; a refusal on the way may have none. */
-function read(text, { ok }) {
+function read(text, { ok }, method) {
   try {
     return text ? JSON.parse(text) : {};
   } catch {
-    if (ok) throw new Problem(0, { code: "unreachable" });
+    if (ok) throw silence(method);
     return {};
   }
 }
+
+/** No answer. What was only asked for is asked for again; what was to be done may have been done. */
+const silence = (method) => new Problem(0, { code: method === "GET" ? "unreachable" : "unanswered" });
 
 const items = (page) => page.items ?? page;
 

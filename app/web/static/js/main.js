@@ -150,11 +150,13 @@ let linked = {};
 function age(link) {
   const changed = link.stale !== linked.stale || link.asked !== linked.asked || link.age_s !== linked.age_s
     || Boolean(link.last) !== Boolean(linked.last);
+  const answers = linked.stale && !link.stale;
   const regained = (linked.stale || linked.asked) && !link.stale && !link.asked;
   if (changed) store.set({ link });
   const stale = estimateStale(store.get());
   if (stale !== store.get().estimateStale) store.set({ estimateStale: stale });
   linked = link;
+  if (answers) actions.regain();
   if (regained) load().catch(actions.refuse);
 }
 

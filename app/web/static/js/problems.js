@@ -12,6 +12,7 @@ const SPOKEN_BY_SERVICE = "en";
  */
 export function wordProblem({ code = "", title = "", detail = "", action = "" }) {
   if (code === "unreachable") return { title: t("problem.unreachable"), text: "", action: t("problem.unreachable_action") };
+  if (code === "unanswered") return { title: t("problem.unanswered"), text: t("problem.unanswered_text"), action: t("problem.unanswered_action") };
   const key = `problem.code.${code}`;
   const isBare = !detail || detail === title || detail === `${title}.`;
   return {
