@@ -107,6 +107,9 @@ def test_where_it_disagrees_is_drawn_as_strips_with_their_numbers(panel, service
     ]
     assert heat[18] == max(heat) == 100  # row 19 is off by 6.45 µm
     assert heat[0] == round(100 * 5.55 / 6.45)
+    ends = strips.nth(3).locator(".strip-ends span")  # 0.05 °C a line
+    expect(ends).to_have_text(["20,05 °C", "21,10 °C"])
+    expect(page.locator("[data-strips]")).to_contain_text("je kräftiger die Farbe")
     page.locator(".strips-table summary").click()
     axes = page.locator(".strips-table table").nth(1)
     expect(axes.locator("tbody tr", has_text="Y−")).to_contain_text("1,20 µm")

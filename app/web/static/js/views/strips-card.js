@@ -6,6 +6,7 @@ import { quantity } from "../units.js";
 
 const MOST_CELLS = 60;
 const BINS = 12;
+const MOST_DECIMALS = 3;
 
 /** Strips over lines, axes, time and temperatures, each before and after; null where the discovery tells none.
  *
@@ -30,7 +31,7 @@ function stripsOf(lines) {
     { name: t("strips.axes"), cells: byAxis(lines), isNamed: true },
     { name: t("strips.time"), cells: bins(lines, ({ run, time_s }) => time_s - begins.get(run), duration) },
     ...sensors.map((sensor) => ({ name: t("where.temperature", { of: known(`sensor.${sensor}`, sensor) }),
-      cells: bins(lines, ({ temperature_degC: known }) => known?.[sensor], (celsius) => `${number(celsius, 1)} °C`) })),
+      cells: bins(lines, ({ temperature_degC: known }) => known?.[sensor], (celsius, width) => `${number(celsius, decimalsOf(width))} °C`) })),
   ];
   return strips.filter(({ cells }) => cells.length > 1);
 }
@@ -65,8 +66,11 @@ function bins(lines, valueOf, word) {
   const at = (i) => low + ((high - low) * i) / BINS;
   return Array.from({ length: BINS }, (_, i) => [i, known.filter((line) => place(valueOf(line)) === i)])
     .filter(([, part]) => part.length)
-    .map(([i, part]) => cell(`${word(at(i))} … ${word(at(i + 1))}`, part));
+    .map(([i, part]) => cell(`${word(at(i), at(1) - low)} … ${word(at(i + 1), at(1) - low)}`, part));
 }
+
+/** Decimals that tell the ends of a cell of this width apart; at least one. */
+const decimalsOf = (width) => Math.min(MOST_DECIMALS, Math.max(1, Math.ceil(-Math.log10(width))));
 
 const cell = (name, part) => ({ name, count: part.length,
   before: rms(part.map((line) => line.before_um)), after: rms(part.map((line) => line.after_um)) });
