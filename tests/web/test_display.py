@@ -16,6 +16,14 @@ SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
 STALE_S = 2.5
 TOUCH_PX = 56
 JOBS = re.compile(r"/api/v1/jobs[/?]")
+CLOSED = {
+    "type": "machine-ready",
+    "level": "true",
+    "is_required": True,
+    "reason": "",
+    "message": "",
+    "since": "2026-03-14T08:00:00Z",
+}
 LOOK = "e => [getComputedStyle(e).color, getComputedStyle(e).opacity]"
 
 
@@ -54,6 +62,20 @@ def test_stale_numbers_keep_their_contrast_and_bear_their_age(
     expect(stale).to_have_attribute("data-age", re.compile(r"^[3-9] s old$"))
     assert number.evaluate(LOOK) == fresh
     assert "gradient" in stale.evaluate("e => getComputedStyle(e).backgroundImage")
+
+
+def test_stale_conditions_bear_their_age(panel, service, witness):
+    witness.expect("net::ERR_FAILED")
+    service.connected = True
+    service.conditions = [CLOSED]
+    page = panel.open("#/connect")
+    shown = page.locator(".conditions [data-level=true]")
+    expect(shown).to_be_visible()
+    page.route("**/conditions", lambda route: None)  # answers too late
+    page.route(JOBS, lambda route: route.abort())
+    service.silent = True
+    stale = page.locator(".is-stale-data", has=shown)
+    expect(stale).to_have_attribute("data-age", re.compile(r"^[3-9] s old$"))
 
 
 def test_where_no_events_come_the_page_asks_and_follows(panel, service, witness):

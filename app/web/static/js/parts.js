@@ -1,5 +1,5 @@
 /* Pieces that several views share. */
-import { h, icon } from "./dom.js";
+import { h, icon, mark } from "./dom.js";
 import { hasEnded } from "./flow.js";
 import { COVERAGE } from "./plots/error-chart.js";
 import { wordProblem } from "./problems.js";
@@ -27,6 +27,12 @@ export function tile(name, value = "–") {
   const number = h("dd", {}, value);
   const element = h("div", { class: "tile" }, h("dt", {}, name), number);
   return { element, number };
+}
+
+/** What may no longer hold stays readable: hatched, with its age; `age_s` null where it is current. */
+export function markStale(element, age_s) {
+  element.classList.toggle("is-stale-data", age_s !== null);
+  mark(element, "data-age", age_s === null ? null : t("run.age", { age: age_s }));
 }
 
 /** A choice among few, all visible: segments(label, [[value, text], …], chosen, choose). */

@@ -64,8 +64,8 @@ export function mount(root, { store, actions }) {
   let described = "";
   return {
     update(state) {
-      const { job, plan: whole, machine, conditions: held } = state;
-      conditions.update(held);
+      const { job, plan: whole, machine } = state;
+      conditions.update(state);
       safety.update(job);
       arming.update(job);
       const plan = rowsNow(whole, job);

@@ -1,7 +1,7 @@
 /* What has to be so before the machine moves, as the service holds it: told by events, asked every few seconds. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { card } from "../parts.js";
+import { card, markStale } from "../parts.js";
 import { clock, known, number, t } from "../texts.js";
 
 const ASK_MS = 1000;
@@ -44,9 +44,11 @@ export function conditionsCard(store) {
   const list = h("ul", { class: "conditions" });
   let shown = "";
   const close = followConditions(store);
+  const element = card(t("condition.title"), list);
   return {
-    element: card(t("condition.title"), list),
-    update(conditions) {
+    element,
+    update({ conditions, link }) {
+      markStale(element, link.stale ? link.age_s : null);
       const key = JSON.stringify(conditions);
       if (key === shown) return;
       shown = key;
@@ -66,7 +68,8 @@ export function temperatureCard(store) {
   const close = followConditions(store);
   return {
     element,
-    update(conditions) {
+    update({ conditions, link }) {
+      markStale(element, link.stale ? link.age_s : null);
       const found = conditions?.find(({ type }) => type === TEMPERATURES);
       const key = JSON.stringify(found);
       if (key === shown) return;

@@ -51,7 +51,7 @@ export function mount(root, { store, actions }) {
         conditions = conditionsCard(store);
         held.append(conditions.element);
       }
-      conditions?.update(state.conditions);
+      conditions?.update(state);
       tracker.update(machine?.tracker, isConnected(machine));
       control.update(machine?.motion, isConnected(machine));
       thermometers.update(machine?.thermometers, isConnected(machine));

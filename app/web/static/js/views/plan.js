@@ -135,7 +135,7 @@ export function mount(root, { store, actions }) {
   );
   return {
     update(state) {
-      temperatures.update(state.conditions);
+      temperatures.update(state);
       curve.update(state);
       keepOut.update(state);
       if (shownId !== state.machine_id) {

@@ -1,9 +1,9 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
-import { h, icon, mark, write } from "../dom.js";
+import { h, write } from "../dom.js";
 import {
   addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, isVerification, rowsNow,
 } from "../flow.js";
-import { card, head, segments } from "../parts.js";
+import { card, head, markStale, segments } from "../parts.js";
 import { t } from "../texts.js";
 import { figure, unitOf } from "../units.js";
 import { endingNotices, mayGoOn } from "./ending-notices.js";
@@ -130,12 +130,6 @@ function mountMeasuring(root, { store, actions }, job) {
       health.close();
     },
   };
-}
-
-/** Numbers that may no longer hold stay readable: hatched, with their age. */
-function markStale(element, age_s) {
-  element.classList.toggle("is-stale-data", age_s !== null);
-  mark(element, "data-age", age_s === null ? null : t("run.age", { age: age_s }));
 }
 
 function mountAnalysis(root, job) {
