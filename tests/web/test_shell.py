@@ -42,7 +42,7 @@ OURS = [
 # A template of a script with a word of the service in it stands for a family of keys.
 BUILT = re.compile(r"`((?:[a-z]+\.)[\w.-]*\$\{[^`]*)`")
 # Told by the service in English, and so translated into the other languages only.
-PROBLEM = re.compile(r"problem\.code\.[\w-]+")
+PROBLEM = re.compile(r"problem\.code\.[\w.-]+")
 TOLD = re.compile(
     r"effect\.[\w-]+\.(cause|looks_like|remedy)"
     r"|format\.[\w-]+\.(control|carries|not_carried|note|note_[\w-]+)"

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import ast
 import inspect
+import math
 import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
 
 from tests.sentences_of_the_service import ENGLISH, list_unobservable
 from truepath.app.compensation.installed import list_formats
+from truepath.app.errors import IllegalTransition
 from truepath.app.estimation import change_search, notices
 from truepath.app.estimation.budget import SOURCES
 from truepath.app.files.refraction import CAUSES, Refraction
@@ -23,12 +26,25 @@ from truepath.app.files.verdict import Verdict
 from truepath.app.jobs.cell_supervisor import MOVING
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.transitions import State
+from truepath.app.jobs.transitions import State, Verb, apply_verb
 from truepath.app.kinematics import effects
+from truepath.app.measurement import faults as fault_words
+from truepath.app.measurement.channel_judge import ChannelJudge
+from truepath.app.measurement.faults import (
+    Fault,
+    make_ended_early_fault,
+    make_override_fault,
+    make_runs_on_fault,
+    make_silence_fault,
+    make_target_fault,
+    make_unable_fault,
+)
 from truepath.app.measurement.messages import CellState
 from truepath.app.results import temperature_model
 from truepath.app.results.verdict import judge_air
 from truepath.app.web.pages import LANGUAGES, catalogue
+from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.drivers.interfaces.thermometers import Channel, Reading
 
 UNITS = (
     "um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"
@@ -79,6 +95,46 @@ def test_words_of_another_version_stand_as_they_are():
     assert reason.values == {"why": "fog", "why_kind": ""}
 
 
+def faults() -> Iterator[tuple[str, str]]:
+    """Yield code and text of whatever ends or holds a measurement."""
+    yield from ((f.code, f.text) for f in vars(fault_words).values() if _is_fault(f))
+    held = MotionStatus(MotionState.ALARM, (1.5, 20.0), 3, alarm="500 drive X")
+    made = [
+        make_ended_early_fault("XY", held, [5.0, 6.0]),
+        make_override_fault(0.8),
+        make_runs_on_fault("XY", held),
+        make_silence_fault(10.0),
+        make_target_fault("corner 2", 3.25),
+        *(
+            make_unable_fault(MotionStatus(state, (0.0,), 0, alarm=said), latched=True)
+            for state, said in product(UNABLE, ("", "500 drive X"))
+        ),
+        *judged_faults(),
+    ]
+    yield from ((fault.code, fault.text) for fault in made)
+    yield "hold-unconfirmed", "the machine moves 3 s after a hold"
+    for text in ("while the job was paused", "while the job was awaiting-move"):
+        yield "interrupted", f"the service ended {text}"
+    yield "interrupted", "the service was ended while the job was under way"
+    with pytest.raises(IllegalTransition) as refused:
+        apply_verb(Verb.ARM, State.RUNNING)
+    yield "illegal-transition", str(refused.value)
+
+
+def _is_fault(value: object) -> bool:
+    return isinstance(value, Fault)
+
+
+def judged_faults() -> Iterator[Fault]:
+    """Yield what is said of a sensor with no number, too much, the same, and again."""
+    judge = ChannelJudge(Channel("air_degC", -10.0, 60.0, stuck_s=100.0))
+    shown = [(0.0, math.nan), (1.0, 99.0), (2.0, 20.0), (3.0, 20.5), (200.0, 20.5)]
+    for host_time_s, value in shown:
+        _, fault = judge.judge(Reading("air_degC", host_time_s, value))
+        if fault:
+            yield fault
+
+
 def temperature_refusals() -> Iterator[str]:
     """Yield why the service says nothing of a machine's temperature."""
     tree = ast.parse(inspect.getsource(temperature_model))
@@ -111,3 +167,22 @@ def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
             assert found is not None, text
             left = set(re.findall(r"\w+", found.lower())) & ENGLISH
             assert not left, f"{text!r} is said as {found!r}"
+
+
+@pytest.mark.ui
+@pytest.mark.xdist_group("browser")
+def test_no_fault_of_a_measurement_stays_english_on_a_german_page(panel):
+    page = panel.open("#/connect", language="de")
+    said = sorted(set(faults()))
+    assert len(said) > 40
+    for code, text in said:
+        found = page.evaluate(
+            "(problem) => import('/static/js/problems.js')"
+            ".then(({ wordProblem }) => wordProblem(problem))"
+            ".then(({ text }) => text instanceof Node || Array.isArray(text)"
+            " ? null : text)",
+            {"code": code, "detail": text},
+        )
+        assert found is not None, f"{code}: {text}"
+        for number in re.findall(r"\d+\.\d+", text):
+            assert number not in found, found

@@ -1,6 +1,7 @@
 /* What the service refuses or reports, in the language of the page. */
 import { Problem } from "./api.js";
 import { h } from "./dom.js";
+import { sayFault } from "./fault-statements.js";
 import { currentLanguage, known, t } from "./texts.js";
 
 const SPOKEN_BY_SERVICE = "en";
@@ -17,7 +18,7 @@ export function wordProblem({ code = "", title = "", detail = "", action = "" })
   const isBare = !detail || detail === title || detail === `${title}.`;
   return {
     title: known(key, title || t("problem.refused")),
-    text: isBare ? known(`${key}_text`, "") : textOf(known(`${key}_text`, ""), detail),
+    text: isBare ? known(`${key}_text`, "") : textOf(code, detail),
     action: known(`${key}_action`, "") || quote(action),
   };
 }
@@ -29,7 +30,11 @@ export function lineOf(error) {
   return [text || title, action && " ", action].flat();
 }
 
-function textOf(translated, detail) {
+function textOf(code, detail) {
+  if (currentLanguage() === SPOKEN_BY_SERVICE) return detail;
+  const said = sayFault(code, detail);
+  if (said !== null) return said;
+  const translated = known(`problem.code.${code}_text`, "");
   if (!translated) return quote(detail);
   return /\d/.test(detail) ? [translated, " ", quote(`(${detail})`)] : translated;
 }
