@@ -16,6 +16,10 @@ SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
 STALE_S = 2.5
 TOUCH_PX = 56
 JOBS = re.compile(r"/api/v1/jobs[/?]")
+STICKING_OUT = """() => [...document.querySelectorAll(".card, .choice, button")]
+    .filter((e) => e.checkVisibility() && e.scrollWidth > e.clientWidth + 1)
+    .map((e) => e.outerHTML.slice(0, 120))"""
+HEIGHTS = "all => all.map((e) => e.offsetHeight)"
 CLOSED = {
     "type": "machine-ready",
     "level": "true",
@@ -76,6 +80,25 @@ def test_stale_conditions_bear_their_age(panel, service, witness):
     service.silent = True
     stale = page.locator(".is-stale-data", has=shown)
     expect(stale).to_have_attribute("data-age", re.compile(r"^[3-9] s old$"))
+
+
+def test_nothing_sticks_out_of_its_frame_on_a_german_phone(panel, service):
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    service.finish(job)
+    page = panel.open("#/plan", size=(390, 844), language="de")
+    for view, shown in {
+        "plan": "#feed",
+        f"export/{job}": "[data-format]",
+        f"verify/{job}": "#verify-tolerance",
+        f"certificate/{job}": "#state-operator",
+        "machine": "[data-card=who]",
+    }.items():
+        page.goto(f"{panel.address}/#/{view}")
+        expect(page.locator(shown).first).to_be_visible()
+        assert page.evaluate(STICKING_OUT) == [], view
+        heights = page.locator(".stepper").evaluate_all(HEIGHTS)
+        assert all(height < 2 * 64 for height in heights), view
 
 
 def test_where_no_events_come_the_page_asks_and_follows(panel, service, witness):

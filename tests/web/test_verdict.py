@@ -65,7 +65,7 @@ def test_the_reasons_are_told_in_german(panel, service):
     expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm ab")
     expect(rows.nth(2)).to_contain_text("um +0,42 mm neben ihrem Ort")
     expect(rows.nth(3)).to_contain_text("die Temperatur der Luft wurde nicht gemessen")
-    expect(rows.nth(4)).to_contain_text("42 Messpunkte der Linie 7, von 61,2 s bis")
+    expect(rows.nth(4)).to_contain_text("42 Messpunkte der Geraden 7, von 61,2 s bis")
 
 
 def test_a_doubtful_result_says_so(panel, service):
