@@ -103,6 +103,7 @@ class ScriptedService:
         job = {
             "id": f"job-{number}",
             "kind": kind,
+            "machine": "default",
             "state": "running" if kind in _STAGES else "preparing",
             "desired_state": "ready",
             "version": 1,

@@ -15,6 +15,7 @@ from scripted_data import (
     compensation,
     machine_history,
     verification,
+    volumetric_error,
 )
 from test_trend import trend_of
 
@@ -101,6 +102,7 @@ def test_no_state_of_a_run_hinders_anybody(panel, service, witness, size, dark):
 def views_of_a_calibration(service) -> dict[str, str]:
     """Fill the service with one of everything; each view and what it shows then."""
     service.connected = True
+    service.result["volumetric_error"] = volumetric_error()
     job = service.new_job("measure-otf", state="running", stage="measuring")["id"]
     service.finish(job)
     proof = service.new_job("verify", state="running", stage="measuring")["id"]

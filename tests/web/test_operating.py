@@ -152,3 +152,17 @@ def test_a_lost_beam_is_said_and_that_it_is_back(panel, service):
     expect(beam).to_have_attribute("data-tone", "fault")
     stream_until(beam, "on the target", service, job, [[1000.0, 200.0, 50.0]])
     expect(page.locator("#state")).to_have_text("Paused")
+
+
+def test_an_old_result_is_looked_at_while_the_machine_moves(panel, service):
+    old = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    service.finish(old)
+    job = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    page = panel.open(f"#/result/{old}")
+    expect(page.locator("#state")).to_have_text("Running")
+    assert page.locator("body").get_attribute("data-measuring") == job
+    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible()
+    service.change(job, state="paused")
+    expect(page.locator("#state")).to_have_text("Paused")
+    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible()
+    assert page.url.endswith(f"#/result/{old}")

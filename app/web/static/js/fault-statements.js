@@ -10,6 +10,7 @@ const SENTENCES = Object.entries({
   "illegal-transition.in_state": /^cannot [a-z-]+ a job that is (?<state>[a-z-]+); only/,
   "illegal-transition.still": /^cannot pause a job that is [a-z-]+: nothing moves any more$/,
   "illegal-transition.over": /^cannot [a-z-]+ a job that is not under way any more$/,
+  "busy.in_state": /^job \S+ \((?<state>[a-z-]+)\) holds the machine$/,
   "tracker-silent.held": /^no sample has come for half a second; the feed is held$/,
   "tracker-silent.for": RegExp(`^no sample has come for (?<seconds>${N}) s$`),
   "points-only.path": /^this tracker measures standing targets, point by point, and the plan is a path$/,

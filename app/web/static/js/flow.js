@@ -27,6 +27,9 @@ export const isReanalysis = (job) => job?.kind === "reanalyse";
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);
+/** The job that the bar tells of: the followed one, or what is measured on this machine while an ended one is looked at. */
+export const jobUnderWay = ({ job, jobs, machine_id }) => (isActive(job) ? job
+  : jobs.find((other) => isMeasuring(other) && isActive(other) && (!machine_id || other.machine === machine_id)) ?? job);
 export const isMoving = (job) =>
   isActive(job) && isMeasuring(job) && !BEFORE_MOTION.has(job.state) && !isComputing(job);
 export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);

@@ -1,6 +1,6 @@
 /* What surrounds the views: state and stamp in the bar, steps, problems, the next button. */
 import { h, icon, mark, write } from "./dom.js";
-import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, machineName, OPTIONAL, reach, STEPS } from "./flow.js";
+import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, jobUnderWay, machineName, OPTIONAL, reach, STEPS } from "./flow.js";
 import { holdToConfirm } from "./hold.js";
 import { notice, shapeOf, toneOf, wordOf } from "./parts.js";
 import { clock, t } from "./texts.js";
@@ -9,7 +9,8 @@ const element = (id) => document.getElementById(id);
 
 /** Write machine, state and age of the data into the bar. */
 export function updateBar(state) {
-  const { system, machine, job, link } = state;
+  const { system, machine, link } = state;
+  const job = jobUnderWay(state);
   write(element("machine-name"), machineName(state));
   element("simulated").hidden = !system?.simulated;
   const { word, tone, shape } = situation(machine, job);

@@ -17,7 +17,7 @@ export function headline(job, result, proof) {
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
-      h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
+      h("span", { class: "headline-arrow", role: "img", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) }), " ", wordScale(before.mean)),
     toleranceField((tolerance_um) => ask(tolerance_um)), decided);
   let asked = null;
@@ -62,7 +62,7 @@ function describeProof({ compensated, volumetric_error_um: { measured }, conform
   const decided = conformity.measured;
   const words = [t(compensated ? "headline.left" : "headline.again", { when }),
     decided && t(`headline.proof_${decided.conformity}`, { tolerance: quantity(decided.tolerance_um, "gap", 1) })].filter(Boolean);
-  return [h("span", { class: "headline-arrow", "aria-label": t("headline.to") }, icon("next")),
+  return [h("span", { class: "headline-arrow", role: "img", "aria-label": t("headline.to") }, icon("next")),
     value({ value_um: measured.mean, uncertainty_um: measured.mean_uncertainty }, words.join(": "))];
 }
 
