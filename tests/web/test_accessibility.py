@@ -31,6 +31,7 @@ LOOKS = list(product((DESK, PHONE), (False, True)))
 JOBS = re.compile(r"/api/v1/jobs[/?]")
 STATED_BOX = """() => localStorage.setItem("truepath.keep_out", JSON.stringify(
     {default: [{name: "vice", min_mm: [1, 1, 1], max_mm: [9, 9, null]}]}))"""
+
 HINDRANCES = ("moderate", "serious", "critical")
 AXE = Axe()
 ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
@@ -38,6 +39,14 @@ ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
 ALL = {"resultTypes": ["violations"]}
 # Light or dark only changes colours: the other rules read the same document again.
 CONTRAST = {**ALL, "runOnly": ["color-contrast"]}
+
+
+def list_looks(often: list[tuple[tuple[int, int], bool]]) -> list[Any]:
+    """Return all sizes and themes; the long tests have those that repeat most of it."""
+    return [
+        look if look in often else pytest.param(*look, marks=pytest.mark.long)
+        for look in LOOKS
+    ]
 
 
 @pytest.mark.parametrize(("size", "dark"), LOOKS)
@@ -60,7 +69,7 @@ def test_no_view_hinders_anybody_before_and_after_a_calibration(
     assert bad == []
 
 
-@pytest.mark.parametrize(("size", "dark"), [(DESK, True), (PHONE, False)])
+@pytest.mark.parametrize(("size", "dark"), list_looks([(DESK, True), (PHONE, False)]))
 def test_no_state_of_a_run_hinders_anybody(panel, service, witness, size, dark):
     witness.expect("net::ERR_FAILED")
     options = CONTRAST if dark else ALL
@@ -96,6 +105,31 @@ def test_no_state_of_a_run_hinders_anybody(panel, service, witness, size, dark):
     page.locator("#abort").click()
     expect(page.locator("#abort-close")).to_be_visible()
     bad += hindrances(page, "abort", options)
+    assert bad == []
+
+
+@pytest.mark.parametrize(("size", "dark"), list_looks([]))
+def test_nothing_that_is_opened_hinders_anybody(panel, service, witness, size, dark):
+    witness.expect("status of 404", "status of 409")
+    views = list(views_of_a_calibration(service))
+    page = panel.open("#/plan", size=size, dark=dark)
+    options = CONTRAST if dark else ALL
+    bad = []
+    for view, touched in (
+        ("result/", "[data-symbol=EXX] button"),
+        ("result/", ".map-table summary"),
+        ("discover/", "details.graded summary"),
+        ("discover/", ".strips-table summary"),
+        ("export/", "[data-format]"),
+        ("plan", "[data-place]:last-child"),
+        ("machine", "details summary"),
+    ):
+        (address,) = [one for one in views if one.startswith(view)]
+        page.goto(f"{panel.address}/#/{address}")
+        page.locator(touched).first.click()
+        bad += hindrances(page, f"{address}, {touched}", options)
+        bad += small_targets(page, address, LEAST_TOUCH_PX[size])
+        page.keyboard.press("Escape")
     assert bad == []
 
 
@@ -155,6 +189,6 @@ def small_targets(page: Page, where: str, least_px: int) -> list[str]:
             .map((e) => [e.getBoundingClientRect().height, e])
             .filter(([height, e]) => e.checkVisibility() && height < least - 0.5)
             .map(([height, e]) => `${height} px ${e.outerHTML.slice(0, 120)}`)""",
-        ["button, main a, select, input:not([type=file])", least_px],
+        ["button, main a, select, summary, input:not([type=file])", least_px],
     )
     return [f"{where}: {one}" for one in found]
