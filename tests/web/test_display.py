@@ -146,6 +146,7 @@ def test_a_file_that_misses_its_zone_never_leaves_the_page(panel):
 
 
 def test_the_language_changes_in_place_and_stays(panel, service):
+    service.stopped = "true"
     page = panel.open()
     expect(page.locator("h1")).to_have_text("Connect")
     page.locator("#open-settings").click()
