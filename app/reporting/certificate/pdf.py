@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import NoReturn, Protocol, cast
 
@@ -65,7 +65,7 @@ def print_pdf(html: str) -> bytes:
 
 
 @contextmanager
-def _collect_missing_letters() -> Iterator[dict[str, None]]:
+def _collect_missing_letters() -> Generator[dict[str, None]]:
     """Collect the letters that WeasyPrint warns of, in the order of the text."""
     missing: dict[str, None] = {}
 
