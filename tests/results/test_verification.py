@@ -157,6 +157,18 @@ def test_a_scale_that_the_air_explains_is_not_held_against_the_machine(
     assert set(verify_decisions(calibrated, open_air).values()) == {"undecided"}
 
 
+def test_lengths_that_differ_as_the_calibration_allows_agree_with_it(
+    calibrated, remeasured
+):
+    run, _ = remeasured(101)
+    longer = replace(run.tracker, position_mm=1.0001 * run.tracker.position_mm)
+    run = replace(run, tracker=longer, refraction=Refraction("instrument"))
+    provenance = {**calibrated.provenance, "length_scale_ppm": 100.0}
+    agreed = verify(replace(calibrated, provenance=provenance), run).consistency
+    assert agreed.is_consistent
+    assert not verify(calibrated, run).consistency.is_consistent
+
+
 def verify_decisions(result, run):
     found = verify(result, run, tolerance_um=TOLERANCE_UM)
     return {name: one.conformity for name, one in found.conformity.items()}
