@@ -85,6 +85,13 @@ def test_what_lines_leave_unseen_is_said_in_german():
     assert unseen.startswith("Längs X wurde nichts gemessen")
 
 
+def test_a_line_has_one_name_in_german():
+    language = load_language("de")
+    texts = {**language.own, **language.shared}
+    other = {key for key, text in texts.items() if re.search(r"\bLinien?\b", text)}
+    assert not other
+
+
 def test_air_and_scale_of_a_verification_are_said_in_german():
     air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
     content = VERIFICATION | {

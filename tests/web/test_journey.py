@@ -175,6 +175,31 @@ def test_air_that_was_not_known_while_verifying_is_said_beside_the_decision(
     expect(page.locator(".verdict-band")).to_contain_text(words)
 
 
+UNSEEN = {
+    "de": ("quer zur Fahrt", "Längs X und Y wurde nichts", "Nicht verfahren: Z, C."),
+    "en": ("across the travel", "along X and Y", "Not driven: Z, C."),
+}
+
+
+@pytest.mark.parametrize("language", UNSEEN)
+def test_what_a_verification_has_not_seen_is_said_in_both_languages(
+    panel, service, language
+):
+    result = measured(service)
+    proof = service.new_job("verify")["id"]
+    service.verifications[proof] = verification(result, "undecided") | {
+        "statements": ["; ".join(UNSEEN["en"])],
+        "components": "three at standstills, the two across the travel on lines",
+        "unseen_directions": ["X", "Y"],
+        "axes_at_rest": ["Z", "C"],
+    }
+    service.finish(proof)
+    page = panel.open(f"#/verify/{proof}", language=language)
+    said = page.locator(".card", has=page.locator(".proof-table")).locator(".lines")
+    for words in UNSEEN[language]:
+        expect(said).to_contain_text(words)
+
+
 CAUSES = {
     ("de", "wrong-sign"): "mit dem falschen Vorzeichen ein",
     ("de", "not-active"): "Die Kompensation ist nicht aktiv",

@@ -223,12 +223,12 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
     if stated := as_object(content.get("run_verdict")):
         yield from map(language.say_reason, verdict_from_json(stated).reasons)
     if str(content.get("components", "")).startswith("three at standstills"):
-        yield language.say("verification_across")
+        yield language.shared["verify.across"]
     if unseen := content.get("unseen_directions"):
-        axes = language.say("verification_and").join(unseen)
-        yield language.say("verification_unseen", axes=axes)
+        axes = language.shared["grade.and"].join(unseen)
+        yield language.shared["verify.unseen"].format(axes=axes)
     if resting := content.get("axes_at_rest"):
-        yield language.say("verification_resting", axes=", ".join(resting))
+        yield language.shared["verify.resting"].format(axes=", ".join(resting))
     if agreement := as_object(content.get("agreement")):
         yield _say_agreement(agreement, language)
     scale = as_object(content.get("map_scale"))

@@ -10,6 +10,7 @@ import { circlesCard } from "./circles-card.js";
 import { verdictBand } from "./verdict-band.js";
 
 const DOUBTFUL = 0.01; // chance below which no machine explains a measurement, as in the service
+const LINES_ACROSS = "three at standstills"; // start of `components` where lines show two of the three
 const LOOKS = 5; // newest verifications that are looked through
 const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees: "warning", undecided: "info" };
 
@@ -70,10 +71,20 @@ const SIZES = ["mean", "p95", "largest"];
 function numbers(verification) {
   const rows = ROWS.map((name) => h("tr", {}, h("th", { scope: "row" }, t(`verify.${name}`)),
     SIZES.map((size) => h("td", { class: "right" }, sized(verification.volumetric_error_um[name], size)))));
-  const said = currentLanguage() === "en" && h("ul", { class: "lines" }, verification.statements.map((text) => h("li", {}, text)));
+  const said = currentLanguage() === "en" ? verification.statements : wordUnseen(verification);
   return card(t("verify.numbers"), tableFrame(t("verify.numbers"), h("table", { class: "proof-table" },
     h("thead", {}, h("tr", {}, h("th", {}, t("verify.error_of")), SIZES.map((size) => h("th", { class: "right" }, t(`verify.${size}`))))),
-    h("tbody", {}, rows))), h("p", { class: "quiet" }, t("verify.numbers_note", { k: COVERAGE })), said);
+    h("tbody", {}, rows))), h("p", { class: "quiet" }, t("verify.numbers_note", { k: COVERAGE })),
+    said.length > 0 && h("ul", { class: "lines" }, said.map((text) => h("li", {}, text))));
+}
+
+/** What was not measured, in the language of the page: the statements of the service are English. */
+function wordUnseen({ components, unseen_directions: unseen, axes_at_rest: resting }) {
+  return [
+    components?.startsWith(LINES_ACROSS) && t("verify.across"),
+    unseen?.length && t("verify.unseen", { axes: unseen.join(t("grade.and")) }),
+    resting?.length && t("verify.resting", { axes: resting.join(", ") }),
+  ].filter(Boolean);
 }
 
 const sized = (statistics, size) =>
