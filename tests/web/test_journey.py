@@ -157,6 +157,30 @@ def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
 
 
 @pytest.mark.parametrize(
+    ("driven_with", "stated"),
+    [("heidenhain-10-hold", "heidenhain-10-hold"), (None, ""), ("taken-away", "")],
+)
+def test_the_files_that_were_verified_go_into_the_certificate(
+    panel, service, driven_with, stated
+):
+    result = measured(service)
+    service.compensations[result] = [
+        scripted_data.compensation(result, name, "hold")
+        for name in ("linuxcnc", "heidenhain")
+    ]
+    proof = service.new_job("verify")["id"]
+    asked = {"result_id": result, "compensation_id": driven_with}
+    service.verifications[proof] = verification(result, "within") | {"asked": asked}
+    service.finish(proof)
+    page = panel.open(f"#/certificate/{result}")
+    files = page.get_by_label("Files that the control corrects by")
+    expect(files).to_have_value(stated)
+    page.locator(NEXT, has_text="Issue the certificate").click()
+    expect(page.locator("iframe.preview")).to_be_visible()
+    assert service.requests[-1][2].get("compensation_id", "") == stated
+
+
+@pytest.mark.parametrize(
     ("language", "words"),
     [("de", "nicht um die Luft berichtigt"), ("en", "not corrected for the air")],
 )

@@ -69,7 +69,7 @@ export function mount(root, { store, actions }) {
     const [kept, proof, files] = await Promise.all([api.certificates(job.id), findProof(job.id, jobs), api.compensations(job.id)]);
     if (drawn !== job.id) return;
     const { machine } = store.get();
-    order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: "" };
+    order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: verifiedFiles(proof, files) };
     stated.replaceChildren(...form(order, files));
     showAll(kept.items, kept.items.at(-1) ?? null);
     store.set({});
@@ -98,10 +98,17 @@ async function identityOf(job, kept, machine) {
   return Object.fromEntries(all.map((name) => [name, ofMachine[name] || kept[name] || ofTracker[name] || ""]));
 }
 
+/** The kept files that the control had while it was verified; empty where there are none. */
+function verifiedFiles(proof, files) {
+  const name = proof?.verification.asked.compensation_id;
+  return files.some(({ id }) => id === name) ? name : "";
+}
+
 function form(order, files) {
   const choose = h("select", { id: "certificate-files", onchange: () => {
     order.files = choose.value;
   } }, h("option", { value: "" }, t("certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
+  choose.value = order.files;
   const groups = Object.entries(GROUPS).map(([group, names]) => [h("h3", {}, t(`certificate.of_${group}`)),
     h("div", { class: "text-fields" }, names.map((name) => textField(order.identity, name)))]);
   return [h("section", { class: "card stack", "data-card": "identity" }, h("h2", {}, t("certificate.content")),
