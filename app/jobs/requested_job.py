@@ -61,7 +61,7 @@ class RequestedJob:
         `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
         reanalysis `since`, where it names no Runs; of a verification
         `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`; of that and of
-        extra lines `keep_out`, as `add_workspace` reads it
+        extra lines `keep_out`, `keep_out_replaces`, as `add_workspace` reads them
     on_notice : what is done where the live estimate notices a change
     control_compensation : `on` or `off`, which the control has to say; None for either
     machine : that is measured or planned for; without it the only one, or that of

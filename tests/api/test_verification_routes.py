@@ -107,6 +107,7 @@ def test_no_point_and_no_way_of_a_verification_touches_a_box(
     ("change", "status", "kind"),
     [
         ({"keep_out": [{"min_mm": [0, 0, 9], "max_mm": [9, 9, 9]}]}, 422, "validation"),
+        ({"keep_out_replaces": True}, 422, "validation"),
         ({"what": ["spirals"]}, 422, "validation"),
         ({"what": ["circles", "circles"]}, 422, "validation"),
         ({"run_id": "0" * 8}, 422, "validation"),

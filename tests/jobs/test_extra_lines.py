@@ -28,6 +28,7 @@ ROWS = [
 
 VICE = {"name": "vice", "min_mm": [200, 0, 0], "max_mm": [300, 50, 50]}
 DOOR = {"name": "door", "min_mm": [200, 200, 200], "max_mm": [300, 300, 300]}
+PRESS = {"name": "press", "min_mm": [20, 100, 100], "max_mm": [30, 110, 110]}
 
 
 @pytest.fixture
@@ -254,10 +255,25 @@ def test_lines_keep_clear_of_the_boxes_of_the_runs_that_they_are_to_explain(
     request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=found.id)
     with pytest.raises(PlanningError, match="enters the keep-out box door"):
         asking.create(request)
-    none = replace(request, plan_request={"keep_out": []})
-    job, _ = asking.create(none)
+    gone = {"keep_out": [], "keep_out_replaces": True}
+    job, _ = asking.create(replace(request, plan_request=gone))
     asking.abort(job.id)
     assert "workspace" not in context.store.read_plan_request(job.id)
+
+
+@pytest.mark.parametrize("stated", [[], [PRESS], [DOOR, PRESS]])
+def test_boxes_of_an_order_hold_beside_those_of_the_runs(
+    asking, discover, drive, explorer, context, stated
+):
+    before = drive(discover(), keep_out=[DOOR])
+    found = discover(before.run_id)
+    order = {"keep_out": stated}
+    job, _ = asking.create(
+        RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=found.id, plan_request=order)
+    )
+    asking.abort(job.id)
+    hold = context.store.read_plan_request(job.id)["workspace"]["keep_out"]
+    assert hold == ([DOOR, PRESS] if stated else [DOOR])
 
 
 def test_the_way_to_extra_lines_is_held_against_the_same_boxes(

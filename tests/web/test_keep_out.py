@@ -102,21 +102,32 @@ def test_a_box_in_inch_is_sent_in_mm(panel, service):
 
 
 @pytest.mark.parametrize(
-    ("stated", "sent"), [(True, {"keep_out": [VICE]}), (False, {})]
+    ("stated", "way", "sent"),
+    [
+        (True, None, {"keep_out": [VICE]}),
+        (True, "As in the measurement", {}),
+        (True, "Only these", {"keep_out": [VICE], "keep_out_replaces": True}),
+        (False, None, {}),
+        (False, "These as well", {}),
+        (False, "Only these", {"keep_out": [], "keep_out_replaces": True}),
+    ],
 )
-def test_a_verification_keeps_clear_of_stated_boxes_or_those_of_its_measurement(
-    panel, service, stated, sent
+def test_a_box_of_the_measurement_holds_until_somebody_says_that_it_is_gone(
+    panel, service, stated, way, sent
 ):
     service.connected = True
     job = service.new_job("measure-otf", state="succeeded")["id"]
     page = panel.open(f"#/verify/{job}", before=KEPT if stated else "")
-    pressed = "Stated here" if stated else "As in the measurement"
-    chosen = page.locator("[data-card=keep-out] [aria-pressed=true]")
-    expect(chosen).to_have_text(pressed)
+    card = page.locator("[data-card=keep-out]")
+    usual = "These as well" if stated else "As in the measurement"
+    expect(card.locator("[aria-pressed=true]")).to_have_text(usual)
+    if way:
+        card.get_by_role("button", name=way).click()
+        expect(card.locator("[aria-pressed=true]")).to_have_text(way)
     page.locator(NEXT).click()
     page.wait_for_url("**/#/check/*")
     (order,) = jobs(service)
-    assert {key: order[key] for key in order if key == "keep_out"} == sent
+    assert {key: order[key] for key in order if "keep_out" in key} == sent
 
 
 def test_extra_lines_keep_clear_of_stated_boxes(panel, service):
@@ -124,12 +135,13 @@ def test_extra_lines_keep_clear_of_stated_boxes(panel, service):
     service.discovery = DISCOVERY | {"ask": ASK}
     job = service.new_job("discover", state="succeeded")["id"]
     page = panel.open(f"#/discover/{job}", before=KEPT)
-    expect(page.locator("[data-card=keep-out]")).to_contain_text("These boxes hold")
+    expect(page.locator("[data-card=keep-out]")).to_contain_text("and these as well")
     page.locator(NEXT).click()
     page.wait_for_url("**/#/check/*")
     (order,) = jobs(service)
     assert order["kind"] == "measure-extra"
     assert order["keep_out"] == [VICE]
+    assert "keep_out_replaces" not in order
 
 
 @pytest.mark.parametrize(

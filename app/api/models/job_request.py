@@ -37,12 +37,13 @@ _MEASURED = {*_DRIVEN, "plan_id", "target_um", "model_id", "continues", "on_noti
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _USUAL_POINTS = ("diagonals", "random-points")
 _OF_VERIFICATION = {"result_id", "what", "seed", "tolerance_um", "compensation_id"}
-_OF_VERIFICATION |= {"keep_out"}
+_KEEP_OUT = {"keep_out", "keep_out_replaces"}
+_OF_VERIFICATION |= _KEEP_OUT
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
     "measure-adaptive": {*_DRIVEN, "planning", "target_um", "model_id", "on_notice"},
-    "measure-extra": {*_DRIVEN, "discovery_id", "keep_out"},
+    "measure-extra": {*_DRIVEN, "discovery_id", *_KEEP_OUT},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
     "trend": {"run_ids", *_OF_TREND},
@@ -220,8 +221,13 @@ class JobRequest(RequestBody):
     keep_out: KeepOut | None = Field(
         None,
         description="Of extra lines and of a verification: boxes of axis positions X, "
-        "Y, Z that no motion may touch; [] for none. Without it those that the "
-        "measurements behind the discovery or the result had to keep clear of.",
+        "Y, Z that no motion may touch, beside those that the measurements behind the "
+        "discovery or the result had to keep clear of.",
+    )
+    keep_out_replaces: bool | None = Field(
+        None,
+        description="Whether the boxes of `keep_out` hold in place of those of the "
+        "measurements behind, which are gone by now; with [] there is none.",
     )
     control_compensation: Literal["on", "off"] | None = Field(
         None,
@@ -288,6 +294,11 @@ class JobRequest(RequestBody):
             raise ValueError("a job of kind measure-extra needs a discovery_id")
         if self.kind == "verify" and self.result_id is None:
             raise ValueError("a job of kind verify needs a result_id")
+        if self.keep_out_replaces and self.keep_out is None:
+            raise ValueError(
+                "keep_out_replaces needs the boxes that hold now as keep_out; [] for "
+                "none"
+            )
         if len(set(self.what or ())) < len(self.what or ()):
             raise ValueError("what names a kind of points twice; give each once")
         again = self.on_notice in (OnNotice.CHECK, OnNotice.REPLAN)
@@ -333,7 +344,7 @@ class JobRequest(RequestBody):
             order = {"minutes": ADAPTIVE_MINUTES, **asked}
             order["perpendicular_only"] = self.perpendicular_only
         if self.kind == "measure-extra":
-            order = self.model_dump(include={"keep_out"})
+            order = self.model_dump(include=_KEEP_OUT)
         if self.kind == "trend":
             order = self.model_dump(include=_OF_TREND)
         if self.kind == "reanalyse":

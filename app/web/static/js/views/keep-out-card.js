@@ -8,8 +8,9 @@ import { decimalsOf, shown, stored, unitOf } from "../units.js";
 const MOST = 100;
 const ENDS = [["min_mm", "keepout.from"], ["max_mm", "keepout.to"]];
 const KIND = "length";
+const WAYS = ["kept", "added", "only"];
 
-/** Whether the boxes of the earlier measurement hold (`kept`) or those of this panel (`stated`). */
+/** Whether the boxes of the earlier measurement hold (`kept`), those of this panel as well (`added`), or these alone (`only`). */
 const based = { by: "kept" };
 
 /** The card on Plan; `update({machine_id, machine})` shows the machine's boxes, `changed()` hears of each change. */
@@ -19,29 +20,32 @@ export function keepOutCard(changed) {
   return { element, update: ({ machine_id, machine }) => editor.show(machine_id, machine) };
 }
 
-/** The card of what is based on a measurement: its boxes hold, unless others are stated. */
+/** The card of what is based on a measurement: its boxes hold, unless somebody says that they are gone. */
 export function keepOutChoice(machine_id, machine, changed) {
   const editor = boxEditor(changed);
   const note = h("p", { class: "quiet" });
-  based.by = boxesOf(machine_id).length ? "stated" : "kept";
+  based.by = boxesOf(machine_id).length ? "added" : "kept";
 
   function show() {
-    const isStated = based.by === "stated";
-    editor.element.hidden = !isStated;
-    write(note, t(isStated ? "keepout.stated_text" : "keepout.kept_text"));
+    editor.element.hidden = based.by === "kept";
+    write(note, t(`keepout.${based.by}_text`));
   }
 
   editor.show(machine_id, machine);
   show();
-  return frame(segments(t("keepout.title"), [["kept", t("keepout.kept")], ["stated", t("keepout.stated")]], based.by, (by) => {
+  return frame(segments(t("keepout.title"), WAYS.map((by) => [by, t(`keepout.${by}`)]), based.by, (by) => {
     based.by = by;
     show();
     changed();
   }, true), note, editor.element);
 }
 
-/** What an order that is based on a measurement says of boxes: nothing where those of the measurement hold. */
-export const basedOrder = (machine_id) => (based.by === "kept" ? {} : { keep_out: orderBoxes(boxesOf(machine_id)) });
+/** What an order that is based on a measurement says of boxes: nothing where those of the measurement hold alone. */
+export function basedOrder(machine_id) {
+  const keep_out = orderBoxes(boxesOf(machine_id));
+  if (based.by === "only") return { keep_out, keep_out_replaces: true };
+  return based.by === "added" && keep_out.length ? { keep_out } : {};
+}
 
 /** Why such an order cannot be sent; empty where it can. */
 export const refuseBased = (machine_id) => (based.by === "kept" ? "" : refuseBoxes(machine_id));
