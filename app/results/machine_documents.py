@@ -17,6 +17,7 @@ from truepath.app.results.machine_history import (
     find_quantity_unit,
     list_differing,
     read_entries,
+    read_expected_after,
 )
 
 HISTORY_SCHEMA, CHANGES_SCHEMA = "machine-history/1", "machine-changes/1"
@@ -89,7 +90,11 @@ def history_json(
             for label, where in keys
         ],
         "calibrations": [
-            {**one.describe(), **_columns(entries, keys)}
+            {
+                **one.describe(),
+                **_columns(entries, keys),
+                **_columns_after(read_expected_after(read_stated(one), quantity), keys),
+            }
             for one, entries in zip(calibrations, chosen, strict=True)
         ],
     }
@@ -103,6 +108,17 @@ def _columns(
     return {
         "value": [found[k].value if k in found else None for k in keys],
         "uncertainty": [found[k].uncertainty if k in found else None for k in keys],
+    }
+
+
+def _columns_after(
+    entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]]
+) -> dict[str, list[float | None]]:
+    """Return the same of what full compensation is expected to leave."""
+    columns = _columns(entries, keys)
+    return {
+        "expected_after": columns["value"],
+        "expected_after_uncertainty": columns["uncertainty"],
     }
 
 

@@ -75,13 +75,7 @@ def find_quantity_unit(quantity: str) -> str:
 def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
     """Return what a result states of a quantity; nothing where it does not tell it."""
     if quantity == VOLUMETRIC:
-        stated = result["volumetric_error"]["before"]
-        return [
-            Entry(
-                name, None, "", stated[name]["value_um"], stated[name]["uncertainty_um"]
-            )
-            for name in FIGURES
-        ]
+        return _read_spread(result["volumetric_error"]["before"])
     if single := result["squareness_urad"].get(quantity):
         return [Entry("", None, "", single["value"], single["uncertainty"])]
     unit = find_quantity_unit(quantity)
@@ -95,6 +89,24 @@ def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
     columns = (f"position_{measure}", f"value_{unit}", f"uncertainty_{unit}")
     rows = zip(*(table[name] for name in columns), strict=True)
     return [Entry("", p, measure, v, u) for p, v, u in rows]
+
+
+def read_expected_after(result: Mapping[str, Any], quantity: str) -> list[Entry]:
+    """Return what full compensation is expected to leave of a quantity.
+
+    A result tells it of `volumetric` only; nothing where it does not.
+    """
+    if quantity != VOLUMETRIC or "after_expected" not in result["volumetric_error"]:
+        return []
+    return _read_spread(result["volumetric_error"]["after_expected"])
+
+
+def _read_spread(spread: Mapping[str, Any]) -> list[Entry]:
+    figures = ((name, spread[name]) for name in FIGURES)
+    return [
+        Entry(name, None, "", one["value_um"], one["uncertainty_um"])
+        for name, one in figures
+    ]
 
 
 def choose_entries(

@@ -22,9 +22,23 @@ def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(
     exx = client.get(f"{BASE}/default/history", params={"quantity": "EXX"}).json()
     assert exx["unit"] == "um"
     assert len(exx["entries"]) == len(exx["calibrations"][0]["uncertainty"]) > 4
+    assert set(exx["calibrations"][0]["expected_after"]) == {None}
     at = {"quantity": "EXX", "position": 33.3}
     is_problem(client.get(f"{BASE}/default/history", params=at), 422, "bad-input")
     is_problem(client.get(f"{BASE}/press/history"), 404, "not-found")
+
+
+def test_a_history_states_what_compensation_is_expected_to_leave(
+    client, calibrated, service
+):
+    one, _ = client.get(f"{BASE}/default/history").json()["calibrations"]
+    file = service.results / one["job_id"] / "result.json"
+    stated = json.loads(file.read_text())["volumetric_error"]["after_expected"]
+    figures = [stated[name] for name in ("mean", "p95", "largest")]
+    assert one["expected_after"] == [each["value_um"] for each in figures]
+    u = [each["uncertainty_um"] for each in figures]
+    assert one["expected_after_uncertainty"] == u
+    assert one["expected_after"][0] < one["value"][0]
 
 
 def test_an_old_run_that_is_uploaded_late_is_not_the_newest(

@@ -550,6 +550,8 @@ def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
                 "verdict": "usable",
                 "value": [15.3, 26.0, 32.1],
                 "uncertainty": [0.1, 0.2, 0.4],
+                "expected_after": [0.7, 1.2, 1.5],
+                "expected_after_uncertainty": [0.05, 0.1, 0.1],
             }
             for number, when in enumerate(measured, 1)
         ],

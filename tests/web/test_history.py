@@ -111,18 +111,26 @@ def test_a_first_result_has_no_history(panel, service):
     expect(page.locator("[data-card=history]")).to_be_hidden()
 
 
-def test_what_nobody_has_named_is_called_by_machine_day_and_error(panel, service):
+@pytest.mark.parametrize(
+    ("after", "words"), [(0.7, r"15\.3 → 0\.7 µm"), (None, r"15\.3 ± 0\.2 µm")]
+)
+def test_what_nobody_has_named_is_called_by_machine_day_and_error(
+    panel, service, after, words
+):
     job = measured(service)
     service.jobs[job]["machine"] = "default"
     history = machine_history("default", DATES[0])
     history["calibrations"][0]["job_id"] = job
+    history["calibrations"][0]["expected_after"][0] = after
     service.histories["default"] = history
     page = panel.open("#/records")
     name = page.get_by_label("Name of On the fly")
     machine = re.escape(service.machines[0]["name"])
-    suggested = re.compile(rf"^{machine}, Mar 14, 15\.3 ± 0\.2 µm$")
+    suggested = re.compile(rf"^{machine}, Mar 14, {words}$")
     expect(name).to_have_attribute("placeholder", suggested)
     expect(name).to_have_value("")
+    row = page.locator("tr", has=name)
+    expect(row.locator("td").nth(4)).to_have_text("15.3 ± 0.2 µm")
 
 
 def test_why_an_error_motion_is_not_determined_is_said_once(panel, service):

@@ -40,6 +40,13 @@ class HistoryPoint(CalibrationOut):
 
     value: list[float | None] = Field(description="One an entry; null if not stated.")
     uncertainty: list[float | None] = Field(description="Standard (k = 1).")
+    expected_after: list[float | None] = Field(
+        description="As full compensation is expected to leave it; told of "
+        "`volumetric`, null of every other quantity."
+    )
+    expected_after_uncertainty: list[float | None] = Field(
+        description="Standard (k = 1)."
+    )
 
 
 class HistoryOut(BaseModel):

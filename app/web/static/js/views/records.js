@@ -77,23 +77,25 @@ export function mount(root, { store, actions, go }) {
   };
 }
 
-/** What each calibration has found, by job: the mean volumetric error with its U, in words. */
+/** What each calibration has found, by job: the mean volumetric error in words, with its U and with what is expected after. */
 async function findErrors(machines) {
   const found = await Promise.all(machines.map(({ id }) => api.machineHistory(id)));
   return new Map(found.flatMap(({ entries, calibrations }) => {
     const at = entries.findIndex(({ label }) => label === "mean");
-    return calibrations.filter(({ value }) => typeof value[at] === "number").map(({ job_id, value, uncertainty }) => {
-      const u = quantity(COVERAGE * uncertainty[at], "gap", decimalsOf("error"));
-      return [job_id, `${figure(value[at], "gap", decimalsOf("error"))} ± ${u}`];
+    return calibrations.filter(({ value }) => typeof value[at] === "number").map(({ job_id, value, uncertainty, expected_after: after }) => {
+      const digits = decimalsOf("error");
+      const before = figure(value[at], "gap", digits);
+      const measured = `${before} ± ${quantity(COVERAGE * uncertainty[at], "gap", digits)}`;
+      return [job_id, { measured, change: typeof after[at] === "number" ? `${before} → ${quantity(after[at], "gap", digits)}` : measured }];
     });
   }));
 }
 
 const nameOf = (job) => job.name || [kindOf(job.kind), dateTime(job.ended ?? job.created)].join(", ");
 
-/** What a record is called until somebody names it: machine, day and what was found, or what was done. */
+/** What a record is called until somebody names it: machine, day and what was found and is expected after compensation, or what was done. */
 const suggestedName = (job, { errors, machines }) => [machineName({ machines, machine_id: job.machine, machine: null }),
-  day(job.ended ?? job.created), errors.get(job.id) ?? kindOf(job.kind)].filter(Boolean).join(", ");
+  day(job.ended ?? job.created), errors.get(job.id)?.change ?? kindOf(job.kind)].filter(Boolean).join(", ");
 
 /** Text and kind to look for; `offer(kinds)` tells what there is, `takes(job, errors)` whether a job is shown. */
 function filterFields(changed) {
@@ -108,7 +110,7 @@ function filterFields(changed) {
       kind.value = kinds.includes(asked) ? asked : "";
     },
     takes(job, errors) {
-      const words = [nameOf(job), kindOf(job.kind), wordOf(job.state), job.machine, job.owner, errors.get(job.id)].filter(Boolean).join(" ").toLowerCase();
+      const words = [nameOf(job), kindOf(job.kind), wordOf(job.state), job.machine, job.owner, errors.get(job.id)?.measured].filter(Boolean).join(" ").toLowerCase();
       return (!kind.value || job.kind === kind.value) && words.includes(text.value.trim().toLowerCase());
     },
   };
@@ -136,7 +138,7 @@ function jobTable(jobs, { go, errors, machines, picked, pick, rename, isFiltered
     h("td", {}, nameField(job, suggestedName(job, { errors, machines }), rename)),
     h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state)),
       verdictMark(job)),
-    h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id) ?? "–"), h("td", {}, took(job)),
+    h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id)?.measured ?? "–"), h("td", {}, took(job)),
     h("td", {}, h("div", { class: "row-actions" },
       statesTables(job) && h("button", { class: "button pick", type: "button", "aria-pressed": String(picked.has(job.id)), onclick: () => pick(job) },
         picked.has(job.id) && icon("check"), t("records.compare")),
