@@ -18,20 +18,17 @@ from truepath.app.api.models.tables import TablesOut
 from truepath.app.api.models.trend import TrendOut
 from truepath.app.api.models.verification import VerificationOut
 from truepath.app.api.models.volumetric_error import (
-    SpreadOut,
     VolumetricErrorOfResult,
     VolumetricMapOut,
 )
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.tolerances import find_machine_tolerance_um, hold_against
 from truepath.app.errors import NotFound
 from truepath.app.files.verdict import Verdict, verdict_from_json, verdict_json
 from truepath.app.jobs.reanalysis import RUNS, SUMMARY
-from truepath.app.results.conformity import decide_conformity
 
 router = APIRouter(prefix="/jobs", tags=["results"])
-
-_COVERAGE = 2.0  # k of expanded uncertainties
 
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
@@ -136,20 +133,23 @@ def get_volumetric_error(
 ) -> VolumetricErrorOfResult:
     """Return the size of the volumetric error before and as expected after.
 
-    With a tolerance each mean is held against it, with its expanded uncertainty.
+    With a tolerance each mean is held against it, with its expanded uncertainty; what
+    95 % of the places err by at most is held against the tolerance of the machine.
     """
     result = _read_result(service, job_id)
     stated = result.get("volumetric_error")
     if stated is None:
         raise NotFound(f"the result of job {job_id} states no volumetric error")
+    machine_um = find_machine_tolerance_um(service, job_id)
     before, after = (
-        _hold_against(stated[state], tolerance_um)
+        hold_against(stated[state], tolerance_um, machine_um)
         for state in ("before", "after_expected")
     )
     return VolumetricErrorOfResult(
         job_id=job_id,
         verdict=_read_verdict(result).state,
         tolerance_um=tolerance_um,
+        machine_tolerance_um=machine_um,
         before=before,
         after_expected=after,
         on=stated["on"],
@@ -264,16 +264,6 @@ def _read_result(service: Service, job_id: str) -> dict[str, Any]:
 def _read_verdict(result: dict[str, Any]) -> Verdict:
     stated = result.get("verdict")
     return verdict_from_json(stated) if stated else Verdict()
-
-
-def _hold_against(spread: dict[str, Any], tolerance_um: float | None) -> SpreadOut:
-    """Return sizes in µm with what the mean is against the tolerance."""
-    mean = spread["mean"]
-    if tolerance_um is None:
-        return SpreadOut(**spread, conformity=None)
-    expanded_um = _COVERAGE * mean["uncertainty_um"]
-    decided = decide_conformity(mean["value_um"], expanded_um, tolerance_um)
-    return SpreadOut(**spread, conformity=decided)
 
 
 def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> Path:

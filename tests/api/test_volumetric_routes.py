@@ -103,3 +103,26 @@ def test_each_mean_is_held_against_a_tolerance(client, place):
     near = before["value_um"] + before["uncertainty_um"]
     found = client.get(f"{place}/volumetric-error?tolerance_um={near}").json()
     assert found["before"]["conformity"] == "undecided"
+
+
+def test_what_most_places_do_is_held_against_the_tolerance_of_the_machine(
+    client, place
+):
+    plain = client.get(f"{place}/volumetric-error").json()
+    assert plain["machine_tolerance_um"] is None
+    assert plain["before"]["conformity_p95"] is None
+    before, after = (plain[state]["p95"] for state in ("before", "after_expected"))
+
+    def judge(tolerance_um):
+        change = {"tolerance_um": tolerance_um}
+        assert client.patch("/api/v1/machines/default", json=change).status_code == 200
+        found = client.get(f"{place}/volumetric-error").json()
+        assert found["machine_tolerance_um"] == pytest.approx(tolerance_um)
+        assert found["before"]["conformity"] is None
+        states = ("before", "after_expected")
+        return [found[state]["conformity_p95"] for state in states]
+
+    between_um = 0.5 * (before["value_um"] + after["value_um"])
+    assert judge(between_um) == ["outside", "within"]
+    near_um = before["value_um"] + before["uncertainty_um"]
+    assert judge(near_um) == ["undecided", "within"]

@@ -318,7 +318,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         return service.verifications[job_id]
 
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
-    def size(job_id: str, tolerance_um: float) -> Any:
+    def size(job_id: str, tolerance_um: float | None = None) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))
         return {"tolerance_um": tolerance_um, **service.conformity}
 

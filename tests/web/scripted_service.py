@@ -68,6 +68,7 @@ class ScriptedService:
         self.result = result()
         self.verifications: dict[str, dict[str, Any]] = {}
         self.conformity: dict[str, Any] = {
+            "machine_tolerance_um": None,
             "before": {"conformity": "outside"},
             "after_expected": {"conformity": "within"},
         }

@@ -34,7 +34,7 @@ def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
     expect(values.nth(1)).to_contain_text("0.7µm± 0.1 µm")
     expect(page.locator(".conformity")).to_contain_text("Give the tolerance")
     page.get_by_label("Tolerance of the mean").fill("2")
-    expect(page.locator(".conformity")).to_contain_text("Within 2.0 µm")
+    expect(page.locator(".conformity")).to_contain_text("mean is within 2.0 µm")
     assert service.looks[-1] == ("volumetric-error", 2.0)
     page.get_by_label("Tolerance of the mean").fill("-2")
     expect(page.locator(".headline")).to_contain_text("Give a number above 0")
@@ -61,6 +61,50 @@ def test_a_tolerance_is_kept_and_an_undecided_one_is_said(panel, service):
     page = show(panel, service, before=kept, language="de")
     expect(page.get_by_label("Toleranz des Mittels")).to_have_value("0,7")
     expect(page.locator(".conformity")).to_contain_text("U ist zu groß")
+
+
+@pytest.mark.parametrize(
+    ("language", "named", "now", "after"),
+    [
+        (
+            "en",
+            "Tolerance of the machine: 95 % of the places within 15.0 µm",
+            "As measured outside it: 26.0 ± 0.3 µm",
+            "After compensation within it, as expected: 1.2 ± 0.2 µm",
+        ),
+        (
+            "de",
+            "Toleranz der Maschine: 95 % der Stellen innerhalb von 15,0 µm",
+            "Wie gemessen nicht eingehalten: 26,0 ± 0,3 µm",
+            "Nach der Kompensation voraussichtlich eingehalten: 1,2 ± 0,2 µm",
+        ),
+    ],
+)
+def test_the_tolerance_of_the_machine_is_decided_without_asking(
+    panel, service, language, named, now, after
+):
+    service.conformity = {
+        "machine_tolerance_um": 15.0,
+        "before": {"conformity": None, "conformity_p95": "outside"},
+        "after_expected": {"conformity": None, "conformity_p95": "within"},
+    }
+    page = show(panel, service, language=language)
+    judged = page.locator(".machine-tolerance")
+    expect(judged.locator("p").first).to_have_text(named)
+    rows = judged.locator(".machine-conformity")
+    expect(rows).to_have_text([now, after])
+    expect(rows.first).to_have_attribute("data-conformity", "outside")
+    expect(rows.last).to_have_attribute("data-conformity", "within")
+    expect(page.locator(".conformity")).not_to_have_attribute(
+        "data-conformity", re.compile("")
+    )
+    assert service.looks[-1] == ("volumetric-error", None)
+
+
+def test_a_machine_without_a_tolerance_is_not_judged(panel, service):
+    page = show(panel, service)
+    expect(page.locator(".conformity")).to_contain_text("Give the tolerance")
+    expect(page.locator(".machine-tolerance")).to_be_hidden()
 
 
 def test_arrows_in_space_follow_the_slider(panel, service):

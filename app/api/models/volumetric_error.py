@@ -36,6 +36,10 @@ class SpreadOut(BaseModel):
     conformity: Conformity | None = Field(
         description="Of the mean by ISO 14253-1 with k = 2; null without a tolerance."
     )
+    conformity_p95: Conformity | None = Field(
+        description="Of `p95` against the tolerance of the machine, by ISO 14253-1 "
+        "with k = 2; null where the machine has none."
+    )
 
 
 class VolumetricErrorOfResult(BaseModel):
@@ -43,7 +47,12 @@ class VolumetricErrorOfResult(BaseModel):
 
     job_id: str = Field(examples=[JOB_ID])
     verdict: VerdictState = Field(description="Of the result.")
-    tolerance_um: float | None
+    tolerance_um: float | None = Field(description="Of the mean, as asked for.")
+    machine_tolerance_um: float | None = Field(
+        description="What 95 % of the places in the travel of the machine may err by "
+        "at most, as it is set now; null where it has no tolerance.",
+        examples=[15.0],
+    )
     before: SpreadOut
     after_expected: SpreadOut
     on: str = Field(description="Where it was computed, in words.")

@@ -158,9 +158,9 @@ export const modelVersions = (id) => call("GET", `/models/${id}/versions`);
 export const trend = (id) => call("GET", `/jobs/${id}/trend`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
-/** The volumetric error before and after, held against a tolerance. */
+/** The volumetric error before and after, held against the tolerance of the machine, and its mean against one that is given. */
 export const volumetricError = (id, tolerance_um) =>
-  call("GET", `/jobs/${id}/result/volumetric-error?tolerance_um=${tolerance_um}`);
+  call("GET", `/jobs/${id}/result/volumetric-error${tolerance_um === null ? "" : `?tolerance_um=${tolerance_um}`}`);
 /** The map of a state: before, after, or after by the kept files of that name. */
 export const volumetricMap = (id, state) =>
   call("GET", `/jobs/${id}/result/volumetric-map?${new URLSearchParams(

@@ -1,4 +1,4 @@
-/* The first line of a result: the volumetric error before and after, held against a tolerance. */
+/* The first line of a result: the volumetric error before and after, held against the tolerance of the machine and of its mean. */
 import * as api from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
 import { COVERAGE } from "../plots/error-chart.js";
@@ -14,20 +14,18 @@ const WAIT_MS = 300;
 export function headline(job, result, proof) {
   const { before, after_expected: after } = result.volumetric_error ?? {};
   if (!before || !after) return null;
+  const judged = h("div", { class: "machine-tolerance", hidden: true });
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
       h("span", { class: "headline-arrow", role: "img", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
+    judged,
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) }), " ", wordScale(before.mean)),
     toleranceField((tolerance_um) => ask(tolerance_um)), decided);
   let asked = null;
 
   async function ask(tolerance_um) {
     asked = tolerance_um;
-    if (tolerance_um === null) {
-      show(null);
-      return;
-    }
     let found = null;
     try {
       found = await api.volumetricError(job.id, tolerance_um);
@@ -40,8 +38,10 @@ export function headline(job, result, proof) {
   }
 
   function show(found) {
-    mark(decided, "data-conformity", found && found.after_expected.conformity);
-    decided.replaceChildren(...(found ? sentence(found) : [t("headline.no_tolerance")]));
+    judged.hidden = found.machine_tolerance_um === null;
+    judged.replaceChildren(...(judged.hidden ? [] : judgement(found, before.p95, after.p95)));
+    mark(decided, "data-conformity", found.after_expected.conformity);
+    decided.replaceChildren(...(found.tolerance_um === null ? [t("headline.no_tolerance")] : sentence(found)));
   }
 
   ask(keptTolerance());
@@ -77,6 +77,14 @@ const digits = () => decimalsOf("error");
 
 const sized = ({ value_um, uncertainty_um }) =>
   `${figure(value_um, "gap", digits())} ± ${quantity(COVERAGE * uncertainty_um, "gap", digits())}`;
+
+/** What 95 % of the places do against the tolerance of the machine, as measured and as expected after. */
+function judgement({ machine_tolerance_um, before, after_expected: after }, measured, expected) {
+  const row = (state, { conformity_p95: conformity }, size) => h("p", { class: "machine-conformity", "data-conformity": conformity },
+    icon(SHAPES[conformity]), h("span", {}, h("strong", {}, t(`headline.${state}_${conformity}`)), " ", sized(size)));
+  return [h("p", {}, t("headline.machine_tolerance", { tolerance: quantity(machine_tolerance_um, "gap", 1) })),
+    row("p95_now", before, measured), row("p95_after", after, expected)];
+}
 
 function sentence({ before, after_expected: after, tolerance_um }) {
   const tolerance = quantity(tolerance_um, "gap", 1);
