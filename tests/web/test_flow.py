@@ -311,6 +311,40 @@ def test_a_refused_connect_says_what_to_do(panel, service, witness):
     expect(page.locator(NEXT)).to_be_enabled()
 
 
+def test_the_last_error_stays_with_the_devices_until_they_answer(
+    panel, service, witness
+):
+    witness.expect(*REFUSED)
+    service.refuse_connect = True
+    page = panel.open()
+    follow(page, "Connect devices")
+    card = page.locator("[data-card='last-error']")
+    page.locator("#problems").get_by_role("button").click()
+    expect(card).to_contain_text("Check the cable, then connect again.")
+    service.refuse_connect = False
+    follow(page, "Connect devices")
+    expect(page.locator("main h1")).not_to_have_text("Connect")
+    page.goto(page.url.split("#")[0] + "#/connect")
+    expect(page.locator(".device").first).to_contain_text("Connected")
+    expect(card).to_be_hidden()
+
+
+def test_a_fault_of_a_measurement_stays_with_the_devices_until_it_is_taken_away(
+    panel, service
+):
+    job = measuring(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
+    service.change(job, state="faulted", error=error)
+    expect(page.locator("#state")).to_have_text("Fault")
+    page.goto(page.url.split("#")[0] + "#/connect")
+    card = page.locator("[data-card='last-error']")
+    expect(card).to_contain_text("Clear the sight.")
+    card.get_by_role("button").click()
+    expect(card).to_be_hidden()
+
+
 def test_a_failed_job_says_why_and_leads_back_to_the_plan(panel, service):
     job = measuring(service)
     page = panel.open()

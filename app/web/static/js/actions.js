@@ -37,6 +37,17 @@ export function createActions(store, go) {
     store.set({ problem: { ...worded(error), code: error.code, tone: "fault", offer } });
   }
 
+  /** Open the ports; what they refuse stays with the devices until they answer. */
+  async function openPorts() {
+    try {
+      await api.connect();
+    } catch (error) {
+      if (error instanceof api.Problem) store.set({ deviceError: { problem: error, at: new Date().toISOString() } });
+      throw error;
+    }
+    store.set({ deviceError: null });
+  }
+
   async function loadSystem() {
     const [system, machines] = await Promise.all([api.system(), api.machines()]);
     const id = chosenOf(machines);
@@ -47,6 +58,7 @@ export function createActions(store, go) {
   /** Work with another machine; this panel keeps to it. */
   const choose = (id) => during("choose", async () => {
     prefer("machine", id);
+    store.set({ deviceError: null });
     await loadSystem();
   });
 
@@ -63,9 +75,13 @@ export function createActions(store, go) {
     if (told.kind === "plan") return; // it belongs to the request that asked for it
     const { job: followed, jobs } = store.get();
     const others = jobs.filter((other) => other.id !== told.id);
-    const job = newer(jobs.find((other) => other.id === told.id) ?? told, told);
+    const known = jobs.find((other) => other.id === told.id);
+    const job = newer(known ?? told, told);
     const begins = isMeasuring(job) && isActive(job) && job.state !== "aborting";
     store.set({ jobs: [job, ...others].sort(byCreation).slice(0, KEPT_JOBS) });
+    if (job.state === "faulted" && job.error && known?.state !== "faulted") {
+      store.set({ deviceError: { problem: job.error, at: job.ended ?? job.created } });
+    }
     if (followed?.id === job.id) store.set({ job: newer(followed, job) });
     else if (begins && (!followed || hasEnded(followed))) follow(job);
   }
@@ -201,7 +217,7 @@ export function createActions(store, go) {
     loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse, regain,
     /** Open the ports; on to the plan, unless what has answered has to be looked at first. */
     connect: () => during("connect", async () => {
-      await api.connect();
+      await openPorts();
       await loadSystem();
       const { machine, job } = store.get();
       if (answersWell(machine) && !isActive(job) && place(location.hash).step === "connect") go("#/plan");
@@ -255,6 +271,7 @@ export function createActions(store, go) {
       }
     },
     dismiss: () => store.set({ problem: null }),
+    forgetDeviceError: () => store.set({ deviceError: null }),
   };
 }
 

@@ -7,6 +7,7 @@ import { figure, quantity, unitOf } from "../units.js";
 import { conditionsCard } from "./conditions-card.js";
 import { deviceCard } from "./device-card.js";
 import { dropZone } from "./drop.js";
+import { lastErrorCard } from "./last-error-card.js";
 
 /** Button that leads on. */
 export function lead({ machine, busy, job }, { actions, go }) {
@@ -32,12 +33,13 @@ export function mount(root, { store, actions }) {
   const thermometers = device("thermometer", t("connect.thermometers"));
   const machineCard = h("section", { class: "card" });
   const devices = deviceCard({ actions });
+  const lastError = lastErrorCard(actions.forgetDeviceError);
   const held = h("div");
   let conditions = null; // asked for once somebody can answer
   root.append(
     head(t("connect.title"), t("connect.text")),
     h("div", { class: "columns" },
-      h("div", { class: "stack" }, tracker.element, control.element,
+      h("div", { class: "stack" }, lastError.element, tracker.element, control.element,
         thermometers.element,
         card(t("connect.recorded"), dropZone(store, actions)), devices.element),
       h("div", { class: "stack" }, machineCard, held)),
@@ -47,6 +49,7 @@ export function mount(root, { store, actions }) {
     update(state) {
       const { machine } = state;
       devices.update(state);
+      lastError.update(state);
       if (!conditions && isConnected(machine)) {
         conditions = conditionsCard(store);
         held.append(conditions.element);
