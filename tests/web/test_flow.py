@@ -332,12 +332,7 @@ def test_the_last_error_stays_with_the_devices_until_they_answer(
 def test_a_fault_of_a_measurement_stays_with_the_devices_until_it_is_taken_away(
     panel, service
 ):
-    job = measuring(service)
-    page = panel.open()
-    expect(page.locator("#state")).to_have_text("Running")
-    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
-    service.change(job, state="faulted", error=error)
-    expect(page.locator("#state")).to_have_text("Fault")
+    page = show_fault(panel, service)
     page.goto(page.url.split("#")[0] + "#/connect")
     card = page.locator("[data-card='last-error']")
     expect(card).to_contain_text("Clear the sight.")
@@ -346,12 +341,7 @@ def test_a_fault_of_a_measurement_stays_with_the_devices_until_it_is_taken_away(
 
 
 def test_a_failed_job_says_why_and_leads_back_to_the_plan(panel, service):
-    job = measuring(service)
-    page = panel.open()
-    expect(page.locator("#state")).to_have_text("Running")
-    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
-    service.change(job, state="faulted", error=error)
-    expect(page.locator("#state")).to_have_text("Fault")
+    page = show_fault(panel, service)
     expect(page.locator("main .notice")).to_contain_text("Clear the sight.")
     expect(page.locator(NEXT)).to_have_text("Plan a new run")
 
@@ -550,6 +540,17 @@ def measuring(service) -> str:
 
 def visited(page: Page) -> list[str]:
     return page.evaluate("window.visited")
+
+
+def show_fault(panel, service) -> Page:
+    """Open the page on a measurement, which then ends with a fault."""
+    job = measuring(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
+    service.change(job, state="faulted", error=error)
+    expect(page.locator("#state")).to_have_text("Fault")
+    return page
 
 
 def follow(page: Page, label: str) -> None:
