@@ -75,7 +75,7 @@ def test_it_is_exported_once_the_verdict_is_accepted(judged, capsys):
 
 def test_files_of_a_control_that_takes_comments_say_it_themselves(judged, tmp_path):
     for state, said in (("not-usable", "NOT TO BE USED"), ("doubtful", "DOUBTFUL")):
-        output = tmp_path / f"{state}.ini"
+        output = tmp_path / "tables" / f"{state}.ini"
         arguments = ["--format", "siemens-lec", "-o", str(output), "--accept-verdict"]
         assert run(["export", str(judged(state)), *arguments]) == 0
         assert f"; THE RESULT IS {said}" in output.read_text()
