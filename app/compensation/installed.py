@@ -36,7 +36,8 @@ def load_format(
 
 def list_formats() -> dict[str, CompensationFormat]:
     """Return every installed format, in the order of their names."""
-    return {name: load_format(name) for name in sorted(find_plugins(GROUP))}
+    installed = find_plugins(GROUP)
+    return {name: installed[name].load()() for name in sorted(installed)}
 
 
 def describe_format(name: str, kind: CompensationFormat) -> dict[str, Any]:
