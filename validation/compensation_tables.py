@@ -30,6 +30,8 @@ MACHINES, FIRST_SEED = 40, 5001  # which nothing was made or mended on
 POSITIONS = 4096
 _COVERAGE_FACTOR = 2.0
 
+_OTHER = "difference"  # what BACKLASH may hold beside the value in negative travel
+_READ_AS_OTHER = "heidenhain, BACKLASH read the other way"
 ORDERS: Mapping[str, tuple[str, dict[str, str]]] = {
     "linuxcnc": ("linuxcnc", {}),
     "siemens-lec": ("siemens-lec", {}),
@@ -37,10 +39,14 @@ ORDERS: Mapping[str, tuple[str, dict[str, str]]] = {
     "siemens": ("siemens", {}),
     "siemens, 828D": ("siemens", {"control": "828d"}),
     "heidenhain": ("heidenhain", {}),
+    "heidenhain, difference": ("heidenhain", {"backlash_reading": _OTHER}),
+    _READ_AS_OTHER: ("heidenhain", {}),
     "fanuc": ("fanuc", {}),
     "isg-csv": ("isg-csv", {}),
     "isg-csv, tool followed": ("isg-csv", {"tool_length": "followed"}),
     "etalon-exchange": ("etalon-exchange", {}),
+    "csv": ("csv", {}),
+    "json": ("json", {}),
 }
 
 
@@ -50,10 +56,11 @@ class Outcome:
 
     stated, expanded : after, as the account has it, and its expanded uncertainty, k = 2
     true, wrong : after, by the exact machine, and with the sign of the files reversed
+    loses_motion : whether the machine does, on reversal
     """
 
     order: str
-    seed: int
+    loses_motion: bool
     before: float
     stated: float
     expanded: float
@@ -74,10 +81,12 @@ def judge(machine: CalibratedMachine, errors: ErrorMap) -> Iterator[Outcome]:
         stated = export.account["volumetric_error_um"]["after"]
         tool = machine.truth.machine.reflector().offset_mm
         right = Rules(tool_length_mm=abs(tool[2]))
+        if order == _READ_AS_OTHER or _OTHER in choices.values():
+            right = replace(right, backlash_reading=_OTHER)
         wrong = replace(right, reversed_sign=True)
         yield Outcome(
             order,
-            machine.seed,
+            machine.backlash is not None,
             before,
             stated["mean"],
             _COVERAGE_FACTOR * stated["mean_uncertainty"],
@@ -153,7 +162,9 @@ def _describe(outcomes: list[Outcome]) -> str:
             f"{np.mean([getattr(o, key) for o in mine]):.2f}"
             for key in ("before", "stated", "expanded", "true", "wrong")
         ]
-        rows.append([f"`{order}`", *words, f"{covered} of {len(mine)}"])
+        steady = np.mean([o.true for o in mine if not o.loses_motion])
+        within = f"{covered} of {len(mine)}"
+        rows.append([f"`{order}`", *words, within, f"{steady:.2f}"])
     head = (
         "format",
         "before",
@@ -162,6 +173,7 @@ def _describe(outcomes: list[Outcome]) -> str:
         "true after",
         "wrong sign",
         "within U",
+        "true after, of machines that lose no motion",
     )
     return table(head, rows)
 

@@ -18,6 +18,7 @@ SCRIPTS = (
     "paper_2023_direct_measurement",
     "random_machines",
     "compensation_tables",
+    "rotary_compensation",
     "large_machines",
     "along_the_path",
     "forecasts",

@@ -138,7 +138,8 @@ def export_result(
     rotary = read_rotary_files(kind, content, files)
     over = measure_over_axes(errors, correction, rotary)
     if over is not None:
-        files = kind.write(replace(content, stamp=(*stamp, describe_over_axes(over))))
+        stamp = (*stamp, describe_over_axes(over))
+        files = kind.write(replace(content, stamp=stamp))
     before = find_remaining(errors, measured)
     after = find_remaining(errors, measured, correction)
     _require_gain(kind, before, after)
@@ -156,6 +157,7 @@ def export_result(
         "volumetric_error_um": _state_error(before, after),
         "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
         "note": kind.note,
+        "stamp": list(stamp),
         "temperature": temperature and _state_temperature(temperature, kind),
         "effects": list(evaluate_effects(errors, made, correction)),
         "lengths": state_lengths(lengths_degc),

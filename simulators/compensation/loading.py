@@ -24,12 +24,17 @@ from truepath.simulators.compensation.linuxcnc_kinematics import (
     read_kinematics,
 )
 from truepath.simulators.compensation.linuxcnc_tables import read_linuxcnc
+from truepath.simulators.compensation.plain_tables import COLUMNS, read_plain
 from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath.simulators.compensation.siemens_tables import read_siemens
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile
 
 _SIGNS = {
+    "plain": re.compile(
+        rf"\A(?:#.*\n)*{','.join(COLUMNS)}|\A{{\s*"
+        r'"schema": "compensation-tables/1"'
+    ),
     "siemens": re.compile(r"\A%_N_\w+_INI|^\$A[AN]_(?:ENC_COMP|CEC)", re.M),
     "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
@@ -39,7 +44,7 @@ _SIGNS = {
         r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$|^setp xyz[ab]c-trt-kins", re.M
     ),
 }
-_OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon}
+_OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon, "plain": read_plain}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +93,7 @@ class LoadedTables:
         form = _find_form(self.files)
         if form in _OF_THE_VOLUME:
             if len(self.files) > 1:
-                raise SimulatorError("an ISG controller is given one file here")
+                raise SimulatorError("tables of the whole volume are one file here")
             ((name, text),) = self.files.items()
             read = _OF_THE_VOLUME[form]
             right: Correction = read(name, text, machine, self.rules)
@@ -126,7 +131,8 @@ def _tell_form(name: str, text: str) -> str:
             return form
     raise SimulatorError(
         f"{name} has the form of no simulated controller: LinuxCNC, SINUMERIK, "
-        "Heidenhain (.com with its .cma), Fanuc, ISG_CSV or Etalon Exchange"
+        "Heidenhain (.com with its .cma), Fanuc, ISG_CSV, Etalon Exchange or plain "
+        "CSV and JSON"
     )
 
 

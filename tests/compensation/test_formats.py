@@ -262,6 +262,31 @@ def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
 
 
 @every_format
+def test_the_account_has_every_line_that_a_file_says_or_cannot_say(source, name):
+    provenance = {
+        "run": "morning",
+        "created": "2026-11-26",
+        "input_sha256": "f00d" * 16,
+    }
+    measured = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    result = replace(source.result, provenance=provenance, measured=measured)
+    export = export_result(replace(source, result=result), name, "comp")
+    stamp, machine = "\n".join(export.account["stamp"]), source.machine
+    for said in (
+        f"machine {machine.name}, chain {machine.chain}",
+        "for the tool at target offset",
+        "run morning, analysed 2026-11-26",
+        "input f00df00df00df00d",
+        "measured at ",
+        *(f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes),
+        f"units {load_format(name).units}; directions of travel: ",
+        "sign (",
+        export.account["lengths"]["text"],
+    ):
+        assert said in stamp
+
+
+@every_format
 def test_rows_fit_into_the_controller(source, name):
     account = export_result(source, name, "comp", spacing_mm=0.1).account
     most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300}

@@ -33,7 +33,6 @@ from truepath.simulators.machine_file import parse_machine
 
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 SIMULATED = parse_machine(CONTENT)
-CONTROLLED = [order for order in ORDERS if order not in ("csv", "json")]
 RESOLUTION_MM = {"fanuc": 1.1e-3}
 
 
@@ -80,7 +79,7 @@ def test_golden_values_are_those_that_the_pages_ask_for():
 _values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
 
 
-@pytest.mark.parametrize("order", CONTROLLED)
+@pytest.mark.parametrize("order", ORDERS)
 @given(
     own=_values, across=_values, lost=st.floats(0.0, 0.01), turn=st.floats(-1e-4, 1e-4)
 )
@@ -112,7 +111,7 @@ def test_our_reader_and_the_simulated_controller_read_the_same(
         np.testing.assert_allclose(ours, other, atol=2e-6)
 
 
-@pytest.mark.parametrize("order", CONTROLLED)
+@pytest.mark.parametrize("order", ORDERS)
 def test_rows_take_the_error_of_the_axis_away_to_the_resolution(order):
     content = round_numbers()
     table, position = content.tables[0], np.full((3, 3), 100.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -211,6 +213,36 @@ Gridpoints = {
     np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(added[1], [-0.04, 0.0, 0.0], atol=3e-6)
     np.testing.assert_allclose(added[2], [0.02, 0.0, 0.0], atol=3e-6)
+
+
+PLAIN_ROWS = [
+    ["X", "+", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ["X", "+", 100.0, 10.0, 4.0, 0.0, 0.0, 20.0, 0.0],
+    ["X", "-", 0.0, -3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ["X", "-", 100.0, 7.0, 4.0, 0.0, 0.0, 20.0, 0.0],
+]
+
+
+def write_plain(form):
+    """The rows as a CSV or JSON file of any program."""
+    motions = ["x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad"]
+    names = ["axis", "direction", "position_mm", *motions]
+    if form == "json":
+        content = {"schema": "compensation-tables/1", "columns": names}
+        return {"t.json": json.dumps({**content, "rows": PLAIN_ROWS}, indent=1)}
+    lines = [",".join(str(cell) for cell in row) for row in (names, *PLAIN_ROWS)]
+    return {"t.csv": "\n".join(["# by hand", *lines, ""])}
+
+
+@pytest.mark.parametrize("form", ["csv", "json"])
+def test_a_plain_table_takes_shift_and_turn_times_lever_away_by_direction(form):
+    assert MACHINE.workpiece_side == ("X",)  # Y and Z are nearer to the tool
+    files = write_plain(form)
+    up = add(files, [[50.0, 30.0, 200.0], [150.0, 0.0, 0.0]])
+    # B = 10 µrad times Z = 200 mm is 2 µm along X; end values hold beyond the rows.
+    np.testing.assert_allclose(up, [[-0.007, -0.002, 0.0], [-0.01, -0.004, 0.0]])
+    down = add(files, [[0.0, 0.0, 0.0], [100.0, 0.0, 0.0]], -1.0)
+    np.testing.assert_allclose(down, [[0.003, 0.0, 0.0], [-0.007, -0.004, 0.0]])
 
 
 @pytest.mark.parametrize(

@@ -268,6 +268,12 @@ class CompensationOut(BaseModel):
         description="What remains of each effect of a model."
     )
     note: str
+    stamp: list[str] = Field(
+        default_factory=list,
+        description="Where the files come from, what they are of, the range and the "
+        "temperature they hold at: the lines of their comments, where their control "
+        "reads any, and here for all.",
+    )
     lengths: LengthsOut | None = Field(
         None, description="At which temperature lengths hold."
     )
