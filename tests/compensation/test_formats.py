@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -246,9 +247,22 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
     np.testing.assert_allclose(lost[:, 0], 0.008, atol=1e-9)
 
 
+@pytest.fixture(scope="module")
+def export_stamped(source):
+    """Export the result with Run, date, hash and measured ranges, once a format."""
+    provenance = {
+        "run": "morning",
+        "created": "2026-11-26",
+        "input_sha256": "f00d" * 16,
+    }
+    measured = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    result = replace(source.result, provenance=provenance, measured=measured)
+    return cache(partial(export_result, replace(source, result=result), stem="comp"))
+
+
 @every_format
-def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
-    export = export_result(source, name, "comp")
+def test_every_file_is_ascii_and_says_where_it_comes_from(export_stamped, name):
+    export = export_stamped(name=name)
     files, lengths = export.files, export.account["lengths"]["text"]
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
     commented = name in ("isg-csv", "etalon-exchange", *SIEMENS, *PLAIN)
@@ -262,16 +276,11 @@ def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
 
 
 @every_format
-def test_the_account_has_every_line_that_a_file_says_or_cannot_say(source, name):
-    provenance = {
-        "run": "morning",
-        "created": "2026-11-26",
-        "input_sha256": "f00d" * 16,
-    }
-    measured = {axis.name: (axis.low, axis.high) for axis in source.axes}
-    result = replace(source.result, provenance=provenance, measured=measured)
-    export = export_result(replace(source, result=result), name, "comp")
-    stamp, machine = "\n".join(export.account["stamp"]), source.machine
+def test_the_account_has_every_line_that_a_file_says_or_cannot_say(
+    export_stamped, source, name
+):
+    account, machine = export_stamped(name=name).account, source.machine
+    stamp = "\n".join(account["stamp"])
     for said in (
         f"machine {machine.name}, chain {machine.chain}",
         "for the tool at target offset",
@@ -281,7 +290,7 @@ def test_the_account_has_every_line_that_a_file_says_or_cannot_say(source, name)
         *(f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes),
         f"units {load_format(name).units}; directions of travel: ",
         "sign (",
-        export.account["lengths"]["text"],
+        account["lengths"]["text"],
     ):
         assert said in stamp
 
