@@ -60,9 +60,6 @@ def write_output(
     }
     _keep_source(source, (*targets, beside))
     _require_account(beside)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    for target, data in targets.items():
-        replace_file(target, data)
     account = {
         **account,
         "files": [str(target) for target in targets],
@@ -71,7 +68,11 @@ def write_output(
             for target, data in targets.items()
         },
     }
-    replace_file(beside, encode_json(account, indent=1))
+    text = encode_json(account, indent=1)  # before any file, for none without it
+    place.parent.mkdir(parents=True, exist_ok=True)
+    for target, data in targets.items():
+        replace_file(target, data)
+    replace_file(beside, text)
     return account
 
 

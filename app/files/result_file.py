@@ -6,14 +6,21 @@ result does so from a model as well.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    Strict,
+    model_validator,
+)
 
 from truepath.app.errors import BundleError
 from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
@@ -214,6 +221,35 @@ class _Verdict(FileModel):
     details: Any = ()
 
 
+class _Reckoned(FileModel):
+    """What is reckoned with of the provenance, where it is stated."""
+
+    measured_s: float | None = Field(default=None, ge=0.0)
+    length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
+        default_factory=dict, alias="temperature_degC"
+    )
+
+
+def _require_finite(value: object, *place: str | int) -> object:
+    """Return the value. Raises a refusal for a number that is not finite in it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise refuse("is not finite", "write a finite number", *place)
+    if isinstance(value, Mapping):
+        for key, inner in cast("Mapping[str, object]", value).items():
+            _require_finite(inner, *place, key)
+    if isinstance(value, list):
+        for index, inner in enumerate(cast("list[object]", value)):
+            _require_finite(inner, *place, index)
+    return value
+
+
+def _require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
+    """Raise BundleError for what is no number where the provenance is reckoned with."""
+    stated = {key: value for key, value in provenance.items() if value is not None}
+    validate(_Reckoned, stated, file, key="provenance")
+
+
 class _MachineOfResult(FileModel):
     machine: MachineFile
 
@@ -226,7 +262,7 @@ class _Document(_MachineOfResult):
     measured_range: _Ranges = _Ranges()
     observability: _Observability
     noise: _Noise | None = None
-    provenance: dict[str, Any]
+    provenance: Annotated[dict[str, Any], AfterValidator(_require_finite)]
     model: Any
     verdict: _Verdict | None = None
 
@@ -312,6 +348,7 @@ def result_from_json(
     """
     extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
     document = validate(ModelDocument if extended else ResultDocument, content, file)
+    _require_reckoned(document.provenance, file)
     machine = document.machine.machine()
     stated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()

@@ -163,6 +163,33 @@ def test_a_bad_result_is_one_line(name, points, tmp_path, capsys):
     assert not out.exists()
 
 
+BAD_PROVENANCE = {
+    "scale": ("length_scale_ppm", "0.6", 'length_scale_ppm is "0.6"; write a number'),
+    "negative scale": ("length_scale_ppm", -5.0, "length_scale_ppm is -5; it must be"),
+    "NaN": ("measured_s", float("nan"), "measured_s is not finite; write a finite"),
+    "NaN deeper": (
+        "temperature_degC",
+        {"X": [float("nan"), 20.0]},
+        "temperature_degC.X[0] is not finite; write a finite number",
+    ),
+    "temperature": ("temperature_degC", "warm", 'temperature_degC is "warm"; write an'),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PROVENANCE)
+def test_a_result_of_bad_provenance_is_one_line(
+    name, analysed, points, tmp_path, capsys
+):
+    key, value, line = BAD_PROVENANCE[name]
+    result = json.loads((analysed / "result.json").read_text())
+    result["provenance"][key] = value
+    file, out = tmp_path / "result.json", tmp_path / "out.csv"
+    file.write_text(json.dumps(result))
+    said = refused(["predict", file, "--points", points, "-o", out], capsys)
+    assert f"result.json: provenance.{line}" in said
+    assert not out.exists()
+
+
 def test_a_result_with_an_unknown_effect_is_one_line(
     analysed, points, tmp_path, capsys
 ):

@@ -12,6 +12,7 @@ from truepath.app.compensation.export import export_result
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
+from truepath.app.compensation.output import write_output
 from truepath.app.compensation.unmeasured import Unmeasured
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.conditions import make_standstill
@@ -167,3 +168,12 @@ def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
     zero = along_x(errors, np.array([0.0]))
     assert correction(zero, 1.0)[0, 0] == pytest.approx(0.0, abs=1e-6)
     assert correction(zero, -1.0)[0, 0] == pytest.approx(0.008, abs=1e-6)
+
+
+def test_no_file_is_written_without_its_account(tmp_path):
+    source = tmp_path / "result.json"
+    source.write_text("{}")
+    account = {"volumetric_error_um": float("nan")}
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_output({"c.csv": "1\n"}, account, tmp_path / "c.csv", "c", source=source)
+    assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
