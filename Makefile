@@ -70,7 +70,7 @@ bench: setup ## the numbers that count, as ratios
 
 .PHONY: compensation-tables
 compensation-tables: setup ## what compensation files leave, by simulated controllers; writes docs/compensation.md
-	$(SINGLE) $(BIN)/python validation/run.py compensation_tables
+	$(SINGLE) $(BIN)/python validation/run.py compensation_tables rotary_compensation
 
 .PHONY: validation
 validation: setup ## both papers reproduced and random machines; writes docs/validation.md

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from truepath.app.compensation.effects_left import evaluate_effects
 from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.error_over_axes import measure_over_axes
 from truepath.app.compensation.format import AxisTable, CompensationFormat
@@ -20,10 +21,9 @@ from truepath.app.compensation.length_reference import (
 )
 from truepath.app.compensation.output import SCHEMA, find_stem, write_output
 from truepath.app.compensation.remaining_error import (
-    EVEN,
+    CLOSE,
     GRID,
     RemainingError,
-    evaluate_effects,
     find_remaining,
 )
 from truepath.app.compensation.rotary_left import (
@@ -170,8 +170,8 @@ def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any
         "before": before.state_map(),
         "after": after.state(),
         "after_where_measured": after.state(measured=True),
-        "on": f"mean over {EVEN} positions that fill the travel evenly, the largest on "
-        f"a grid of {GRID} an axis too, coming up and coming down, without the rigid "
+        "on": f"mean over {CLOSE} positions that fill the travel evenly, largest "
+        f"on a grid of {GRID} an axis too, coming up and coming down, without rigid "
         "motion of the whole; "
         "after: as the controller reads the files back, of errors that the "
         "measurement allows, drawn from its covariance; uncertainty k = 1",

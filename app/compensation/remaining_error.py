@@ -1,16 +1,12 @@
 """What the files of a format leave of the error, as their controller reads them.
 
-It is computed on a grid and between the rows of the tables. For an effect the files are
-written and read back once more without it: the difference is its correction. That needs
-no knowledge of what a format does with sag, with a screw's wave between its rows, or
-with lost motion.
+It is computed on a grid and between the rows of the tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -18,19 +14,16 @@ from scipy.stats import qmc
 
 from truepath.app.compensation.error_map import ErrorMap, find_own_arm
 from truepath.app.compensation.format import Correction
-from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import MeasuredRange
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.model import CatalogueEffect
-from truepath.app.kinematics.symbols import is_positioning
 from truepath.app.numerics.rigid import cross_matrix
-from truepath.app.results.lost_motion_across import draw_across_mm, remove_across
+from truepath.app.results.lost_motion_across import draw_across_mm
 from truepath.app.results.volumetric_error import draw_parameters
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
-_NOTHING_MM = 1e-9
+CLOSE = 4096  # that fill it for the mean of the map, whose own error is below its U
 _FEWEST = 12  # places that have a mean beside their rigid motion
 # Of a standard deviation that a file does not say how well it knows: 50 values.
 _UNSTATED_SCALE = 0.1
@@ -38,8 +31,8 @@ SIDES = (1.0, -1.0)  # + and − direction
 COVERAGE = 2.0  # k of expanded uncertainties
 
 
-def _sample_positions(
-    errors: ErrorMap,
+def sample_travel(
+    errors: ErrorMap, count: int = EVEN
 ) -> tuple[Float64[np.ndarray, "n a"], Float64[np.ndarray, " n"]]:
     """Return positions over the travel and what each counts in a mean, 1 in all.
 
@@ -50,11 +43,11 @@ def _sample_positions(
     high = np.array([axis.high for axis in errors.axes])
     places = np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * len(low), indexing="ij")
     grid = np.stack(places, -1).reshape(-1, len(low))
-    even = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(EVEN)
+    even = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(count)
     unit = np.vstack([grid, even])
     position = np.tile(errors.middle_mm, (len(unit), 1))
     position[:, : len(low)] = low + unit * (high - low)
-    return position, np.append(np.zeros(len(grid)), np.full(EVEN, 1.0 / EVEN))
+    return position, np.append(np.zeros(len(grid)), np.full(count, 1.0 / count))
 
 
 def remove_rigid_motion(
@@ -85,6 +78,8 @@ class RemainingError:
     is_measured : (n,) where every axis was measured
     weight : (n,) what each position counts in a mean
     scale : how well the size of what was drawn is known itself, k = 1, of 1
+    close : the map alone at positions so close that its mean is that of the travel;
+        None where these are
     """
 
     position_mm: Float64[np.ndarray, "n a"]
@@ -93,6 +88,7 @@ class RemainingError:
     is_measured: Bool[np.ndarray, " n"]
     weight: Float64[np.ndarray, " n"]
     scale: float
+    close: RemainingError | None = None
 
     def state_map(self, *, measured: bool = False) -> dict[str, float]:
         """Return mean and largest length of the map itself, µm.
@@ -100,11 +96,11 @@ class RemainingError:
         measured : at the places alone where every axis was measured, if there are
             enough; what is left has no rigid motion of these
         """
-        if measured and (part := self._keep_measured()) is not None:
+        if measured and (part := self.keep_measured()) is not None:
             return part.state_map()
         every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
-        mean = np.average(every.mean(axis=0), weights=self.weight)
-        return {"mean": float(mean), "largest": float(every.max())}
+        mean = (self.close or self).average_map_um()
+        return {"mean": mean, "largest": float(every.max())}
 
     def state(self, *, measured: bool = False) -> dict[str, float] | None:
         """Return mean length, largest and standard uncertainty of the mean, µm.
@@ -112,16 +108,16 @@ class RemainingError:
         As `state_map`, of errors that the measurement allows; None without such places.
         """
         if measured:
-            part = self._keep_measured()
+            part = self.keep_measured()
             return None if part is None else part.state()
         total = self.left_mm[..., None] + self.drawn_mm
         lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
         mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
         largest = lengths.max(axis=(0, 1))
-        of_map = self.state_map()["mean"]
+        of_map = self.average_map_um()
         expected, sigma = expect_length(mean, of_map, self.scale)
         return {
-            "mean": expected,
+            "mean": expected + self.state_map()["mean"] - of_map,
             "largest": float(largest.mean()),
             "mean_uncertainty": sigma,
         }
@@ -135,7 +131,7 @@ class RemainingError:
         total = self.left_mm[..., None] + self.drawn_mm
         lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
         mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
-        return float(np.hypot(mean.std(), mean.mean() - self.state_map()["mean"]))
+        return float(np.hypot(mean.std(), mean.mean() - self.average_map_um()))
 
     def find_difference_um(self, other: RemainingError) -> float:
         """Return the root mean square length of what two corrections differ by."""
@@ -151,7 +147,12 @@ class RemainingError:
         """Root mean square of the length that the measurement does not know."""
         return self._average_um(np.mean(self.drawn_mm**2, axis=3))
 
-    def _keep_measured(self) -> RemainingError | None:
+    def average_map_um(self) -> float:
+        """Return the mean length of the map at these positions."""
+        every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
+        return float(np.average(every.mean(axis=0), weights=self.weight))
+
+    def keep_measured(self) -> RemainingError | None:
         """Return what is left where every axis was measured; None at too few places.
 
         The rigid motion of errors that nobody measured is no part of it.
@@ -172,6 +173,7 @@ class RemainingError:
             drawn_mm=drawn,
             is_measured=kept[kept],
             weight=weight / weight.sum(),
+            close=self.close and self.close.keep_measured(),
         )
 
     def _average_um(self, squares_mm2: Float64[np.ndarray, "k n 3"]) -> float:
@@ -200,27 +202,57 @@ def find_remaining(
     correction: Correction | None = None,
 ) -> RemainingError:
     """Return what is left of the errors with a correction, or without any."""
-    position, weight = _sample_positions(errors)
+    position, weight = sample_travel(errors)
+    close, even = sample_travel(errors, CLOSE)
+    scale = find_scale(errors.result)
+    return RemainingError(
+        position,
+        _find_left_mm(errors, correction, position, weight),
+        draw_errors_mm(errors, position),
+        _find_measured(errors, measured, position),
+        weight,
+        scale,
+        RemainingError(
+            close,
+            _find_left_mm(errors, correction, close, even),
+            np.zeros((len(SIDES), len(close), 3, 0)),
+            _find_measured(errors, measured, close),
+            even,
+            scale,
+        ),
+    )
+
+
+def _find_left_mm(
+    errors: ErrorMap,
+    correction: Correction | None,
+    position: Float64[np.ndarray, "n a"],
+    weight: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "s n 3"]:
+    """Return what the map leaves, without one rigid motion of both directions.
+
+    What lost motion is between them stays.
+    """
     left: list[Float64[np.ndarray, "n 3"]] = []
     for side in SIDES:
         error = errors.error_mm(position, side)
         if correction is not None:
             error = error + correction(position, side)
         left.append(error)
-    # One rigid motion of both directions: what lost motion is between them stays.
-    both = remove_from_both(position, left, weight)
+    return remove_from_both(position, left, weight)
+
+
+def _find_measured(
+    errors: ErrorMap,
+    measured: Mapping[str, MeasuredRange],
+    position: Float64[np.ndarray, "n a"],
+) -> Bool[np.ndarray, " n"]:
+    """Return where every axis was measured."""
     inside = [
         (position[:, column] >= one.low) & (position[:, column] <= one.high)
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)
     ]
-    return RemainingError(
-        position,
-        both,
-        draw_errors_mm(errors, position),
-        np.all(inside, axis=0),
-        weight,
-        find_scale(errors.result),
-    )
+    return np.all(inside, axis=0)
 
 
 def find_scale(result: CalibrationResult) -> float:
@@ -255,55 +287,6 @@ def draw_errors_mm(
     return both
 
 
-def evaluate_effects(
-    errors: ErrorMap, made: Tabulation, correction: Correction
-) -> Iterator[dict[str, Any]]:
-    """Yield what remains of each effect of the model, as the account states it.
-
-    made : the tables that the format writes; correction : of its files
-
-    The root mean square is that over both directions without rigid motion; it is 0
-    where the effect depends on speed, temperature or the distance since a reversal.
-    """
-    position, weight = _sample_positions(errors)
-    for effect in errors.result.model.catalogue_effects:
-        other = _remove_effect(errors, effect)
-        reread = made.read_back(other)
-        own = [
-            errors.error_mm(position, s) - other.error_mm(position, s) for s in SIDES
-        ]
-        done = [correction(position, s) - reread(position, s) for s in SIDES]
-        remains = [error + added for error, added in zip(own, done, strict=True)]
-        before = _compute_rms(position, own, weight)
-        after = _compute_rms(position, remains, weight)
-        beyond = before < _NOTHING_MM
-        if beyond:
-            before = after = 0.0
-        yield {
-            "name": effect.family,
-            **dict(effect.keys),
-            "rms_um": {"before": UM_PER_MM * before, "after": UM_PER_MM * after},
-            "note": _explain_nothing(effect) if beyond else "",
-        }
-
-
-def _explain_nothing(effect: CatalogueEffect) -> str:
-    """Return why an effect is not in the numbers."""
-    if effect.half_difference:
-        return "lost motion of a rotary axis: in the account of that axis"
-    return "depends on more than place and direction: no table has it"
-
-
-def _compute_rms(
-    position: Float64[np.ndarray, "n a"],
-    error_mm: Sequence[Float64[np.ndarray, "n 3"]],
-    weight: Float64[np.ndarray, " n"],
-) -> float:
-    """Return the root mean square over both directions, without rigid motion."""
-    every = remove_from_both(position, error_mm, weight)
-    return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
-
-
 def remove_from_both(
     position: Float64[np.ndarray, "n a"],
     error_mm: Sequence[Float64[np.ndarray, "n 3 ..."]],
@@ -316,17 +299,3 @@ def remove_from_both(
         np.concatenate([weight] * len(error_mm)),
     )
     return every.reshape(len(error_mm), *error_mm[0].shape)
-
-
-def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
-    """Return the error map of the model without the effect."""
-    theta = errors.result.theta.copy()
-    theta[errors.result.model.slices[effect.name]] = 0.0
-    half_um = dict(errors.result.half_difference_um)
-    lost = effect.half_difference
-    if lost and is_positioning(lost.symbol):
-        half_um.pop(lost.axis.name, None)
-    result = replace(errors.result, theta=theta, half_difference_um=half_um)
-    if lost:
-        result = remove_across(result, lost.symbol)
-    return replace(errors, result=result)

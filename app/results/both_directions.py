@@ -28,7 +28,7 @@ from truepath.app.results.volumetric_error import (
     make_spread,
 )
 
-EVEN, GRID, FEWEST = 512, 5, 3  # positions; grid points of linear and rotary axes
+EVEN, GRID, FEWEST = 2048, 5, 3  # positions; grid points of linear and rotary axes
 _SIDES = (1.0, -1.0)  # + and − direction
 _SHARE = 0.95  # of the places, below the stated quantile
 
