@@ -32,8 +32,8 @@ class Sentence(NamedTuple):
 STATED = "stated"
 SENTENCES: Mapping[str, Sentence] = {
     "samples-left-out": Sentence(
-        "{samples} samples of line {line}, from {from_s} to {to_s}, are left out: they "
-        "lie {distance_um} aside from the others.",
+        "{samples} samples of line {line}, from {from_s} to {to_s} on the tracker's "
+        "clock, are left out: they lie {distance_um} aside from the others.",
         "Look at what crossed the beam or moved the reflector at that time.",
     ),
     "spikes-left-out": Sentence(
@@ -41,8 +41,9 @@ SENTENCES: Mapping[str, Sentence] = {
         "Look at the tracker's lock and its cables where there are many.",
     ),
     "stream-astray": Sentence(
-        "From {from_s} to {to_s}, from line {line} on, the target stands at places up "
-        "to {distance_um} off those of the path; nothing of that time is used.",
+        "From {from_s} to {to_s} on the tracker's clock, from line {line} on, the "
+        "target stands at places up to {distance_um} off those of the path; nothing of "
+        "that time is used.",
         "Look whether the frame, a sign or a unit of the stream changed at that time.",
     ),
     "air-uncorrected": Sentence(

@@ -107,6 +107,11 @@ def _state_agreement(found: Verification) -> str:
             "Measurement and result do not agree within what both state, and a "
             f"machine that has changed would explain it: {figures}."
         )
+    if found.scale is not None and found.scale.cause is not None:
+        return (
+            "Measurement and result do not agree: the compensation of the control is "
+            f"not what it is taken for; {figures}."
+        )
     return (
         "Measurement and result do not agree, and no machine of this model explains "
         f"the measurement either: look at tracker and reflector first; {figures}."

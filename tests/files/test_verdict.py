@@ -25,8 +25,8 @@ BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 
 
 def test_a_reason_is_a_sentence_with_its_numbers_and_units():
     assert str(LEFT_OUT) == (
-        "42 samples of line 7, from 61.2 s to 61.3 s, are left out: they lie "
-        "5012.0 µm aside from the others."
+        "42 samples of line 7, from 61.2 s to 61.3 s on the tracker's clock, are left "
+        "out: they lie 5012.0 µm aside from the others."
     )
     assert "3.50 times that of noise; up to 1.30" in str(BEYOND)
 

@@ -77,6 +77,17 @@ def test_a_german_certificate_words_a_verification_in_german(times, cause, words
     assert words in said
 
 
+def test_a_compensation_that_explains_all_sends_nobody_to_the_tracker():
+    scale = {"value": 0.07, "uncertainty": 0.01, "cause": "active"}
+    hopeless = AGREEMENT | {"chance_of_any_machine": 0.0}
+    content = VERIFICATION | {"agreement": hopeless}
+    _, tracker = word_findings(content, load_language("de"))
+    _, control, _ = word_findings(content | {"map_scale": scale}, load_language("de"))
+    assert "Prüfen Sie zuerst Tracker und Reflektor" in tracker
+    assert "Tracker" not in control
+    assert "Die Kompensation der Steuerung ist anders als angegeben" in control
+
+
 def test_what_lines_leave_unseen_is_said_in_german():
     across = {"components": "three at standstills, the two across the travel on lines"}
     content = VERIFICATION | across | {"unseen_directions": ["X"]}

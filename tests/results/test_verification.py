@@ -269,6 +269,8 @@ def test_a_compensation_of_the_wrong_sign_is_named(calibrated, remeasured):
     assert not found.consistency.is_consistent
     assert any("wrong sign" in sentence for sentence in state_findings(found))
     assert verification_json(found)["map_scale"]["cause"] == "wrong-sign"
+    hopeless = replace(found, consistency=replace(found.consistency, repeated=0.0))
+    assert not any("look at tracker" in said for said in state_findings(hopeless))
 
 
 def test_a_compensation_that_is_not_active_is_named(calibrated, remeasured):

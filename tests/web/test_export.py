@@ -171,3 +171,25 @@ def test_a_simulated_control_is_given_the_files_and_verified_with_them(
     unload.click()
     expect(load).to_be_visible()
     assert service.loaded_tables == {}
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_files_of_another_result_in_the_simulated_control_are_said_on_verify(
+    panel, service, language
+):
+    page, _ = show(panel, service, language=language)
+    service.loaded_tables = {"job_id": "job-9", "compensation_id": "isg-csv-10-hold"}
+    page.goto(page.url.replace("#/export/", "#/verify/"))
+    said = page.locator(".notice.is-held")
+    word = "of another result" if language == "en" else "eines anderen Ergebnisses"
+    expect(said).to_contain_text(word)
+    expect(said.locator("a")).to_have_attribute("href", "#/export/job-9")
+    expect(page.locator("#verify-files")).to_have_value("")
+
+
+def test_files_with_what_was_found_say_that_verify_does_not_name_them(panel, service):
+    job = service.new_job("discover", run_id="run-9")["id"]
+    service.finish(job)
+    page = panel.open(f"#/export/{job}")
+    said = page.locator(".notice", has_text="Files with what was found")
+    expect(said).to_contain_text("cannot name these files")

@@ -707,6 +707,21 @@ def test_temperatures_and_warm_up_are_shown_before_a_run(
     expect(row).to_contain_text(words)
 
 
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [
+        ("true", "Temperatures are steady"),
+        ("false", "Temperatures are steady: not met"),
+        ("unknown", "Temperatures are steady: not known"),
+    ],
+)
+def test_a_condition_is_not_named_as_met_before_it_is(panel, service, level, name):
+    service.connected, service.conditions = True, [WARM | {"level": level}]
+    page = panel.open("#/plan")
+    row = page.locator('[data-type="temperature-steady"] b')
+    expect(row).to_have_text(name)
+
+
 def test_plan_says_nothing_of_temperatures_where_no_thermometer_does(panel, service):
     service.connected = True
     service.conditions = [WARM | {"level": "unknown", "temperatures": []}]

@@ -248,6 +248,24 @@ def test_a_compensation_that_is_not_what_it_is_taken_for_is_said_in_both_languag
     expect(said).to_contain_text("1,98" if language == "de" else "1.98")
 
 
+@pytest.mark.parametrize("language", ["de", "en"])
+def test_a_compensation_that_explains_all_sends_nobody_to_the_tracker(
+    panel, service, language
+):
+    result = measured(service)
+    proof = service.new_job("verify")["id"]
+    content = verification(result)
+    content["map_scale"] = {"value": 0.07, "uncertainty": 0.02, "cause": "active"}
+    hopeless = {"consistent": False, "chance_of_any_machine": 0.0}
+    content["agreement"] = content["agreement"] | hopeless
+    service.verifications[proof] = content
+    service.finish(proof)
+    page = panel.open(f"#/verify/{proof}", language=language)
+    said = page.locator(".proof p", has_text="(k = 2)")
+    expect(said).to_contain_text("ompens")
+    expect(said).not_to_contain_text("racker")
+
+
 def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
     panel, service
 ):

@@ -229,9 +229,9 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         yield language.shared["verify.unseen"].format(axes=axes)
     if resting := content.get("axes_at_rest"):
         yield language.shared["verify.resting"].format(axes=", ".join(resting))
-    if agreement := as_object(content.get("agreement")):
-        yield _say_agreement(agreement, language)
     scale = as_object(content.get("map_scale"))
+    if agreement := as_object(content.get("agreement")):
+        yield _say_agreement(agreement, scale.get("cause"), language)
     if cause := scale.get("cause"):
         times = language.number(scale["value"], 2)
         yield language.say(f"verification_scale_{cause}", times=times)
@@ -247,12 +247,16 @@ def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     return content.get("runs", ())
 
 
-def _say_agreement(agreement: Mapping[str, Any], language: Language) -> str:
+def _say_agreement(
+    agreement: Mapping[str, Any], cause: str | None, language: Language
+) -> str:
+    """Return whether they agree; a `cause` in the control goes before the tracker."""
     if agreement["consistent"]:
         key = "consistent"
+    elif agreement["chance_of_any_machine"] >= DOUBTFUL:
+        key = "changed"
     else:
-        another = agreement["chance_of_any_machine"] >= DOUBTFUL
-        key = "changed" if another else "no_machine"
+        key = "other_compensation" if cause else "no_machine"
     return language.shared[f"verify.{key}"].format(
         chance=language.number(100.0 * agreement["chance"], 1),
         share=language.number(100.0 * agreement["share_within_expanded"], 0),

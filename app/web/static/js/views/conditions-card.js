@@ -96,11 +96,17 @@ function row(condition) {
   const words = explain(condition);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
-    h("b", {}, known(`condition.${type}`, type.replaceAll("-", " "))),
+    h("b", {}, nameOf(type, level)),
     h("span", { class: "condition-since" }, t("condition.since", { at })),
     words ? h("p", {}, words) : null,
     temperatures?.length ? h("p", { class: "quiet" }, temperatures.map(temperature).join("; ")) : null,
     state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle")));
+}
+
+/** A condition by its name, which says that all is well: so it says as well where that is not so, or not known. */
+function nameOf(type, level) {
+  const name = known(`condition.${type}`, type.replaceAll("-", " "));
+  return level === "true" ? name : t(`condition.is_${level}`, { name });
 }
 
 /** What is wrong and what to do; of what is well, a state that is worth a word. */

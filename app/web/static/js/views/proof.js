@@ -54,10 +54,11 @@ function reason({ conformity: { measured }, places }) {
     u: quantity(measured.expanded_uncertainty_um, "gap"), k: number(measured.coverage_factor, 1), tolerance: quantity(measured.tolerance_um, "gap") });
 }
 
-function agreement({ agreement: { consistent, chance, share_within_expanded: share, chance_of_any_machine: other } }) {
+function agreement({ agreement: { consistent, chance, share_within_expanded: share, chance_of_any_machine: other }, map_scale: scale }) {
   const values = { chance: number(100 * chance, 1), share: number(100 * share), k: COVERAGE };
   if (consistent) return t("verify.consistent", values);
-  return t(other < DOUBTFUL ? "verify.no_machine" : "verify.changed", values);
+  if (other >= DOUBTFUL) return t("verify.changed", values);
+  return t(scale?.cause ? "verify.other_compensation" : "verify.no_machine", values);
 }
 
 /** Where the control's compensation is not what it is taken for; null where it is. */

@@ -74,30 +74,35 @@ export function mount(root, { store }) {
   };
 }
 
-/** Choose the files that a simulated control of this job's machine has. */
-async function chooseLoaded(job, { system }, files, changed) {
+/** Choose the files that a simulated control of this job's machine has; say in `others` where they are not of this result. */
+async function chooseLoaded(job, { system }, files, others, changed) {
   if (!system?.simulated || !job.machine) return;
   const { job_id, compensation_id } = await api.simulatedTables(job.machine);
+  if (job_id && job_id !== job.id) others.replaceChildren(otherFiles(job_id));
   if (job_id !== job.id || files.value) return;
   files.value = choices.compensation_id = compensation_id;
   changed();
 }
+
+const otherFiles = (job_id) => notice("held", t("verify.other_files"), t("verify.other_files_text"),
+  h("a", { href: `#/export/${job_id}` }, t("verify.other_files_open")));
 
 function form(job, state, changed) {
   const files = h("select", { id: "verify-files", onchange: () => {
     choices.compensation_id = files.value;
     changed();
   } }, h("option", { value: "" }, t("verify.as_found")));
+  const others = h("div", { "aria-live": "polite" });
   api.compensations(job.id).then((kept) => files.append(...kept.map((made) =>
     h("option", { value: made.id }, nameFiles(made, kept)))))
-    .then(() => chooseLoaded(job, state, files, changed)).catch(() => {});
+    .then(() => chooseLoaded(job, state, files, others, changed)).catch(() => {});
   return h("div", { class: "columns" },
     h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
       h("div", { class: "stack", role: "group", "aria-label": t("verify.what") }, KINDS.map((kind) => kindBox(kind, changed)))),
     h("div", { class: "stack" },
       h("section", { class: "card stack" }, h("h2", {}, t("verify.against")), toleranceField(changed),
         h("div", { class: "field" }, h("label", { for: "verify-files" }, t("verify.state")), files,
-          h("p", { class: "field-note" }, t("verify.state_note")))),
+          h("p", { class: "field-note" }, t("verify.state_note"))), others),
       keepOutChoice(machineIdOf(state), state.machine, changed),
       notice(null, t("verify.moves"), t("verify.moves_text"))));
 }
