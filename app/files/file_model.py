@@ -7,6 +7,7 @@ back as one BundleError: `machine.json: axes.X.max_mm is true; write a number`.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, TypeVar, cast
@@ -58,6 +59,19 @@ def refuse(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomE
     """
     told = {"problem": problem, "remedy": remedy, "place": place}
     return PydanticCustomError("refused", "{problem}; {remedy}", told)
+
+
+def require_finite(value: object, *place: str | int) -> object:
+    """Return the value. Raises a refusal for a number that is not finite in it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise refuse("is not finite", "write a finite number", *place)
+    if isinstance(value, Mapping):
+        for key, inner in cast("Mapping[str, object]", value).items():
+            require_finite(inner, *place, key)
+    if isinstance(value, list):
+        for index, inner in enumerate(cast("list[object]", value)):
+            require_finite(inner, *place, index)
+    return value
 
 
 def _require_three(value: object) -> object:

@@ -6,11 +6,10 @@ result does so from a model as well.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -23,7 +22,14 @@ from pydantic import (
 )
 
 from truepath.app.errors import BundleError
-from truepath.app.files.file_model import FileModel, Text, parse_json, refuse, validate
+from truepath.app.files.file_model import (
+    FileModel,
+    Text,
+    parse_json,
+    refuse,
+    require_finite,
+    validate,
+)
 from truepath.app.files.machine_file import MachineFile
 from truepath.app.files.model_file import model_from_json
 from truepath.app.files.verdict import State, Verdict, verdict_from_json
@@ -231,19 +237,6 @@ class _Reckoned(FileModel):
     )
 
 
-def _require_finite(value: object, *place: str | int) -> object:
-    """Return the value. Raises a refusal for a number that is not finite in it."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise refuse("is not finite", "write a finite number", *place)
-    if isinstance(value, Mapping):
-        for key, inner in cast("Mapping[str, object]", value).items():
-            _require_finite(inner, *place, key)
-    if isinstance(value, list):
-        for index, inner in enumerate(cast("list[object]", value)):
-            _require_finite(inner, *place, index)
-    return value
-
-
 def _require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
     """Raise BundleError for what is no number where the provenance is reckoned with."""
     stated = {key: value for key, value in provenance.items() if value is not None}
@@ -262,7 +255,7 @@ class _Document(_MachineOfResult):
     measured_range: _Ranges = _Ranges()
     observability: _Observability
     noise: _Noise | None = None
-    provenance: Annotated[dict[str, Any], AfterValidator(_require_finite)]
+    provenance: Annotated[dict[str, Any], AfterValidator(require_finite)]
     model: Any
     verdict: _Verdict | None = None
 

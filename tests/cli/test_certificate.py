@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 from dataclasses import dataclass, field
 from datetime import date
@@ -422,6 +423,30 @@ def test_a_file_of_another_kind_is_refused_by_its_name(issue, analysed, capsys):
     assert "verification/1" in capsys.readouterr().err
     assert issue("c.txt")[0] == 2
     assert ".pdf or .html" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a["volumetric_error_um"]["after"].update(mean=math.nan), "mean"),
+        (lambda a: a.pop("volumetric_error_um"), "volumetric_error_um is missing"),
+        (lambda a: a["left_um"].update(map=math.inf), "left_um.map is not finite"),
+    ],
+)
+def test_an_account_that_cannot_be_stated_is_refused_with_its_place(
+    issue, analysed, tmp_path, capsys, change, said
+):
+    file = tmp_path / "t.json"
+    words = ["export", str(analysed / "result.json"), "--format", "csv"]
+    assert run([*words, "-o", str(tmp_path / "t.csv")]) == 0
+    account = json.loads(file.read_text())
+    change(account)
+    file.write_text(json.dumps(account))
+    capsys.readouterr()
+    assert issue("c.html", "--compensation", str(file))[0] == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "t.json: " in line
+    assert said in line
 
 
 def test_the_html_fetches_nothing_and_has_no_script(issue):

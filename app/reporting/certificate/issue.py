@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from truepath.app.errors import BundleError
+from truepath.app.files.account_file import require_account, require_finite_numbers
 from truepath.app.files.file_model import as_object, parse_json
 from truepath.app.files.identity_file import Identity
 from truepath.app.files.result_file import (
@@ -137,6 +138,9 @@ def read_source(file: str | Path, schema: str) -> Source:
     if content.get("schema") != schema:
         remedy = f"give a file of {schema}"
         raise BundleError("is of another schema", file=shown, remedy=remedy)
+    require_finite_numbers(content, shown)
+    if schema == COMPENSATION:
+        require_account(content, shown)
     return Source(shown, content, _digest(data))
 
 
