@@ -185,11 +185,3 @@ def test_files_of_another_result_in_the_simulated_control_are_said_on_verify(
     expect(said).to_contain_text(word)
     expect(said.locator("a")).to_have_attribute("href", "#/export/job-9")
     expect(page.locator("#verify-files")).to_have_value("")
-
-
-def test_files_with_what_was_found_say_that_verify_does_not_name_them(panel, service):
-    job = service.new_job("discover", run_id="run-9")["id"]
-    service.finish(job)
-    page = panel.open(f"#/export/{job}")
-    said = page.locator(".notice", has_text="Files with what was found")
-    expect(said).to_contain_text("cannot name these files")

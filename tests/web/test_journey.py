@@ -156,6 +156,37 @@ def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
     assert issued["verification_job"] == proof
 
 
+def test_files_with_what_a_discovery_found_are_verified_and_certified(panel, service):
+    result = measured(service)
+    (run_id,) = {service.jobs[result].get("run_id")}
+    found = service.new_job("discover", run_id=run_id)["id"]
+    service.finish(found)
+    made = scripted_data.compensation(found, "linuxcnc", "hold")
+    service.compensations[found] = [made]
+    page = panel.open(f"#/export/{found}")
+    page.locator(NEXT, has_text="Verify the machine").click()
+    page.wait_for_url(f"**/#/verify/{found}")
+    page.locator("#verify-files").select_option(made["id"])
+    page.locator(NEXT, has_text="Prepare the points").click()
+    page.wait_for_url("**/#/check/*")
+    order = service.requests[-1][2]
+    assert (order["result_id"], order["compensation_id"]) == (found, made["id"])
+    proof = page.url.rsplit("/", 1)[1]
+    asked = {"result_id": found, "compensation_id": made["id"]}
+    service.verifications[proof] = verification(found) | {"asked": asked}
+    service.change(proof, state="running", stage="measuring")
+    service.finish(proof)
+    page.wait_for_url(f"**/#/verify/{proof}")
+    page.locator(NEXT, has_text="To the certificate").click()
+    page.wait_for_url(f"**/#/certificate/{result}")
+    expect(page.get_by_role("checkbox", name="With the verification")).to_be_checked()
+    page.locator(NEXT, has_text="Issue the certificate").click()
+    expect(page.locator("iframe.preview")).to_be_visible()
+    issued = service.requests[-1][2]
+    assert issued["verification_job"] == proof
+    assert "compensation_id" not in issued  # the service takes those of the proof
+
+
 @pytest.mark.parametrize(
     ("driven_with", "stated"),
     [("heidenhain-10-hold", "heidenhain-10-hold"), (None, ""), ("taken-away", "")],

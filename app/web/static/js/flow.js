@@ -46,11 +46,30 @@ export const answersWell = (machine) => isConnected(machine) && Boolean(machine.
 export const statesTables = (job) => job?.state === "succeeded" && !isDiscovery(job) && !isTrend(job)
   && !isReanalysis(job) && !isVerification(job);
 
-/** Id of the job whose result is taken further: the followed one, or the one that it came from; or null. */
-export function resultId({ job, jobs, verification, proves }) {
-  if (!job) return null;
-  if (statesTables(job)) return job.id;
+/** Whether a job states what a machine does, so that files can be made of it and points be held against it. */
+export const statesMachine = (job) => statesTables(job) || (isDiscovery(job) && job.state === "succeeded");
+
+/** Id of the job that points are held against: the followed one, or the one that a verification names; or null. */
+export function heldId({ job, verification, proves }) {
   if (isVerification(job)) return verification?.asked.result_id ?? proves?.[job.id] ?? null;
+  return statesMachine(job) ? job.id : null;
+}
+
+/** Id of the job whose result is taken further: the followed one, or the one that it came from; or null. */
+export function resultId(state) {
+  const { job, jobs } = state;
+  const held = isVerification(job) ? heldId(state) : null;
+  return held ? resultOf(held, jobs) : resultBehind(job, jobs);
+}
+
+/** Id of the result that a job has, or that its discovery goes on from. */
+export function resultOf(id, jobs) {
+  const job = jobs.find((other) => other.id === id);
+  return job ? resultBehind(job, jobs) : id;
+}
+
+function resultBehind(job, jobs) {
+  if (statesTables(job)) return job.id;
   if (!isDiscovery(job)) return null;
   const runs = new Set(runsOf(job));
   return jobs.find((other) => statesTables(other) && runsOf(other).some((run) => runs.has(run)))?.id ?? null;
@@ -85,6 +104,8 @@ export function place(hash) {
 
 const OF_A_RESULT = new Set(["result", "discover", "export", "verify", "certificate"]);
 
+const OF_A_MODEL = new Set(["export", "verify"]);
+
 /** Address of a step, or null where there is nothing to show yet. */
 export function reach(step, state) {
   const { job, machine } = state;
@@ -95,7 +116,7 @@ export function reach(step, state) {
   if (step === own) return `#/${step}/${job.id}`;
   if (step === "run" && (OF_A_RESULT.has(own) || own === "trend")) return `#/run/${job.id}`;
   if (!OF_A_RESULT.has(step) || !OF_A_RESULT.has(own)) return null;
-  // What a discovery has found is corrected as well.
-  const id = step === "export" && isDiscovery(job) ? job.id : resultId(state);
+  // What a discovery has found is corrected and verified as well.
+  const id = OF_A_MODEL.has(step) ? heldId(state) ?? resultId(state) : resultId(state);
   return id && `#/${step}/${id}`;
 }

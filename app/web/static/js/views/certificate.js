@@ -69,7 +69,7 @@ export function mount(root, { store, actions }) {
     const [kept, proof, files] = await Promise.all([api.certificates(job.id), findProof(job.id, jobs), api.compensations(job.id)]);
     if (drawn !== job.id) return;
     const { machine } = store.get();
-    order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: verifiedFiles(proof, files) };
+    order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: verifiedFiles(proof, files), others: hasOtherFiles(proof, job) };
     stated.replaceChildren(...form(order, files));
     showAll(kept.items, kept.items.at(-1) ?? null);
     store.set({});
@@ -104,10 +104,13 @@ function verifiedFiles(proof, files) {
   return files.some(({ id }) => id === name) ? name : "";
 }
 
+/** Whether the control had files of a discovery while it was verified: the service takes their account by itself. */
+const hasOtherFiles = (proof, job) => Boolean(proof?.verification.asked.compensation_id) && proof.verification.asked.result_id !== job.id;
+
 function form(order, files) {
   const choose = h("select", { id: "certificate-files", onchange: () => {
     order.files = choose.value;
-  } }, h("option", { value: "" }, t("certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
+  } }, h("option", { value: "" }, t(order.others ? "certificate.files_of_proof" : "certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
   choose.value = order.files;
   const groups = Object.entries(GROUPS).map(([group, names]) => [h("h3", {}, t(`certificate.of_${group}`)),
     h("div", { class: "text-fields" }, names.map((name) => textField(order.identity, name)))]);

@@ -34,7 +34,7 @@ export function mount(root) {
     };
     const relist = () => list().catch(() => {});
     const making = exportCard(job, { verdict, stated_um: stated?.before?.mean.value_um }, relist);
-    body.replaceChildren(isDiscovery(job) ? notice(null, t("export.of_discovery"), t("export.of_discovery_text")) : "", making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
+    body.replaceChildren(making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
       h("div", { "data-only": "without-metrologist" }, notice(null, t("session.metrologist_only"))), kept);
     relist();
   }

@@ -1,7 +1,7 @@
 /* What a verification says: pass, fail or cannot be said, with its numbers. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { isVerification } from "../flow.js";
+import { isVerification, resultOf } from "../flow.js";
 import { card, linkButton, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
@@ -16,14 +16,15 @@ const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees
 
 export const isProof = (job) => isVerification(job) && job.state === "succeeded";
 
-/** The newest verification of a result, or null: { job, verification }. */
-export async function findProof(result_id, jobs) {
+/** The newest verification of a job, or of what a discovery has made of its result; or null: { job, verification }. */
+export async function findProof(id, jobs) {
   for (const job of jobs.filter(isProof).slice(0, LOOKS)) {
     const verification = await api.verification(job.id).catch((error) => {
       if (!(error instanceof api.Problem)) throw error;
       return null;
     });
-    if (verification?.asked?.result_id === result_id) return { job, verification };
+    const held = verification?.asked?.result_id;
+    if (held && [held, resultOf(held, jobs)].includes(id)) return { job, verification };
   }
   return null;
 }

@@ -1,7 +1,7 @@
 /* The step Verify: a result held against points that it was not made from. */
 import * as api from "../api.js";
 import { h, mark } from "../dom.js";
-import { isConnected, isVerification, reach, resultId, statesTables } from "../flow.js";
+import { heldId, isConnected, isVerification, reach, statesMachine } from "../flow.js";
 import { card, head, notice, wordFormat } from "../parts.js";
 import { prefer, preference } from "../preferences.js";
 import { plain, t, typed } from "../texts.js";
@@ -18,7 +18,7 @@ const choices = { what: new Set(["diagonals", "random-points"]), tolerance_um: k
 export function lead(state, { actions, go }) {
   const { job, busy } = state;
   if (!job) return { next: null };
-  const id = resultId(state);
+  const id = heldId(state);
   const certify = onward("verify", state, go);
   const back = { label: t("step.export"), run: () => go(reach("export", state) ?? "#/records") };
   if (isVerification(job)) {
@@ -65,7 +65,7 @@ export function mount(root, { store }) {
     update(state) {
       const { job, verification } = state;
       const wanted = isVerification(job) ? verification : job?.id;
-      if (!job || !wanted || wanted === drawn || !(isVerification(job) || statesTables(job))) return;
+      if (!job || !wanted || wanted === drawn || !(isVerification(job) || statesMachine(job))) return;
       drawn = wanted;
       if (isVerification(job)) body.replaceChildren(...proofCards({ job, verification }));
       else ask(job, state);
