@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.sentences_of_the_service import ENGLISH, list_unobservable
+from truepath.app.api.models.job_request import ADAPTIVE_MINUTES
 from truepath.app.compensation.installed import list_formats
 from truepath.app.errors import IllegalTransition
 from truepath.app.estimation import change_search, notices
@@ -186,3 +187,9 @@ def test_no_fault_of_a_measurement_stays_english_on_a_german_page(panel):
         assert found is not None, f"{code}: {text}"
         for number in re.findall(r"\d+\.\d+", text):
             assert number not in found, found
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_an_adaptive_measurement_says_how_long_it_is_where_no_time_is_given(language):
+    minutes = f" {ADAPTIVE_MINUTES:.0f} "
+    assert minutes in catalogue(language)["plan.measure-adaptive"]
