@@ -34,7 +34,8 @@ SENTENCES: Mapping[str, Sentence] = {
     "samples-left-out": Sentence(
         "{samples} samples of line {line}, from {from_s} to {to_s} on the tracker's "
         "clock, are left out: they lie {distance_um} aside from the others.",
-        "Look at what crossed the beam or moved the reflector at that time.",
+        "Look at what crossed the beam or moved the reflector at that time; on the "
+        "first line of a Run, lost motion that was not taken up yet looks the same.",
     ),
     "spikes-left-out": Sentence(
         "{samples} lone samples are left out: they lie up to {distance_um} aside.",
