@@ -39,6 +39,8 @@ from truepath.app.kinematics.symbols import SQUARENESS, find_unit, list_error_mo
 
 SCHEMA = "model/1"
 _FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000
+# In µm or µrad: no machine tool is off by a metre, or by a radian.
+_Error = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 Stated = tuple[Effect, Float64[np.ndarray, " s"]]
 
@@ -50,8 +52,8 @@ class ErrorMotionFile(FileModel):
     symbol: str
     knots_mm: list[float] | None = None
     knots_deg: list[float] | None = None
-    values_um: list[float] | None = None
-    values_urad: list[float] | None = None
+    values_um: list[_Error] | None = None
+    values_urad: list[_Error] | None = None
 
     def restore(self, machine: Machine) -> Stated:
         """Return the effect and its stated values."""
@@ -75,8 +77,8 @@ class NumberFile(FileModel):
 
     effect: Literal["squareness", "axis-location"]
     symbol: str
-    value_um: float | None = None
-    value_urad: float | None = None
+    value_um: _Error | None = None
+    value_urad: _Error | None = None
 
     def restore(self, machine: Machine) -> Stated:
         """Return the effect and its stated value."""

@@ -190,6 +190,24 @@ def test_a_result_of_bad_provenance_is_one_line(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("value", [1e12, -1e308])
+def test_an_error_that_no_machine_has_is_one_line(
+    value, analysed, points, tmp_path, capsys
+):
+    result = json.loads((analysed / "result.json").read_text())
+    place, effect = next(
+        (number, one)
+        for number, one in enumerate(result["model"]["effects"])
+        if "values_um" in one
+    )
+    effect["values_um"][2] = value
+    file, out = tmp_path / "result.json", tmp_path / "out.csv"
+    file.write_text(json.dumps(result))
+    line = refused(["predict", file, "--points", points, "-o", out], capsys)
+    assert f"result.json: model.effects[{place}].values_um[2] is {value:g}" in line
+    assert not out.exists()
+
+
 def test_a_result_with_an_unknown_effect_is_one_line(
     analysed, points, tmp_path, capsys
 ):
