@@ -8,7 +8,7 @@ import re
 
 import pytest
 import scripted_data
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 from scripted_data import MACHINE, machine_entry, machine_history, verification
 
 from truepath.app.files.verdict import Reason, Verdict, verdict_json
@@ -154,6 +154,28 @@ def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
     expect(page.locator("iframe.preview")).to_be_visible()
     issued = service.requests[-1][2]
     assert issued["verification_job"] == proof
+
+
+def test_another_certificate_waits_for_the_verification_that_came_since(panel, service):
+    result = measured(service)
+    proof = service.new_job("verify")["id"]
+    service.verifications[proof] = verification("another result")
+    service.finish(proof)
+    page = panel.open(f"#/certificate/{result}")
+    page.locator(NEXT, has_text="Issue the certificate").click()
+    another = page.locator("#aside button", has_text="Issue another")
+    expect(another).to_be_enabled()
+    page.locator(".step a", has_text="Export").click()
+    service.verifications[proof] = verification(result)
+    held: list[Route] = []
+    page.route("**/verification", lambda route: held.append(route))
+    page.locator(".step a", has_text="Certificate").click()
+    expect(another).to_be_disabled()
+    for route in held:
+        route.continue_()
+    another.click()
+    expect(page.locator(".kept-list li")).to_have_count(2)
+    assert service.requests[-1][2]["verification_job"] == proof
 
 
 def test_files_with_what_a_discovery_found_are_verified_and_certified(panel, service):

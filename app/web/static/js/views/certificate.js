@@ -33,7 +33,7 @@ export function lead(state, { actions, store, go }) {
   };
   if (result?.verdict?.state === "not-usable") return { back, next: { key: "measure", ...newMeasurement(go) }, reason: t("certificate.not_usable") };
   const isReady = order?.job_id === job.id;
-  if (issued === job.id) return { back, next: { key: "measure", ...newMeasurement(go) }, aside: { label: t("certificate.issue_again"), run: issue } };
+  if (issued === job.id) return { back, next: { key: "measure", ...newMeasurement(go) }, aside: { label: t("certificate.issue_again"), disabled: !isReady || Boolean(busy), run: issue } };
   return { back, next: { key: "issue", label: t("certificate.issue"), disabled: !isReady || Boolean(busy), run: issue } };
 }
 
@@ -45,6 +45,7 @@ const orderOf = ({ language, identity, proof, proves, files }) => ({
 
 /** Show what is stated, the certificate, and all that were issued of the result. */
 export function mount(root, { store, actions }) {
+  order = null; // of an earlier look: a verification may have come since
   const stated = h("div", { class: "stack" });
   const preview = h("section", { class: "card preview-card" });
   const list = h("div");
@@ -82,6 +83,7 @@ export function mount(root, { store, actions }) {
       load(job, jobs).catch(actions.refuse);
     },
     close() {
+      drawn = null; // what is still being read is of no use
       taken = () => {};
     },
   };
