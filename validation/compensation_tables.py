@@ -1,6 +1,6 @@
 """What compensation files leave: as stated, as it is, and with the wrong sign.
 
-Forty machines that no writer was made on are calibrated through the whole product;
+Thirty machines that no writer was made on are calibrated through the whole product;
 their files are read by simulated controllers, which share no code with the writers, and
 the exact machine stands where they send it. Every second machine loses motion on
 reversal.
@@ -26,7 +26,7 @@ from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.compensation.rules import Rules
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "compensation.md"
-MACHINES, FIRST_SEED = 40, 5001  # which nothing was made or mended on
+MACHINES, FIRST_SEED = 30, 5001  # which nothing was made or mended on
 POSITIONS = 4096
 _COVERAGE_FACTOR = 2.0
 
