@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from compensation_tables import DOCUMENT
+from compensation_tables import DOCUMENT, Outcome
 from document import table, write_section
 from five_axes_in_motion import stand
 from recordings import run_of
@@ -38,27 +38,6 @@ FORMATS = ("linuxcnc", "siemens-lec", "siemens", "isg-csv")
 _HEAD = "format, before, stated after, U (k = 2), true after, wrong sign, within U"
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """One machine with the files of one format; mean lengths of the error in µm.
-
-    stated, expanded : after, as the account has it, and its expanded uncertainty, k = 2
-    true, wrong : after, by the exact machine, and with the sign of the files reversed
-    """
-
-    format: str
-    before: float
-    stated: float
-    expanded: float
-    true: float
-    wrong: float
-
-    @property
-    def is_covered(self) -> bool:
-        """Whether the true one is within the stated interval."""
-        return abs(self.true - self.stated) <= self.expanded
-
-
 def judge(seed: int) -> Iterator[Outcome]:
     """Yield what the files of each format leave of a machine."""
     (made,) = stand(seed)
@@ -72,6 +51,7 @@ def judge(seed: int) -> Iterator[Outcome]:
         wrong = replace(right, rules=Rules(reversed_sign=True))
         yield Outcome(
             name,
+            False,  # loses no motion
             before,
             over["after_expected"],
             over["after_expanded_uncertainty"],
@@ -108,7 +88,7 @@ def main() -> None:
 
 
 def _summarize(name: str, outcomes: list[Outcome]) -> list[str]:
-    mine = [o for o in outcomes if o.format == name]
+    mine = [o for o in outcomes if o.order == name]
     words = [
         f"{np.mean([getattr(o, key) for o in mine]):.2f}"
         for key in ("before", "stated", "expanded", "true", "wrong")

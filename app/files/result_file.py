@@ -17,7 +17,6 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    Strict,
     model_validator,
 )
 
@@ -32,6 +31,7 @@ from truepath.app.files.file_model import (
 )
 from truepath.app.files.machine_file import MachineFile
 from truepath.app.files.model_file import model_from_json
+from truepath.app.files.provenance_file import require_reckoned
 from truepath.app.files.verdict import State, Verdict, verdict_from_json
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.estimated_model import EstimatedModel
@@ -227,22 +227,6 @@ class _Verdict(FileModel):
     details: Any = ()
 
 
-class _Reckoned(FileModel):
-    """What is reckoned with of the provenance, where it is stated."""
-
-    measured_s: float | None = Field(default=None, ge=0.0)
-    length_scale_ppm: float | None = Field(default=None, ge=0.0)
-    temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
-        default_factory=dict, alias="temperature_degC"
-    )
-
-
-def _require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
-    """Raise BundleError for what is no number where the provenance is reckoned with."""
-    stated = {key: value for key, value in provenance.items() if value is not None}
-    validate(_Reckoned, stated, file, key="provenance")
-
-
 class _MachineOfResult(FileModel):
     machine: MachineFile
 
@@ -341,7 +325,7 @@ def result_from_json(
     """
     extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
     document = validate(ModelDocument if extended else ResultDocument, content, file)
-    _require_reckoned(document.provenance, file)
+    require_reckoned(document.provenance, file)
     machine = document.machine.machine()
     stated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()
