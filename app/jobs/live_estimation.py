@@ -278,5 +278,5 @@ class LiveSteering:
             "predicted_um": round(_MICRO * part.predicted_sigma_mm, 4),
         }
         log.info("further part", **body)
+        self.on_part(commanded, body)  # kept first: what is driven is in the plan
         self.cell.extend(part.commanded)
-        self.on_part(commanded, body)

@@ -93,8 +93,18 @@ def read_position(rsh: RshLink, machine: LinuxCncAxes) -> tuple[float, ...]:
 def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     """Tell whether coordinates are not those of the joints: RTCP is on.
 
-    In motion too: the coordinates lie between two readings of the joints.
+    Several looks must say so: an axis may have turned back in the midst of one.
     """
+    for look in range(_LOOKS):
+        if look:
+            time.sleep(_FRESH_S)
+        if not _lie_apart(rsh, machine):
+            return False
+    return True
+
+
+def _lie_apart(rsh: RshLink, machine: LinuxCncAxes) -> bool:
+    """Tell whether coordinates do not lie between two readings of the joints."""
     before = read_position(rsh, machine)
     world = _numbers(rsh.read("abs_act_pos"))
     after = read_position(rsh, machine)

@@ -101,6 +101,9 @@ def test_no_number_is_a_lost_connection(text):
         ((AT, BRAKING), "10.500000 5.000000 -2.000000 0 0 0", False),
         ((AT, BRAKING), "11.500000 5.000000 -2.000000 0 0 0", True),
         ((AT,), "10.000000 5.000000 -2.020000 0 0 0", True),
+        # Turned back between the readings of one look, or of two.
+        ((AT,), (BRAKING, AT), False),
+        ((AT,), (BRAKING, BRAKING, AT), False),
     ],
 )
 def test_a_followed_tip_is_told_from_a_motion_between_readings(joints, world, follows):
