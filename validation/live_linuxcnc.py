@@ -28,10 +28,13 @@ from truepath.app.files.machine_file import machine_from_json
 from truepath.app.measurement.cell import Cell
 from truepath.app.measurement.messages import (
     CellConfig,
+    CellState,
+    CellVerb,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
+    StateChanged,
 )
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.planning.default_path import default_path
@@ -151,8 +154,10 @@ def measure(rig: LiveRig, order: MeasurementOrder, within_s: float) -> RunClosed
         deadline_s = time.monotonic() + within_s
         while time.monotonic() < deadline_s:
             for event in cell.poll(0.05):
-                if isinstance(event, FaultReported):
+                if isinstance(event, FaultReported | StateChanged):
                     print(event, file=sys.stderr, flush=True)
+                if getattr(event, "state", None) is CellState.PAUSED:
+                    cell.send(CellVerb.RESUME)  # what the operator would do
                 if isinstance(event, MeasurementProgress) and changes:
                     changes = turn_tracker(rig.bench, event, changes)
                 if isinstance(event, RunClosed):
