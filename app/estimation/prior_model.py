@@ -15,6 +15,8 @@ from truepath.app.files.result_file import (
     CalibrationResult,
     decode_result,
 )
+from truepath.app.files.run import RunSummary
+from truepath.app.files.sample_sketch import share_samples
 from truepath.app.files.verdict import Reason, Verdict
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.machine import Machine
@@ -46,17 +48,22 @@ class PriorModel:
         }
         return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
 
-    def is_of(self, digests: Sequence[str]) -> bool:
-        """Tell whether it was made from one of some Runs, by their digests."""
-        return not {run["input_sha256"] for run in self.runs}.isdisjoint(digests)
+    def is_of(self, runs: Sequence[RunSummary]) -> bool:
+        """Tell whether it was made from one of some Runs, or from a part of one."""
+        return any(
+            own["input_sha256"] == run.digest
+            or share_samples(own.get("sketch", ""), run.sketch)
+            for own in self.runs
+            for run in runs
+        )
 
     def select_effects(
-        self, machine: Machine, digests: Sequence[str] = ()
+        self, machine: Machine, runs: Sequence[RunSummary] = ()
     ) -> KnownEffects:
         """Return what it knows of the effects of a machine.
 
-        digests : of the Runs to be analysed; where it was made from one of them its
-            numbers are as good as unknown, for no Run counts twice
+        runs : that are to be analysed; where it was made from one of them its numbers
+            are as good as unknown, for no Run counts twice
 
         Raises BundleError if it is of another machine or of another target, NotUsable
         if its numbers are not to be used.
@@ -64,7 +71,7 @@ class PriorModel:
         self._require_same(machine)
         own = self.result
         known = extract_known_effects(own.model, own.theta, own.covariance)
-        if self.is_of(digests):
+        if self.is_of(runs):
             return known.loosen()
         own.verdict.require_usable(self.source)
         return known

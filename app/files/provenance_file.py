@@ -8,6 +8,13 @@ from typing import Annotated, Any
 from pydantic import Field, Strict
 
 from truepath.app.files.file_model import FileModel, validate
+from truepath.app.files.sample_sketch import SKETCH
+
+
+class _RunBehind(FileModel):
+    """A Run that a result was made from."""
+
+    sketch: str = Field(default="", pattern=f"^{SKETCH}$")
 
 
 class _Reckoned(FileModel):
@@ -15,6 +22,7 @@ class _Reckoned(FileModel):
 
     measured_s: float | None = Field(default=None, ge=0.0)
     length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
     temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
         default_factory=dict, alias="temperature_degC"
     )

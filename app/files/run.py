@@ -18,6 +18,7 @@ from truepath.app.files.interruptions import (
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.refraction import Refraction
 from truepath.app.files.sample_quality import SampleQuality, state_quality
+from truepath.app.files.sample_sketch import sketch_samples
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Configurations
 from truepath.drivers.interfaces.records import (
@@ -145,6 +146,7 @@ class RunSummary:
 
     mode : `otf` or `standstill`
     digest : SHA-256 of machine, commanded rows and stream, whatever file they came from
+    sketch : by which a part of its stream is known
     lines : lines of the path, or standstill points
     feed_mm_min : lowest and highest feed, None for standstill points
     measured_s : from the first to the last sample; samples : in the stream
@@ -175,6 +177,7 @@ class RunSummary:
     driven_again: tuple[str, ...] = ()
     quality: SampleQuality | None = None
     commanded: CommandedFacts = CommandedFacts()
+    sketch: str = ""
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -202,6 +205,7 @@ def summarize_run(run: Run) -> RunSummary:
         tuple(e.text for e in run.events if e.kind == "again"),
         state_quality(run.tracker),
         _state_commanded(run),
+        sketch_samples(run.tracker),
     )
 
 

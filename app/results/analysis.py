@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
+from itertools import combinations
 
 from truepath.app.alignment.align import align_all
 from truepath.app.errors import BundleError
@@ -23,6 +24,7 @@ from truepath.app.estimation.ripple import add_ripple
 from truepath.app.estimation.tracker_score import RangeOffsetScore, score_range_offset
 from truepath.app.files.one_machine import one_machine
 from truepath.app.files.run import Run, RunSummary, number_names, summarize_run
+from truepath.app.files.sample_sketch import share_samples
 from truepath.app.files.verdict import Verdict
 from truepath.app.kinematics.coarse_model import build_run_models
 from truepath.app.kinematics.machine import Machine
@@ -62,9 +64,9 @@ def analyse(
     on_progress(0.0, "aligning")
     summaries = _summarize(runs)
     names = [summary.name for summary in summaries]
-    digests = [summary.digest for summary in summaries]
     machine = one_machine([run.machine for run in runs], names)
-    known = model.select_effects(machine, digests) if model else KnownEffects()
+    _refuse_twice(summaries)
+    known = model.select_effects(machine, summaries) if model else KnownEffects()
     observed = align_all(runs, names)
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
@@ -118,21 +120,22 @@ def _grade_set_ups(
 
 
 def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
-    """Return the facts of the Runs, each with a name of its own.
-
-    A measurement given twice is refused: its noise would count as that of two.
-    """
+    """Return the facts of the Runs, each with a name of its own."""
     names = number_names([run.name for run in runs])
-    known: dict[str, str] = {}
-    summaries: list[RunSummary] = []
-    for run, name in zip(runs, names, strict=True):
-        summary = replace(summarize_run(run), name=name)
-        if summary.digest in known:
-            raise BundleError(
-                f"is the same measurement as {known[summary.digest]}",
-                file=name,
-                remedy="give each measurement once",
-            )
-        known[summary.digest] = name
-        summaries.append(summary)
-    return tuple(summaries)
+    return tuple(
+        replace(summarize_run(run), name=name)
+        for run, name in zip(runs, names, strict=True)
+    )
+
+
+def _refuse_twice(summaries: Sequence[RunSummary]) -> None:
+    """Raise BundleError for what is given twice: its noise would count as two."""
+    for known, given in combinations(summaries, 2):
+        if known.digest == given.digest:
+            problem = f"is the same measurement as {known.name}"
+        elif share_samples(known.sketch, given.sketch):
+            problem = f"has samples of {known.name} in it"
+        else:
+            continue
+        remedy = "give each measurement once"
+        raise BundleError(problem, file=given.name, remedy=remedy)

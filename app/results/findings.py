@@ -53,8 +53,7 @@ class Provenance:
 
         Then the effects are taken from it and their numbers are not.
         """
-        digests = [run.digest for run in self.runs]
-        return self.model is not None and self.model.is_of(digests)
+        return self.model is not None and self.model.is_of(self.runs)
 
     def judge_model(self) -> Verdict:
         """Return what to know of a result for which the model's numbers were used."""

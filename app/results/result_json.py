@@ -124,7 +124,10 @@ def _residuals_json(
 def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
     """Return the Runs that the numbers come from, those of the model among them."""
     model = () if provenance.model is None else provenance.model.runs
-    own = [{"name": r.name, "input_sha256": r.digest} for r in provenance.runs]
+    own = [
+        {"name": r.name, "input_sha256": r.digest, "sketch": r.sketch}
+        for r in provenance.runs
+    ]
     digests = {run["input_sha256"] for run in own}
     return [*(run for run in model if run["input_sha256"] not in digests), *own]
 

@@ -32,6 +32,7 @@ from truepath.app.files.one_machine import one_machine
 from truepath.app.files.refraction import state_length_ppm
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.run import Run, RunSummary, summarize_run
+from truepath.app.files.sample_sketch import share_samples
 from truepath.app.files.verdict import Verdict
 from truepath.app.kinematics.machine import Machine
 from truepath.app.progress import Progress, ignore_progress
@@ -130,7 +131,7 @@ def verify(
     on_progress(0.0, "aligning")
     summaries = [summarize_run(run) for run in runs]
     for run, summary in zip(runs, summaries, strict=True):
-        refuse_used_run(result, summary)
+        _refuse_used_run(result, summary)
         one_machine([result.machine, run.machine], ["the result", run.name])
     parts = align_parts(runs, first_row)
     if correction is not None:
@@ -180,13 +181,18 @@ def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
             )
 
 
-def refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
-    """Raise BadInput if a result was made from a Run: it would confirm itself."""
+def _refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
+    """Raise BadInput if a result was made from a Run or from a part of it.
+
+    It would confirm itself.
+    """
     runs = result.provenance.get("runs") or ()
     used = {each.get("input_sha256") for each in runs}
-    if run.digest in used | {result.provenance.get("input_sha256")}:
+    whole = run.digest in used | {result.provenance.get("input_sha256")}
+    if whole or any(share_samples(each.get("sketch", ""), run.sketch) for each in runs):
+        made = "this measurement" if whole else "samples of this measurement"
         raise BadInput(
-            f"{run.name}: the result was made from this measurement, which cannot "
+            f"{run.name}: the result was made from {made}, which cannot "
             "verify it; measure again, best by a plan of verification"
         )
 

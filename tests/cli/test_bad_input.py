@@ -173,6 +173,8 @@ BAD_PROVENANCE = {
         "temperature_degC.X[0] is not finite; write a finite number",
     ),
     "temperature": ("temperature_degC", "warm", 'temperature_degC is "warm"; write an'),
+    "sketch": ("runs", [{"name": "a", "sketch": "123"}], 'runs[0].sketch is "123"'),
+    "runs": ("runs", "monday", 'runs is "monday"'),
 }
 
 

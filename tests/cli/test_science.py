@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -54,6 +55,16 @@ def test_bundles_of_both_modes_are_analysed_together(record, tmp_path, summary):
     ]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Runs otf (on the fly), standstill (at standstill)" in page
+
+
+def test_a_part_of_a_bundle_beside_the_whole_is_refused(record, tmp_path, capsys):
+    whole = record(1, rows=24)[0]
+    cut = replace(whole, tracker=whole.tracker.select(slice(500, None)))
+    for name, one in (("whole", whole), ("cut", cut)):
+        write_bundle(one, tmp_path / name)
+    bundles = [str(tmp_path / name) for name in ("whole", "cut")]
+    assert run(["analyse", *bundles, "-o", str(tmp_path / "out")]) == 2
+    assert "cut: has samples of whole in it" in capsys.readouterr().err
 
 
 def test_of_several_bundles_the_bad_one_is_named(record, tmp_path, capsys):

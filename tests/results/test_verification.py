@@ -308,6 +308,14 @@ def test_a_result_is_not_verified_by_its_own_measurement(calibrated, record):
         verify(calibrated, record(MACHINE, rows=24)[0])
 
 
+@pytest.mark.parametrize("part", [slice(200, None), slice(4000, 9000)])
+def test_nor_by_a_part_of_it(calibrated, record, part):
+    own = record(MACHINE, rows=24)[0]
+    cut = replace(own, name="cut", tracker=own.tracker.select(part))
+    with pytest.raises(BadInput, match="cut: the result was made from samples of this"):
+        verify(calibrated, cut)
+
+
 def test_the_file_says_what_was_found(calibrated, remeasured):
     found = verify(calibrated, remeasured(101)[0], tolerance_um=TOLERANCE_UM)
     content = json.loads(json.dumps(verification_json(found), allow_nan=False))

@@ -109,6 +109,11 @@ class RunDigestOut(BaseModel):
 
     name: str
     input_sha256: str
+    sketch: str = Field(
+        "",
+        description="Smallest hashes of its samples, by which a part of it is known. "
+        "Empty in files of earlier versions.",
+    )
 
 
 class UsedModelOut(ParentOut):
