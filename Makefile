@@ -4,6 +4,8 @@
 .DELETE_ON_ERROR:
 PYTHON ?= python3
 export PYTHON
+# Hundreds of processes are started by the tests: what one has compiled, the next one reads.
+export PYTHONDONTWRITEBYTECODE :=
 BIN := .venv/bin
 JOBS ?= 2
 # One process a core computes; BLAS threads on top of that only fight over the cores.

@@ -33,6 +33,7 @@ class MeasuredPlaces:
     """n places, with m components that were measured of them, in mm.
 
     at, row : (n,) conditions, and rows of the path or points
+    run : (n,) which of several Runs measured each, from 0
     cells, means : what the places are means of
     component : (m, 3) unit directions in the frame that the tracker stands on
     owner : (m,) the place of each
@@ -43,6 +44,7 @@ class MeasuredPlaces:
 
     at: Conditions
     row: Int64[np.ndarray, " n"]
+    run: Int64[np.ndarray, " n"]
     cells: Conditions
     means: CellMeans
     component: Float64[np.ndarray, "m 3"]
@@ -137,6 +139,7 @@ def reduce_to_places(
     places = MeasuredPlaces(
         seen.at,
         seen.row,
+        np.zeros(len(seen.row), np.int64),
         cells.at,
         means,
         component,
@@ -161,6 +164,7 @@ def join_places(parts: Sequence[MeasuredPlaces]) -> MeasuredPlaces:
     return MeasuredPlaces(
         _join_moments([part.at for part in parts]),
         np.concatenate([part.row for part in parts]),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
         _join_moments([part.cells for part in parts]),
         CellMeans(weight, np.concatenate(starts)),
         np.concatenate([part.component for part in parts]),

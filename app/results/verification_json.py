@@ -186,6 +186,7 @@ def _places_json(found: Verification) -> dict[str, Any]:
     at = found.places.at
     return {
         "row": found.places.row.tolist(),
+        "run": found.places.run.tolist(),
         "position": at.position_mm.tolist(),
         "standstill": (at.line < 0).tolist(),
         "measured_um": _um_rows(found.measured.vector_mm),

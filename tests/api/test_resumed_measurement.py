@@ -246,7 +246,7 @@ def test_what_acts_on_notices_goes_on_after_its_service_was_killed_and_is_right(
         assert share_covered(client, ended, rig) > 0.8
 
 
-def compare_with_places(found, rig, first_row):
+def compare_with_places(found, rig):
     """Return by how much each place is measured off the truth, µm, and U of that.
 
     Each Run has a pose of its own, so that a rigid motion is no difference.
@@ -254,7 +254,7 @@ def compare_with_places(found, rig, first_row):
     places = found["places"]
     position = np.array(places["position"])
     off_um = np.array(places["measured_um"]) - rig.truth_at(position)
-    is_later = np.array(places["row"]) >= first_row
+    is_later = np.array(places["run"]) == 1
     for part in (is_later, ~is_later):
         off_um[part] = remove_rigid_motion(position[part], off_um[part])
     return off_um, 2.0 * np.array(places["measured_uncertainty_um"])
@@ -284,7 +284,9 @@ def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_r
         assert used == list_digests(tmp_path, ended["run_ids"])
         assert found["places"]["row"] == list(range(len(rows)))
         assert found["agreement"]["chance"] > 0.001
-        off_um, expanded_um = compare_with_places(found, rig, first_row)
+        assert found["places"]["run"] == sorted(found["places"]["run"])
+        assert found["places"]["run"].index(1) in (first_row, first_row + 1)
+        off_um, expanded_um = compare_with_places(found, rig)
         print(f"off {np.abs(off_um).mean():.2f} of {expanded_um.mean():.2f}")
         assert (np.abs(off_um) <= expanded_um).mean() > 0.8
 

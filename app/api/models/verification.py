@@ -145,6 +145,11 @@ class PlacesOut(BaseModel):
     """Errors at each place, µm."""
 
     row: list[int]
+    run: list[int] | None = Field(
+        None,
+        description="Which of `runs` measured it, from 0: each has a rigid motion of "
+        "its own taken out. Earlier versions do not say.",
+    )
     position: list[list[float]]
     standstill: list[bool]
     measured_um: list[list[float]]
