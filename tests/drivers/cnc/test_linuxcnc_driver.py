@@ -113,6 +113,11 @@ def test_an_emergency_stop_in_motion_is_told(driver):
     assert driver.status().state is MotionState.ABORTED
 
 
+# At 9000 mm/min in 1 ms: once in ten thousand looks LinuxCNC's status has the axes of
+# two servo cycles, as its reader looks while they are written.
+CYCLE_MM = 0.15
+
+
 @pytest.mark.long
 @needs_linuxcnc
 def test_a_circle_is_one_motion_on_its_radius(driver):
@@ -130,7 +135,9 @@ def test_a_circle_is_one_motion_on_its_radius(driver):
     assert status.position == pytest.approx(places[0], abs=1e-3)
     for sign, places_mm in zip((1.0, -1.0), seen.values(), strict=True):
         out = np.array(places_mm) - 50.0
-        assert np.abs(np.hypot(*out.T) - 40.0).max() < 0.01
+        off_mm = np.abs(np.hypot(*out.T) - 40.0)
+        assert np.quantile(off_mm, 0.999) < 0.001
+        assert off_mm.max() < CYCLE_MM
         turned = np.degrees(np.unwrap(np.arctan2(out[:, 1], out[:, 0])))
         assert sign * np.ptp(turned) * np.sign(turned[-1] - turned[0]) > 600.0
 
