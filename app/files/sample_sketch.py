@@ -3,7 +3,7 @@
 A digest tells two recordings apart by a single sample. A sketch holds the smallest
 hashes of a few samples in succession (min-hash: Broder, On the resemblance and
 containment of documents, 1997), so that any part of a recording has its share of them.
-The noise of a tracker never gives the same samples twice.
+The noise of a tracker does not give the same samples twice.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ _DIGITS = 16  # of a hash
 _KEPT = 256  # a part of a hundredth has two or three of them
 _WINDOW = 12  # samples in succession; fewer of a coarse tracker do coincide
 _SHARED = 2  # hashes of 64 bits: not one of them is the same by chance
+_SHARE = 0.5  # of the shorter one
 _MIX = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)  # of splitmix64
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
@@ -30,8 +31,17 @@ def sketch_samples(samples: TrackerSamples) -> str:
 
 
 def share_samples(one: str, other: str) -> bool:
-    """Tell whether two sketches are of recordings that have samples in common."""
-    return len(_split(one) & _split(other)) >= _SHARED
+    """Tell from sketches whether half of a recording, or more, is in another as well.
+
+    Less is no sign: a simulated tracker may begin each time with the same noise, before
+    the machine moves.
+    """
+    mine, theirs = _split(one), _split(other)
+    if not mine or not theirs:
+        return False
+    last = min(max(mine), max(theirs))  # beyond it one of them does not tell
+    fewest = min(sum(value <= last for value in each) for each in (mine, theirs))
+    return len(mine & theirs) >= max(_SHARED, _SHARE * fewest)
 
 
 def _split(sketch: str) -> set[str]:
