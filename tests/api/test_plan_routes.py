@@ -120,14 +120,14 @@ def test_more_time_is_foretold_to_tell_more(planned):
 
 @pytest.mark.timeout(120)
 def test_a_target_is_a_standard_uncertainty(planned):
-    made = planned({"mode": "otf", "target_um": 6.0})
+    made = planned({"mode": "otf", "target_um": 3.0})
     document = made["document"]
-    assert document["target"]["expanded_volumetric_uncertainty_um"] == 12.0
+    assert document["target"]["expanded_volumetric_uncertainty_um"] == 6.0
     assert document["target"]["reached"]
-    assert document["predicted"]["volumetric_uncertainty_um"] <= 6.0
+    assert document["predicted"]["volumetric_uncertainty_um"] <= 3.0
     commanded = made["commanded"]
-    assert commanded["target_um"] == 6.0
-    assert commanded["predicted_um"] <= 6.0
+    assert commanded["target_um"] == 3.0
+    assert commanded["predicted_um"] <= 3.0
 
 
 def test_no_swept_line_of_a_plan_touches_a_keep_out_box(planned):
