@@ -186,6 +186,13 @@ class NominalPath:
         """Where the target should stand, one place after another."""
         return self.end_mm[self.first]
 
+    def seat_rows(
+        self, seated_mm: Float64[np.ndarray, "p 3"]
+    ) -> Float64[np.ndarray, "w 3"]:
+        """Return where the target stands at each row that stands so at the places."""
+        at = np.searchsorted(self.first, np.arange(len(self.end_mm)), "right") - 1
+        return seated_mm[at] + self.end_mm - self.place_mm[at]
+
     def lead_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
     ) -> NominalPath:

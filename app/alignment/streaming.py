@@ -72,6 +72,16 @@ class StreamingAlignment:
         return self._known.seats
 
     @property
+    def commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
+        """Where in the tracker's frame each row should be seen; None before the pose.
+
+        As the standstills so far say: what lies off it is an error of the machine.
+        """
+        if self.pose is None:
+            return None
+        return self.pose.apply(self._nominal.seat_rows(self._known.seated_mm))
+
+    @property
     def samples_kept(self) -> int:
         """How many samples wait for more."""
         return self._stream.kept

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.alignment.cell_blocks import CellBlock
 from truepath.app.alignment.observations import Observations
@@ -141,6 +142,16 @@ class LiveEstimator:
         station_mm = about.pose.invert().translation_mm
         precision = self._prior.told.precision
         return LiveFindings(self._rows, station_mm, about.noise, precision)
+
+    def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
+        """Return where in the tracker's frame each row of a path should be seen.
+
+        None of points, and before the pose is known.
+        """
+        seen = self._alignment
+        if isinstance(self._commanded, Path) and isinstance(seen, StreamingAlignment):
+            return seen.commanded_mm
+        return None
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
         """Take the next samples or points; tell whether they have finished anything.

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from truepath.app.planning.adaptive_plan import AdaptivePlanner, Part
     from truepath.app.planning.plan_order import PlanOrder
 
+_BEHIND, _AHEAD = 2, 10
+"""Rows before and after the newest that are told where they should be seen."""
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
 _MICRO = 1e3  # mm to µm
@@ -129,6 +131,7 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
                 "notices": [notice_json(n, begun_s) for n in live.list_notices()],
                 "total": chooser.total,
                 "elapsed_s": round(now.time_s - begun_s, 4),
+                **_commanded_json(live),
             }
             link.send(Estimated({**body, "is_last": stream.is_over}))
         if stream.is_asked:
@@ -246,6 +249,17 @@ def estimate_json(now: Any) -> dict[str, Any]:
         "squareness_urad": {s.symbol: _number(s) for s in tables.squareness},
         **({"axis_location": places} if places else {}),
     }
+
+
+def _commanded_json(live: LiveEstimator) -> dict[str, Any]:
+    """Return where the rows about the newest line should be seen; {} of points."""
+    found, places = live.findings(), live.find_commanded_mm()
+    if found is None or places is None:
+        return {}
+    newest = max(found.rows, default=0)
+    first = max(newest - _BEHIND, 0)
+    told = places[first : newest + _AHEAD + 1]
+    return {"commanded": {"first_row": first, "tracker_mm": told.round(4).tolist()}}
 
 
 def notice_json(notice: Any, begun_s: float) -> dict[str, Any]:

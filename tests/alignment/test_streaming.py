@@ -78,6 +78,38 @@ def test_a_line_is_handed_on_as_soon_as_the_machine_stands_at_its_end(record):
     assert max(late) < 1.5
 
 
+def beside(points, begin, end):
+    """Return by which vectors points lie beside the line through two places."""
+    along = (end - begin) / np.linalg.norm(end - begin)
+    off = points - begin
+    return off - np.outer(off @ along, along)
+
+
+def less_rigid(points, at):
+    """Return vectors at places without the small rigid motion of least squares."""
+    turns = [np.cross(axis, at) for axis in np.eye(3)]
+    columns = [np.tile(axis, (len(at), 1)) for axis in np.eye(3)] + turns
+    basis = np.stack([column.ravel() for column in columns], axis=1)
+    share = np.linalg.lstsq(basis, points.ravel(), rcond=None)[0]
+    return points - (basis @ share).reshape(-1, 3)
+
+
+def test_what_lies_beside_a_commanded_line_is_the_error_of_the_machine(record):
+    run, truth = record(3, setting=Setting(noise_scale=0.0))
+    live, parts = streamed(run, [50])
+    seen = live.observations(parts)
+    places, rows = live.commanded_mm, run.commanded.position
+    error = less_rigid(truth.deviation_mm(rows), rows)
+    assert np.abs(error).max() > 0.005
+    frame = truth.recording.pose.rotation
+    for row in (5, 9, 14):
+        ends, line = slice(row - 1, row + 1), (row - 1, row)
+        points = seen.tracker_mm[seen.row == row][[0, -1]]
+        found = beside(points, *places[list(line)])
+        told = beside(rows[ends] + error[ends], *rows[list(line)]) @ frame
+        assert np.abs(found - told).max() < 0.001
+
+
 def test_lost_frames_breaks_spikes_and_holds_cost_no_more_than_in_the_whole_run(record):
     run, _ = record(5, rows=40, setting=Setting(defects=ROUGH))
     _, first = np.unique(run.tracker.device_time_s, return_index=True)

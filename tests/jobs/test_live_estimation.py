@@ -75,6 +75,26 @@ def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
     assert set(last["squareness_urad"]) == {"C0Y", "B0Z", "A0Z"}
 
 
+def test_rows_about_the_newest_line_are_told_where_the_tracker_sees_them(
+    record, followed
+):
+    run, _ = record(31, rows=32)
+    shown = []
+    live = followed(run, shown.append)
+    live.start()
+    for block in blocks_of(run):
+        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
+        live.offer(block)
+    live.finish()
+    rows = len(run.commanded)
+    for told in shown:
+        first, places = told["commanded"]["first_row"], told["commanded"]["tracker_mm"]
+        assert first <= told["done"] < first + len(places) <= rows
+        assert len(places) <= 13
+    assert first + len(places) == rows
+    assert np.allclose(places[-1], run.tracker.position_mm[-1], atol=0.05)
+
+
 def test_what_has_no_room_is_dropped_and_counted_at_once(record, followed):
     run, _ = record(31, rows=32)
     live = followed(run, print)

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from playwright.sync_api import Locator, expect
+from scripted_data import estimate
 from test_flow import held
 from test_live_estimate import measuring
 
@@ -104,6 +105,27 @@ def test_the_scope_shows_how_far_points_lie_beside_their_line(panel, service):
     )
     expect(page.locator(".air")).to_have_text("X21.50 °C")
     stream_until(tiles, rf"{seen}–", service, job, line[6:][[0] * 7])
+
+
+def test_once_the_machine_is_placed_the_scope_tells_from_the_commanded_line(
+    panel, service
+):
+    job = measuring(service)
+    page = panel.open(language="de")
+    means = page.locator(".scope-means")
+    expect(means).to_contain_text("durch die Punkte dieser Fahrt")
+    rows = np.array([[1e3, 2e2, 50.0], [1300.0, 200.0, 50.0], [1300.0, 500.0, 50.0]])
+    points = rows[1] + np.linspace(0.1, 0.9, 7)[:, None] * (rows[2] - rows[1])
+    points += [0.0, 0.0, 0.0173]  # all of them: no fitted line would tell
+    service.advance(job, 5)
+    commanded = {"first_row": 4, "tracker_mm": rows.tolist()}
+    service.estimate(job, {**estimate(5), "commanded": commanded})
+    tiles = page.locator(".stream .tiles.is-now")
+    stream_until(tiles, r"17,3 µm", service, job, points)
+    expect(means).to_contain_text("von der Sollgeraden")
+    elsewhere = points + np.array([40.0, 0.0, 0.0])  # the tracker is set up anew
+    stream_until(tiles, r"0,0 µm", service, job, elsewhere)
+    expect(means).to_contain_text("durch die Punkte dieser Fahrt")
 
 
 def stream_until(

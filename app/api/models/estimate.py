@@ -9,6 +9,7 @@ from truepath.app.api.models.tables import (
     AxisLocationOut,
     LiveTableOut,
     SquarenessOut,
+    Vector3,
     VerdictOut,
 )
 
@@ -19,6 +20,17 @@ class CourseOut(BaseModel):
     elapsed_s: list[float]
     done: list[int]
     volumetric_uncertainty_um: list[float]
+
+
+class CommandedOut(BaseModel):
+    """Where the rows of the path about the newest line should be seen.
+
+    As the standstills so far place the machine before the tracker: what lies beside
+    the line between two of them is an error of the machine, of the tracker, or noise.
+    """
+
+    first_row: int
+    tracker_mm: list[Vector3] = Field(description="One place a row.")
 
 
 class EstimateOut(BaseModel):
@@ -42,5 +54,8 @@ class EstimateOut(BaseModel):
     squareness_urad: dict[str, SquarenessOut]
     axis_location: dict[str, AxisLocationOut] | None = Field(
         None, description="Of machines with rotary axes."
+    )
+    commanded: CommandedOut | None = Field(
+        None, description="Of lines, not of points that are stepped through."
     )
     course: CourseOut

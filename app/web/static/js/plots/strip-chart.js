@@ -9,11 +9,12 @@ const REDRAW_MS = 200;
 const LIMIT = 2000;
 const LEAST_RANGE_UM = 10;
 
-/** Draw a strip chart; answers {add(time_s, [x, y, z] in mm, isCurved), newest(), close}. */
+/** Draw a strip chart; answers {add(time_s, [x, y, z] in mm, way as of the scope), newest(), isCommanded(), close}. */
 export function drawStrip(element) {
   const data = [[], []];
   const scope = createLineScope();
   let fresh = false;
+  let isCommanded = false;
   const chart = new uPlot(options(element), data, element);
   const watcher = new ResizeObserver(() => {
     if (element.clientWidth) chart.setSize(sizeOf(element));
@@ -42,17 +43,20 @@ export function drawStrip(element) {
   }
 
   return {
-    add(time_s, position_mm, isCurved) {
+    add(time_s, position_mm, way) {
       if (data[0].length && time_s <= data[0].at(-1)) return;
-      const { line_um } = scope.add(time_s, position_mm, isCurved);
+      const found = scope.add(time_s, position_mm, way);
+      isCommanded = found.isCommanded;
       data[0].push(time_s);
       data[1].push(null);
-      show(line_um);
+      show(found.line_um);
       trim(time_s);
       fresh = true;
     },
     /** As shown now, in the unit of the panel; null where there is none. */
     newest: () => data[1].at(-1) ?? null,
+    /** Whether the newest point was held against the line that was commanded. */
+    isCommanded: () => isCommanded,
     close() {
       clearInterval(timer);
       watcher.disconnect();

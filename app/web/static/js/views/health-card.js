@@ -25,26 +25,29 @@ export function healthCard() {
   const control = tile(t("run.control"));
   const counts = COUNTS.map(([key, name, isBad]) => ({ key, isBad, ...tile(t(name)) }));
   const unwatched = h("p", { class: "no-watchdog", "data-tone": "fault", hidden: true }, t("connect.no_watchdog"));
+  const caption = h("figcaption");
+  const means = h("p", { class: "scope-means" });
   const air = h("dl", { class: "air" });
   const element = h("section", { class: "card stream" },
     h("h2", {}, t("run.health")),
     h("dl", { class: "tiles is-now" }, [beam, distance, beside, control].map((one) => one.element)),
     h("figure", { class: "scope" },
-      h("figcaption", {}, t("run.scope", { unit: unitOf("error") })), strip),
+      caption, strip),
     h("dl", { class: "tiles is-counts" }, counts.map((one) => one.element)),
-    h("p", { class: "scope-means" }, t("run.scope_means")), air, unwatched);
+    means, air, unwatched);
   let chart = null;
   let live = null;
   let heard_ms = null;
   let lost_ms = null;
   let turned = null;
 
-  function take(next, { machine, plan }) {
+  function take(next, state) {
+    const { machine, plan } = state;
     const rotary = (plan?.axes ?? []).map((name) => machine?.axes?.[name]?.type === "rotary");
     const now = (next.axes ?? []).filter((_, i) => rotary[i]).join();
     const isCurved = turned !== null && now !== turned;
     [live, heard_ms, turned] = [next, performance.now(), now];
-    addPoints(chart, live, isCurved);
+    addPoints(chart, live, { isCurved, commanded: commandedNow(state) });
   }
 
   function showNow(job) {
@@ -61,6 +64,14 @@ export function healthCard() {
     mark(control.element, "data-tone", fault ? "fault" : null);
   }
 
+  /** From which line the points are told. */
+  function showMeaning(line) {
+    if (means.dataset.line === line) return;
+    means.dataset.line = line;
+    caption.textContent = t(`run.scope_${line}`, { unit: unitOf("error") });
+    means.textContent = t(`run.scope_means_${line}`);
+  }
+
   return {
     element,
     update(state) {
@@ -68,6 +79,7 @@ export function healthCard() {
       chart ??= drawStrip(strip);
       if (state.live && state.live !== live) take(state.live, state);
       showNow(job);
+      showMeaning(chart.isCommanded() ? "commanded" : "fitted");
       unwatched.hidden = machine?.motion?.has_watchdog !== false;
       for (const { key, isBad, number: place, element: shown } of counts) {
         write(place, number(job.health?.[key]));
@@ -80,8 +92,18 @@ export function healthCard() {
 }
 
 /** Events carry the time of their last point only. */
-function addPoints(chart, { tracker_mm: points = [], device_time_s: end_s = 0 }, isCurved) {
-  points.forEach((point, i) => chart.add(end_s - (points.length - 1 - i) * SPACING_S, point, isCurved));
+function addPoints(chart, { tracker_mm: points = [], device_time_s: end_s = 0 }, way) {
+  points.forEach((point, i) => chart.add(end_s - (points.length - 1 - i) * SPACING_S, point, way));
+}
+
+/** Where the ends of the line under way and of its neighbours should be seen; null while unknown. */
+function commandedNow({ job, estimate }) {
+  const { done, unit } = job.progress ?? {};
+  if (unit !== "lines" || !estimate?.commanded || estimate.is_last) return null;
+  const { first_row, tracker_mm } = estimate.commanded;
+  const row = Math.floor(done) - first_row;
+  const told = [row - 1, row, row + 1, row + 2].map((each) => tracker_mm[each]);
+  return told[1] && told[2] ? told.filter(Boolean) : null;
 }
 
 /** Whether the tracker sees its target: `seen`, `lost`, `silent` (no point for a while) or `unknown`.
