@@ -12,16 +12,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import ClassVar
 
-import numpy as np
-from jaxtyping import Float64
-
 from truepath.app.compensation.format import (
-    CompensationFormat,
     CompensationTables,
-    Correction,
     InterpolatedTable,
     TableFormat,
 )
@@ -44,11 +38,6 @@ from truepath.app.compensation.siemens_reading import (
     read_rotary_tables,
     read_tables,
 )
-from truepath.app.compensation.siemens_temperature import (
-    TEMPERATURE_AREA,
-    write_temperature_file,
-)
-from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
 
@@ -213,91 +202,6 @@ class SiemensCec(Siemens):
             yield from _write_cross(len(chosen) + k, one, 0)
 
 
-class SiemensOrder(CompensationFormat):
-    """Both kinds of tables, as one order: what each lacks the other has."""
-
-    suffix = ".ini"
-    choices = SiemensLec.choices
-    by_axis = SiemensLec.by_axis
-    carries = (
-        f"positioning in both directions, of rotary axes the mean of both, modulo a "
-        f"turn; {SiemensCec.carries}"
-    )
-    not_carried = (
-        "lost motion across or about an axis; what is beyond the tables of the control"
-    )
-    carries_rotary = True
-    units = "mm, of rotary axes deg"
-    directions = "each by itself"
-    temperature = (
-        "growth of each axis as linear temperature compensation, STEM-temperature.ini: "
-        "MD32750, SD43910 and SD43920, with SD43910 by temperature for the PLC, which "
-        "has to write it. Straightness, squareness and angles change as well: write "
-        "the tables anew for other temperatures"
-    )
-    sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
-    sign_is_verified = False
-
-    def __init__(
-        self, control: str = DEFAULT_CONTROL, measuring_system: str = _USUAL_SYSTEM
-    ) -> None:
-        self._chosen = control, measuring_system
-        self._cross = SiemensCec(control, backlash=True)
-        leadscrew = SiemensLec(*self._chosen)
-        self.most_points = min(self._cross.most_points, leadscrew.most_points)
-        room = CONTROLS[control]
-        self.control = f"Siemens {room.title}, leadscrew and cross error compensation"
-        self.note = (
-            f"STEM-lec: {leadscrew.note}. STEM-cec: {self._cross.note}. Lost motion is "
-            "in a cross table of negative travel; MD32450 is to be 0 for that axis"
-        )
-
-    def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return `STEM-lec.ini` and `STEM-cec.ini`.
-
-        Of a temperature model `STEM-temperature.ini` as well.
-        """
-        lost = {one.axis for one in self._cross.choose(content) if one.direction}
-        parts = {"lec": SiemensLec(*self._chosen, lost), "cec": self._cross}
-        files: dict[str, str] = {}
-        for word, part in parts.items():
-            files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
-        if content.temperature:
-            file = f"{content.stem}-temperature{self.suffix}"
-            files[file] = write_temperature_file(content, content.temperature)
-        return files
-
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the sum of both."""
-        parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
-        chosen = [_select(files, part) for part in parts]
-        for part, own in zip(parts, chosen, strict=True):
-            if not own:
-                raise BadInput(
-                    f"no file of {', '.join(files)} holds _{part.variable} tables: "
-                    "give both files of the order, or name the format of the one"
-                )
-        known = {*chosen[0], *chosen[1]}
-        for file, text in files.items():
-            if file not in known and TEMPERATURE_AREA not in text:
-                raise BadInput(f"{file}: holds no tables of a SINUMERIK")
-        corrections = [p.read(f, machine) for p, f in zip(parts, chosen, strict=True)]
-
-        def correction(
-            position_mm: Float64[np.ndarray, "n a"], direction: float
-        ) -> Float64[np.ndarray, "n 3"]:
-            added = [one(position_mm, direction) for one in corrections]
-            return np.sum(added, axis=0)
-
-        return correction
-
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
-        """Return what the leadscrew tables add to rotary axes."""
-        return read_rotary_tables(_select(files, SiemensLec()))
-
-
 def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
     for index, value in enumerate(one.value_mm):
         yield f"$AN_CEC[{number},{index}]={value:z.6f}"
@@ -310,13 +214,3 @@ def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
     yield f"$AN_CEC_DIRECTION[{number}]={one.direction}"
     yield f"$AN_CEC_MULT_BY_TABLE[{number}]={times}"
     yield f"$AN_CEC_IS_MODULO[{number}]=0"
-
-
-def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
-    """Return the files that hold tables of a kind, whatever they are called."""
-    marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
-    return {
-        name: text
-        for name, text in files.items()
-        if any(mark in text for mark in marks)
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -26,6 +26,7 @@ from truepath.simulators.compensation.linuxcnc_kinematics import (
 from truepath.simulators.compensation.linuxcnc_tables import read_linuxcnc
 from truepath.simulators.compensation.plain_tables import COLUMNS, read_plain
 from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
+from truepath.simulators.compensation.siemens_swivel import is_swivel, read_swivel
 from truepath.simulators.compensation.siemens_tables import read_siemens
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile
@@ -35,7 +36,7 @@ _SIGNS = {
         rf"\A(?:#.*\n)*{','.join(COLUMNS)}|\A{{\s*"
         r'"schema": "compensation-tables/1"'
     ),
-    "siemens": re.compile(r"\A%_N_\w+_INI|^\$A[AN]_(?:ENC_COMP|CEC)", re.M),
+    "siemens": re.compile(r"\A%_N_\w+_INI|^\$(?:A[AN]_(?:ENC_COMP|CEC)|TC_CARR)", re.M),
     "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
     "etalon": re.compile(r"^\s*\[\w+\]\s*\n\s*(?:VALUE|Gridpoints)\s*=", re.M),
@@ -43,6 +44,10 @@ _SIGNS = {
     "linuxcnc": re.compile(
         r"\A\s*[-+\d.]+[ \t]+[-+\d.]+[ \t]+[-+\d.]+\s*$|^setp xyz[ab]c-trt-kins", re.M
     ),
+}
+_KINEMATICS: Mapping[str, tuple[Callable[[str], bool], Callable[..., Correction]]] = {
+    "linuxcnc": (is_kinematics, read_kinematics),
+    "siemens": (is_swivel, read_swivel),
 }
 _OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon, "plain": read_plain}
 
@@ -105,16 +110,17 @@ class LoadedTables:
 def _read_tables(
     form: str, files: Mapping[str, str], machine: MachineFile, rules: Rules
 ) -> Correction:
-    """Return what tables add, after the kinematics where files set their pins."""
-    pins = {name: text for name, text in files.items() if is_kinematics(text)}
-    tables = {name: text for name, text in files.items() if name not in pins}
+    """Return what tables add, after the kinematics where a file sets them."""
+    is_chain, read_chain = _KINEMATICS.get(form, (None, None))
+    chains = {name: text for name, text in files.items() if is_chain and is_chain(text)}
+    tables = {name: text for name, text in files.items() if name not in chains}
     added = TableCorrection(tuple(_read_terms(form, tables, machine, rules)))
-    if not pins:
+    if not chains or read_chain is None:
         return added
-    if len(pins) > 1:
-        raise SimulatorError(f"one file sets the kinematics, not {', '.join(pins)}")
-    ((name, text),) = pins.items()
-    return ChainedCorrection(read_kinematics(name, text, machine), added)
+    if len(chains) > 1:
+        raise SimulatorError(f"one file sets the kinematics, not {', '.join(chains)}")
+    ((name, text),) = chains.items()
+    return ChainedCorrection(read_chain(name, text, machine), added)
 
 
 def _find_form(files: Mapping[str, str]) -> str:

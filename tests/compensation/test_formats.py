@@ -20,7 +20,8 @@ from truepath.app.compensation.heidenhain import Heidenhain
 from truepath.app.compensation.installed import list_formats, load_format
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.compensation.siemens import SiemensCec, SiemensLec, SiemensOrder
+from truepath.app.compensation.siemens import SiemensCec, SiemensLec
+from truepath.app.compensation.siemens_order import SiemensOrder
 from truepath.app.compensation.tabulation import Tabulation
 from truepath.app.compensation.unmeasured import find_measured_ranges
 from truepath.app.errors import BadInput

@@ -106,7 +106,7 @@ def find_offs(known: KnownMachine, name: str) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize("name", ["isg-csv", "linuxcnc"])
+@pytest.mark.parametrize("name", ["isg-csv", "linuxcnc", "siemens"])
 def test_the_stated_uncertainty_covers_the_truth_of_known_machines(name):
     offs = [
         find_offs(make_machine(machine, seed, 0.05), name)
@@ -118,7 +118,7 @@ def test_the_stated_uncertainty_covers_the_truth_of_known_machines(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("unknown", [0.05, 0.2])
-@pytest.mark.parametrize("name", ["isg-csv", "linuxcnc"])
+@pytest.mark.parametrize("name", ["isg-csv", "linuxcnc", "siemens"])
 def test_the_truth_is_within_what_is_stated_at_its_rate(name, unknown):
     offs = np.array(
         [

@@ -1,0 +1,161 @@
+"""Siemens SINUMERIK: leadscrew and cross tables as one order, and what goes with them.
+
+What each kind of table lacks the other has. Beside them are the growth by temperature,
+and where rotary axes are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.app.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
+from truepath.app.compensation.rotary_tables import RotaryAddition
+from truepath.app.compensation.siemens import Siemens, SiemensCec, SiemensLec
+from truepath.app.compensation.siemens_controls import CONTROLS, DEFAULT_CONTROL
+from truepath.app.compensation.siemens_leadscrew import MEASURING_SYSTEMS
+from truepath.app.compensation.siemens_reading import read_rotary_tables
+from truepath.app.compensation.siemens_swivel import (
+    SWIVEL,
+    read_swivel,
+    write_swivel,
+)
+from truepath.app.compensation.siemens_temperature import (
+    TEMPERATURE_AREA,
+    write_temperature_file,
+)
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.machine import Machine
+
+_ABOUT_SWIVEL = (
+    "swivel data set 1: write yours for the [1] of each line, and keep a copy of it",
+    "mm from the zero of the machine axes; angles count right-handed about v1 and v2,",
+    "of a table as it turns the workpiece: where an axis counts the other way, its v",
+    "is to be reversed here, and in the machine file",
+    "trial: probe the centre of a ball at two angles of each axis before and after:",
+    "with these vectors the centres differ less",
+)
+
+
+class SiemensOrder(CompensationFormat):
+    """Both kinds of tables, as one order: what each lacks the other has."""
+
+    suffix = ".ini"
+    choices = SiemensLec.choices
+    by_axis = SiemensLec.by_axis
+    carries = (
+        f"positioning in both directions, of rotary axes the mean of both, modulo a "
+        f"turn, and where they are; {SiemensCec.carries}"
+    )
+    not_carried = (
+        "lost motion across or about an axis; what is beyond the tables of the control"
+    )
+    carries_rotary = True
+    units = "mm, of rotary axes deg"
+    directions = "each by itself"
+    temperature = (
+        "growth of each axis as linear temperature compensation, STEM-temperature.ini: "
+        "MD32750, SD43910 and SD43920, with SD43910 by temperature for the PLC, which "
+        "has to write it. Straightness, squareness and angles change as well: write "
+        "the tables anew for other temperatures"
+    )
+    sign = f"leadscrew: {SiemensLec.sign}; cross: {SiemensCec.sign}"
+    sign_is_verified = False
+
+    def __init__(
+        self,
+        control: str = DEFAULT_CONTROL,
+        measuring_system: str = MEASURING_SYSTEMS[0],
+    ) -> None:
+        self._chosen = control, measuring_system
+        self._cross = SiemensCec(control, backlash=True)
+        leadscrew = SiemensLec(*self._chosen)
+        self.most_points = min(self._cross.most_points, leadscrew.most_points)
+        room = CONTROLS[control]
+        self.control = f"Siemens {room.title}, leadscrew and cross error compensation"
+        self.note = (
+            f"STEM-lec: {leadscrew.note}. STEM-cec: {self._cross.note}. Lost motion is "
+            "in a cross table of negative travel; MD32450 is to be 0 for that axis. Of "
+            "one or two rotary axes STEM-swivel.mpf says where they are, for swivel "
+            "cycles and transformation type 72: run it once; the trial is in it"
+        )
+
+    def write(self, content: CompensationTables) -> dict[str, str]:
+        """Return `STEM-lec.ini` and `STEM-cec.ini`.
+
+        Of a temperature model `STEM-temperature.ini` as well, of rotary axes
+        `STEM-swivel.mpf`.
+        """
+        lost = {one.axis for one in self._cross.choose(content) if one.direction}
+        parts = {"lec": SiemensLec(*self._chosen, lost), "cec": self._cross}
+        files: dict[str, str] = {}
+        for word, part in parts.items():
+            files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
+        if content.temperature:
+            file = f"{content.stem}-temperature{self.suffix}"
+            files[file] = write_temperature_file(content, content.temperature)
+        if vectors := list(write_swivel(content.machine, content.places)):
+            comments = (f"; {line}" for line in (*content.stamp, *_ABOUT_SWIVEL))
+            text = "\n".join([*comments, *vectors, "M30", ""])
+            files[f"{content.stem}{SWIVEL}"] = text
+        return files
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return the sum of both."""
+        parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
+        chosen = [_select(files, part) for part in parts]
+        for part, own in zip(parts, chosen, strict=True):
+            if not own:
+                raise BadInput(
+                    f"no file of {', '.join(files)} holds _{part.variable} tables: "
+                    "give both files of the order, or name the format of the one"
+                )
+        known = {*chosen[0], *chosen[1], *_select_swivel(files)}
+        for file, text in files.items():
+            if file not in known and TEMPERATURE_AREA not in text:
+                raise BadInput(f"{file}: holds no tables of a SINUMERIK")
+        corrections = [p.read(f, machine) for p, f in zip(parts, chosen, strict=True)]
+
+        def correction(
+            position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 3"]:
+            added = [one(position_mm, direction) for one in corrections]
+            return np.sum(added, axis=0)
+
+        return correction
+
+    def read_rotary(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, RotaryAddition]:
+        """Return what the leadscrew tables add to rotary axes."""
+        return read_rotary_tables(_select(files, SiemensLec()))
+
+    def read_locations(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> dict[str, float]:
+        """Return where the swivel data set says that the axes are."""
+        for name, text in _select_swivel(files).items():
+            return read_swivel(name, text, machine)
+        return {}
+
+
+def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
+    """Return the files that set a swivel data set."""
+    return {name: text for name, text in files.items() if "$TC_CARR" in text}
+
+
+def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
+    """Return the files that hold tables of a kind, whatever they are called."""
+    marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
+    return {
+        name: text
+        for name, text in files.items()
+        if any(mark in text for mark in marks)
+    }

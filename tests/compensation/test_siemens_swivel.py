@@ -1,0 +1,194 @@
+"""A swivel data set brings the tool where it should be, on every kind of machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.app.compensation.error_map import map_errors
+from truepath.app.compensation.export import export_result
+from truepath.app.compensation.format import AxisTable, CompensationTables
+from truepath.app.compensation.installed import load_format
+from truepath.app.compensation.rotary_tables import AxisPlace
+from truepath.app.compensation.siemens_swivel import SWIVEL
+from truepath.app.errors import BadInput
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.result_file import CalibrationResult
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.symbols import list_locations
+from truepath.simulators.compensation.correction import measure_deviation_mm
+from truepath.simulators.compensation.loading import LoadedTables
+from truepath.simulators.compensation.siemens_swivel import Chain, Link
+from truepath.simulators.errors import SimulatorError
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.truth_machine import perfect
+
+FORMAT = load_format("siemens")
+ORIGINS = {
+    "A": [260.0, 220.0, -120.0],
+    "B": [15.0, -8.0, 90.0],
+    "C": [250.0, 225, -170],
+}
+CHAINS = {
+    "w-C-A-b-X-Y-Z-t": ("P", "A C"),
+    "w-C-B-X-b-Y-Z-t": ("P", "B C"),
+    "w-C-b-X-Y-Z-t": ("P", "C"),
+    "w-C-b-X-Y-Z-B-t": ("M", "B C"),
+    "w-b-X-Y-Z-C-B-t": ("T", "C B"),
+    "w-Y-b-X-Z-B-t": ("T", "B"),
+}
+
+
+def describe(chain):
+    """Return the content of a machine of a chain."""
+    content = {**load_machine("trunnion"), "kinematic_chain": chain}
+    straight = {name: content["axes"][name] for name in "XYZ"}
+    turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
+    names = [name for name in "ABC" if name in chain.split("-")]
+    rotary = {name: {**turn, "origin_mm": ORIGINS[name]} for name in names}
+    content["axes"] = straight | rotary
+    return content
+
+
+def draw_place(axis, rng):
+    """Return a place of an axis that is off in each way it can be."""
+    size = {True: 0.02, False: 6e-5}
+    errors = {
+        one: size[one[0] in "XYZ"] * rng.choice([-1.0, 0.7, 1.2])
+        for one in list_locations(axis.name)
+    }
+    return AxisPlace(axis, errors)
+
+
+def displace(chain):
+    """Return the content of a machine, and of files of a machine off its places."""
+    content, rng = describe(chain), np.random.default_rng(5)
+    machine = machine_from_json(content, file="machine.json")
+    at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
+    tables = tuple(
+        AxisTable(axis, at, 0, none, none, none, none) for axis in machine.linear_axes
+    )
+    places = tuple(draw_place(axis, rng) for axis in machine.rotary_axes)
+    return content, CompensationTables(
+        "c", machine, tables, ("by hand",), places=places
+    )
+
+
+@pytest.fixture(scope="module", params=CHAINS)
+def displaced(request):
+    return request.param, *displace(request.param)
+
+
+def make_truth(content, places):
+    truth = perfect(parse_machine(content))
+    joints = dict(truth.joints)
+    for place in places:
+        own, at = place.axis.name, place.location
+        shift, tilt = (
+            tuple(at.get(f"{one}O{own}", 0.0) for one in letters)
+            for letters in ("XYZ", "ABC")
+        )
+        joints[own] = replace(joints[own], shift_mm=shift, tilt_rad=tilt)
+    return replace(truth, joints=joints)
+
+
+def spread(machine, count):
+    unit = np.random.default_rng(2).uniform(size=(count, len(machine.low)))
+    return machine.low + unit * (machine.high - machine.low)
+
+
+def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
+    b = Link(0, np.array([0.0, 1.0, 0.0]))
+    table = Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
+    at, zero = np.array([[45.0], [0.0]]), np.zeros((2, 3))
+    turned, straight = table.apply(at, zero)
+    assert (turned - straight).round(3).tolist() == [10.607, 0.0, -4.393]
+
+
+def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displaced):
+    _, content, tables = displaced
+    truth = make_truth(content, tables.places)
+    position = spread(truth.machine, 300)
+    files = FORMAT.write(tables)
+    before, after = (
+        np.linalg.norm(measure_deviation_mm(truth, one, position), axis=1).max()
+        for one in (None, LoadedTables(files).correct(truth.machine))
+    )
+    assert before > 0.02
+    assert after < 2e-4  # products of two small turns and shifts
+
+
+def test_the_file_has_the_kind_of_machine_and_its_axes_in_order(displaced):
+    chain, _, tables = displaced
+    text = FORMAT.write(tables)[f"c{SWIVEL}"]
+    letter, axes = CHAINS[chain]
+    said = f'; $TC_CARR23[1] is to be "{letter}", the axes {" and ".join(axes.split())}'
+    assert said in text
+    assert text.startswith("; by hand\n")
+    assert text.endswith("M30\n")
+    assert "trial: probe the centre of a ball" in text
+
+
+def test_what_is_read_back_is_where_the_axes_are(displaced):
+    _, _, tables = displaced
+    located = FORMAT.read_locations(FORMAT.write(tables), tables.machine)
+    stated = {k: v for place in tables.places for k, v in place.location.items()}
+    assert set(located) == set(stated)
+    for symbol, value in stated.items():
+        least = 1e-6 if symbol[0] in "XYZ" else 2e-9
+        assert located[symbol] == pytest.approx(value, abs=least)
+
+
+def test_the_account_says_that_the_control_knows_the_places():
+    machine = machine_from_json(describe("w-C-b-X-Y-Z-t"), file="machine.json")
+    offsets = np.array([target.offset_mm for target in machine.targets])
+    model, _ = build_identifiable_model(machine, offsets, intervals=4)
+    theta = np.zeros(model.size)
+    theta[model.slices["XOC"]], theta[model.slices["BOC"]] = 0.02, 5e-5
+    errors = map_errors(CalibrationResult(model, theta, 1e-16 * np.eye(model.size)))
+    account = export_result(errors, "siemens", "c", spacing_mm=50.0).account
+    one = account["rotary"]["C"]
+    assert one["location_at_tool_um"]["before"] > 5.0
+    assert one["location_at_tool_um"]["after"] < 1e-2
+    assert not {"XOC", "YOC", "AOC", "BOC"} & set(one["not_in_files"])
+
+
+def test_both_files_of_tables_are_still_read_beside_it(displaced):
+    _, _, tables = displaced
+    files = FORMAT.write(tables)
+    assert FORMAT.read(files, tables.machine) is not None
+    assert {name.partition("-")[2] for name in files} == {
+        "lec.ini",
+        "cec.ini",
+        "swivel.mpf",
+    }
+
+
+@pytest.mark.parametrize("chain", ["w-X-C-b-Y-Z-t", "w-b-X-Y-C-Z-t", "w-b-X-Y-Z-t"])
+def test_a_machine_that_no_data_set_describes_gets_none(chain):
+    _, tables = displace(chain)
+    assert not [name for name in FORMAT.write(tables) if name.endswith(SWIVEL)]
+
+
+def test_vectors_that_do_not_belong_to_the_machine_are_refused():
+    content, tables = displace("w-C-A-b-X-Y-Z-t")
+    text = FORMAT.write(tables)[f"c{SWIVEL}"]
+    cases = {
+        "do not close": text.replace("CARR20[1]=170", "CARR20[1]=171"),
+        "row 1: .*is no": "$TC_CARR4[1]=left",
+        "wants .TC_CARR 4, 5": "$TC_CARR4[1]=0.0",
+    }
+    for said, wrong in cases.items():
+        assert wrong != text
+        with pytest.raises(BadInput, match=said):
+            FORMAT.read_locations({"c-swivel.mpf": wrong}, tables.machine)
+    _, head = displace("w-Y-b-X-Z-B-t")
+    with pytest.raises(BadInput, match="type T wants"):
+        FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
+    with pytest.raises(SimulatorError, match=r"row 1: .* is not understood"):
+        LoadedTables({"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}).correct(
+            parse_machine(content)
+        )
