@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from functools import cache
+from hashlib import sha256
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -32,28 +33,47 @@ _UNSETTLED = [*_UNHEARD, *(state for state in State if state not in FINAL)]
 _UNSETTLED_JOBS = urlencode({"limit": 200, "state": _UNSETTLED}, doseq=True)
 
 _VARY = {"Vary": "Accept-Language, Cookie"}
-# The page of an updated service must never run on the modules of the one before.
+# The page of an updated service must never run on the modules of the one before: it
+# asks for them under another address, and for all else each time.
 _REVALIDATE = {"Cache-Control": "no-cache"}
+_KEEP = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 _HERE = Path(__file__).parent
+_STATIC = _HERE / "static"
 _templates = Jinja2Templates(directory=_HERE / "templates")
 
 router = APIRouter(include_in_schema=False)
 
 
 class PageFiles(StaticFiles):
-    """Static files that a browser asks after each time it needs them."""
+    """Static files: a browser keeps those that it asks for under their digest.
+
+    It asks after all others each time it needs them.
+    """
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return the file, or 304, with headers that forbid unchecked reuse."""
-        response = await super().get_response(path, scope)
-        response.headers.update(_REVALIDATE)
+        """Return the file, or 304, with headers that say whether it may be reused."""
+        first, _, rest = path.partition("/")
+        is_kept = first == digest_files()
+        response = await super().get_response(rest if is_kept else path, scope)
+        response.headers.update(_KEEP if is_kept else _REVALIDATE)
         return response
 
 
 def static_files() -> StaticFiles:
     """Return the application to mount at `STATIC_PATH`."""
-    return PageFiles(directory=_HERE / "static")
+    return PageFiles(directory=_STATIC)
+
+
+@cache
+def digest_files() -> str:
+    """Return a short digest of all files of the page, as they were at first."""
+    digest = sha256()
+    for file in sorted(_STATIC.rglob("*")):
+        if file.is_file():
+            digest.update(str(file.relative_to(_STATIC)).encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 @router.get("/", response_class=HTMLResponse)
@@ -67,7 +87,7 @@ def operator_page(request: Request) -> HTMLResponse:
         "languages": LANGUAGES,
         "text": catalogue(language),
         "version": version("truepath"),
-        "static": STATIC_PATH,
+        "static": f"{STATIC_PATH}/{digest_files()}",
         "unsettled_jobs": _UNSETTLED_JOBS,
     }
     return _templates.TemplateResponse(request, "index.html", context, headers=_VARY)

@@ -10,11 +10,20 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 import uvicorn
-from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+from fastapi import FastAPI
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    Page,
+    Playwright,
+    expect,
+    sync_playwright,
+)
 
 sys.path.append(str(Path(__file__).parent))
 from scripted_app import scripted_app
@@ -47,22 +56,45 @@ def service() -> ScriptedService:
     return ScriptedService()
 
 
-@pytest.fixture
-def address(service: ScriptedService) -> Iterator[str]:
-    """Where the scripted service listens."""
+class Stage:
+    """An address at which one scripted service plays after the other.
+
+    It stays the same so that browsers keep the hundred files of the page.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.app: FastAPI | None = None
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        assert self.app is not None, "nobody plays"
+        await self.app(scope, receive, send)
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[Stage]:
+    """Where scripted services listen."""
     listening = socket.create_server((LOOPBACK, 0))
+    stage = Stage(f"http://{LOOPBACK}:{listening.getsockname()[1]}")
     config = uvicorn.Config(
-        scripted_app(service), log_level="warning", timeout_graceful_shutdown=1
+        stage, log_level="warning", lifespan="off", timeout_graceful_shutdown=1
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
     thread.start()
-    yield f"http://{LOOPBACK}:{listening.getsockname()[1]}"
-    service.closing.set()
+    yield stage
     server.should_exit = True
     thread.join(timeout=10)
     listening.close()
-    assert not thread.is_alive(), "the scripted service did not end"
+    assert not thread.is_alive(), "the scripted services did not end"
+
+
+@pytest.fixture
+def address(service: ScriptedService, stage: Stage) -> Iterator[str]:
+    """Where the scripted service listens."""
+    stage.app = scripted_app(service)
+    yield stage.address
+    service.closing.set()
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +116,41 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
     running = playwright.chromium.launch(executable_path=found)
     yield running
     running.close()
+
+
+@dataclass
+class Contexts:
+    """Browsers of operators, empty but for the files of the page."""
+
+    browser: Browser
+    address: str
+    free: dict[str, list[BrowserContext]] = field(default_factory=dict)
+
+    def take(self, **options: Any) -> tuple[str, BrowserContext]:
+        """Return one that nobody uses, and its kind."""
+        kind = repr(options)
+        waiting = self.free.get(kind)
+        context = waiting.pop() if waiting else self.browser.new_context(**options)
+        return kind, context
+
+    def give_back(self, kind: str, context: BrowserContext) -> None:
+        """Forget what its pages have stored; one without a page is closed."""
+        if not context.pages:
+            context.close()
+            return
+        first, *others = context.pages
+        told = context.new_cdp_session(first)
+        kept = {"origin": self.address, "storageTypes": "local_storage,indexeddb"}
+        told.send("Storage.clearDataForOrigin", kept)
+        context.clear_cookies()
+        for page in (first, *others):
+            page.close()
+        self.free.setdefault(kind, []).append(context)
+
+
+@pytest.fixture(scope="module")
+def contexts(browser: Browser, stage: Stage) -> Contexts:
+    return Contexts(browser, stage.address)
 
 
 @dataclass
@@ -126,10 +193,11 @@ def witness() -> Witness:
 class Panel:
     """Opens pages as an operator's panel would: size, language, light or dark."""
 
-    browser: Browser
+    contexts: Contexts
     address: str
     service: ScriptedService
     witness: Witness
+    taken: list[tuple[str, BrowserContext]] = field(default_factory=list)
 
     def open(
         self,
@@ -149,14 +217,15 @@ class Panel:
         card pictures in space are drawn by plotly.js, which takes ten times as long.
         """
         self.service.is_heard.clear()
-        context = self.browser.new_context(
-            viewport={"width": size[0], "height": size[1]},
+        kind, context = self.contexts.take(
             locale=language,
             color_scheme="dark" if dark else "light",
             has_touch=touch,
         )
+        self.taken.append((kind, context))
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
+        page.set_viewport_size({"width": size[0], "height": size[1]})
         page.add_init_script((_GRAPHICS_CARD if card else _NO_GRAPHICS) + before)
         self.witness.watch(page)
         page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
@@ -167,10 +236,11 @@ class Panel:
 
 @pytest.fixture
 def panel(
-    browser: Browser, address: str, service: ScriptedService, witness: Witness
+    contexts: Contexts, address: str, service: ScriptedService, witness: Witness
 ) -> Iterator[Panel]:
     """Opens pages; afterwards no console error and no request to elsewhere."""
-    yield Panel(browser, address, service, witness)
-    for context in browser.contexts:
-        context.close()
+    panel = Panel(contexts, address, service, witness)
+    yield panel
+    for kind, context in panel.taken:
+        contexts.give_back(kind, context)
     witness.judge()

@@ -25,6 +25,7 @@ from truepath.app.web.pages import (
     STATIC_PATH,
     catalogue,
     choose_language,
+    digest_files,
     router,
     static_files,
 )
@@ -116,6 +117,21 @@ def test_a_browser_asks_before_it_reuses_a_file(client):
         f"{STATIC_PATH}/js/main.js", headers={"If-None-Match": first.headers["etag"]}
     )
     assert again.status_code == 304
+
+
+def test_a_browser_keeps_what_the_page_asks_for_as_long_as_the_page_is_the_same(client):
+    script = re.search(r'src="(\S+/js/main\.js)"', client.get("/").text)[1]
+    assert script.startswith(f"{STATIC_PATH}/{digest_files()}/")
+    kept = client.get(script)
+    assert "immutable" in kept.headers["cache-control"]
+    assert kept.text == client.get(f"{STATIC_PATH}/js/main.js").text
+    other = script.replace(digest_files(), "0" * 16)
+    assert client.get(other).status_code == 404  # of another version of the page
+
+
+def test_no_script_asks_for_a_file_past_the_digest():
+    for path in OURS:
+        assert f"{STATIC_PATH}/" not in path.read_text(encoding="utf-8"), path
 
 
 def test_catalogues_have_the_same_keys_and_the_same_blanks():

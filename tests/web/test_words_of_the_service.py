@@ -149,6 +149,12 @@ def temperature_refusals() -> Iterator[str]:
             )
 
 
+def module(name):
+    """The address of a script of the page, beside that which has begun it."""
+    main = "document.querySelector('script[type=module]').src"
+    return f"new URL('{name}.js', {main})"
+
+
 @pytest.mark.ui
 @pytest.mark.xdist_group("browser")
 def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
@@ -161,7 +167,7 @@ def test_no_sentence_of_the_service_stays_english_on_a_german_page(panel):
     for function, texts in said.items():
         for text in texts:
             found = page.evaluate(
-                "([name, text]) => import('/static/js/statements.js')"
+                f"([name, text]) => import({module('statements')})"
                 ".then((module) => module[name](text))",
                 [function, text],
             )
@@ -178,7 +184,7 @@ def test_no_fault_of_a_measurement_stays_english_on_a_german_page(panel):
     assert len(said) > 40
     for code, text in said:
         found = page.evaluate(
-            "(problem) => import('/static/js/problems.js')"
+            f"(problem) => import({module('problems')})"
             ".then(({ wordProblem }) => wordProblem(problem))"
             ".then(({ text }) => text instanceof Node || Array.isArray(text)"
             " ? null : text)",

@@ -1,5 +1,6 @@
 /* Elements from calls: h("p", {class: "quiet"}, "text", child). */
 const SVG = "http://www.w3.org/2000/svg";
+const ICONS = new URL("../icons.svg", import.meta.url).pathname;
 
 /** Make an element; `on…` are listeners, `null`, `false` and `undefined` are left out. */
 export function h(tag, attributes = {}, ...children) {
@@ -13,7 +14,7 @@ export function s(tag, attributes = {}, ...children) {
 
 /** A picture of static/icons.svg. */
 export function icon(name) {
-  return s("svg", { "aria-hidden": "true" }, s("use", { href: `/static/icons.svg#${name}` }));
+  return s("svg", { "aria-hidden": "true" }, s("use", { href: `${ICONS}#${name}` }));
 }
 
 /** Set an element's text only if it differs, so that screen readers hear changes only. */
