@@ -6,6 +6,9 @@ in the frame that faces the base, at the zero of the axes between it and the bas
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
 from truepath.app.compensation.error_map import ErrorMap
 from truepath.app.compensation.rotary_tables import (
     AxisPlace,
@@ -27,3 +30,16 @@ def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
         )
         for axis in errors.machine.rotary_axes
     )
+
+
+def leave_out_places(errors: ErrorMap, symbols: Collection[str]) -> ErrorMap:
+    """Return the errors of a machine whose rotary axes are at these of their places.
+
+    Where the zero of a rotary axis is outside its travel, tables of straight axes are
+    made at another angle, at which a wrong place moves the tool as well.
+    """
+    theta, slices = errors.result.theta.copy(), errors.result.model.slices
+    for symbol in symbols:
+        if symbol in slices:
+            theta[slices[symbol]] = 0.0
+    return replace(errors, result=replace(errors.result, theta=theta))

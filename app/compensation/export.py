@@ -140,22 +140,25 @@ def export_result(
     if over is not None:
         stamp = (*stamp, describe_over_axes(over))
         files = kind.write(replace(content, stamp=stamp))
+    tabulated = made.leave_out_places(errors)
+    # Places are in the correction only where it composes rotary axes with the others.
+    corrected = errors if kind.composes_rotary else tabulated
     before = find_remaining(errors, measured)
-    after = find_remaining(errors, measured, correction)
-    _require_gain(kind, before, after)
+    after = find_remaining(corrected, measured, correction)
+    _require_gain(kind, before, after, over)
     gaps = any(one.missing for one in measured.values())
-    beyond_um = _find_beyond_um(errors, made, after) if gaps else 0.0
+    beyond_um = _find_beyond_um(corrected, made, after) if gaps else 0.0
     account = {
         "schema": SCHEMA,
         "format": name,
         "control": kind.control,
         "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
         "files": list(files),
-        **_describe_content(errors, kind, content.tables, measured),
+        **_describe_content(tabulated, kind, content.tables, measured),
         "over_all_axes_um": over,
         "rotary": describe_rotary(errors, rotary),
         "volumetric_error_um": _state_error(before, after),
-        "left_um": _split_left(errors, kind, content.tables, after, beyond_um),
+        "left_um": _split_left(tabulated, kind, content.tables, after, beyond_um),
         "note": kind.note,
         "stamp": list(stamp),
         "temperature": temperature and _state_temperature(temperature, kind),
@@ -212,11 +215,19 @@ def _split_left(
 
 
 def _require_gain(
-    kind: CompensationFormat, before: RemainingError, after: RemainingError
+    kind: CompensationFormat,
+    before: RemainingError,
+    after: RemainingError,
+    over: Mapping[str, Any] | None,
 ) -> None:
-    """Refuse files that do not make the error smaller where it was measured."""
+    """Refuse files that do not make the error smaller where it was measured.
+
+    over : the error over the travel of all axes, where some are rotary ones
+    """
     before_um = before.state_map(measured=True)["mean"]
     after_um = after.state_map(measured=True)["mean"]
+    if over is not None and over["after"] <= _BETTER * over["before"]:
+        return
     if after_um > _BETTER * before_um:
         raise BadInput(
             f"read back by the rule of {kind.control}, the files take the mean "

@@ -171,6 +171,11 @@ class CompensationFormat(ABC):
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the controller's correction from the files. Raises BadInput."""
 
+    def list_places(self, machine: Machine) -> frozenset[str]:
+        """Return the locations of rotary axes, by symbol, that the files state."""
+        del machine
+        return frozenset()
+
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:

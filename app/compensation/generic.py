@@ -34,6 +34,7 @@ from truepath.app.compensation.motion_correction import (
 )
 from truepath.app.compensation.rotary_tables import (
     AxisPlace,
+    list_all_locations,
 )
 from truepath.app.errors import BadInput
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
@@ -158,6 +159,10 @@ class GenericJson(GenericTables):
         _require_columns(name, document.get("columns") or [])
         for axis, side, at_mm, *motions in document["rows"]:
             yield axis, side, at_mm, motions
+
+    def list_places(self, machine: Machine) -> frozenset[str]:
+        """Return the locations of all rotary axes."""
+        return list_all_locations(machine)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

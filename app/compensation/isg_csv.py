@@ -34,6 +34,7 @@ from truepath.app.compensation.isg_rotary import (
     write_rotary_blocks,
 )
 from truepath.app.compensation.motion_correction import correct_by_motions
+from truepath.app.compensation.rotary_tables import list_all_locations
 from truepath.app.compensation.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
@@ -99,6 +100,10 @@ class IsgCsv(CompensationFormat):
             return add_tool(motion, tool, machine)
 
         return correct_by_motions(machine, blocks, find_motion)
+
+    def list_places(self, machine: Machine) -> frozenset[str]:
+        """Return the locations of all rotary axes."""
+        return list_all_locations(machine)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

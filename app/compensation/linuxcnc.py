@@ -21,6 +21,7 @@ from truepath.app.compensation.format import (
     TableFormat,
 )
 from truepath.app.compensation.linuxcnc_kinematics import (
+    list_pin_places,
     read_kinematics,
     write_kinematics,
 )
@@ -37,6 +38,8 @@ _ABOUT_PINS = (
     "mm, in machine coordinates; conventional-directions off, tool-offset connected to",
     "motion.tooloffset.z, whose length counts along -Z from the point the joints move",
     "sign: the axes stand where these points are; tilts of the axes have no pins",
+    "they are as right as the offset of the first target is known, which is in each of",
+    "them: enter it measured, from the point the joints move, in all three directions",
     "trial: probe the centre of a ball on the table at C 0 and C 180 and at two tilts:",
     "with these pins its four centres differ less than with those of the drawing",
 )
@@ -101,6 +104,10 @@ class LinuxCnc(TableFormat):
                 half = 0.5 * (reverse - forward)
                 added[axis] = RotaryAddition(nominal, trim, half_deg=half)
         return added
+
+    def list_places(self, machine: Machine) -> frozenset[str]:
+        """Return what the pins have."""
+        return list_pin_places(machine)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

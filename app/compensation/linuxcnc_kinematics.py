@@ -18,6 +18,7 @@ from truepath.app.compensation.rotary_tables import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR
 
 _PIN = re.compile(r"setp (xyz[ab]c-trt-kins)\.([xyz]-(?:rot-point|offset)) (\S+)")
 # The direction across both axes, in which they are off each other.
@@ -34,6 +35,15 @@ def find_tilting_axis(machine: Machine) -> str | None:
         one.direction == _DIRECTIONS[one.name] for one in machine.rotary_axes
     )
     return names[1] if names[1] in _ACROSS and straight else None
+
+
+def list_pin_places(machine: Machine) -> frozenset[str]:
+    """Return the locations that the pins have; none where there is no trunnion."""
+    tilting = find_tilting_axis(machine)
+    if tilting is None:
+        return frozenset()
+    across = LINEAR[_ACROSS[tilting]]
+    return frozenset({"XOC", "YOC", f"{across}O{tilting}", f"ZO{tilting}"})
 
 
 def write_kinematics(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:

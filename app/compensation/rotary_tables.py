@@ -8,8 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.kinematics.machine import RotaryAxis, find_local_directions
-from truepath.app.kinematics.symbols import LINEAR, TURNS
+from truepath.app.kinematics.machine import (
+    Machine,
+    RotaryAxis,
+    find_local_directions,
+)
+from truepath.app.kinematics.symbols import LINEAR, TURNS, list_locations
+
+
+def list_all_locations(machine: Machine) -> frozenset[str]:
+    """Return the location errors of all rotary axes of a machine."""
+    names = (axis.name for axis in machine.rotary_axes)
+    return frozenset(symbol for name in names for symbol in list_locations(name))
 
 
 @dataclass(frozen=True, slots=True)

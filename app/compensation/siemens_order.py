@@ -23,7 +23,9 @@ from truepath.app.compensation.siemens_controls import CONTROLS, DEFAULT_CONTROL
 from truepath.app.compensation.siemens_leadscrew import MEASURING_SYSTEMS
 from truepath.app.compensation.siemens_reading import read_rotary_tables
 from truepath.app.compensation.siemens_swivel import (
+    ABOUT_SWIVEL,
     SWIVEL,
+    list_swivel_places,
     read_swivel,
     write_swivel,
 )
@@ -33,15 +35,6 @@ from truepath.app.compensation.siemens_temperature import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
-
-_ABOUT_SWIVEL = (
-    "swivel data set 1: write yours for the [1] of each line, and keep a copy of it",
-    "mm from the zero of the machine axes; angles count right-handed about v1 and v2,",
-    "of a table as it turns the workpiece: where an axis counts the other way, its v",
-    "is to be reversed here, and in the machine file",
-    "trial: probe the centre of a ball at two angles of each axis before and after:",
-    "with these vectors the centres differ less",
-)
 
 
 class SiemensOrder(CompensationFormat):
@@ -102,7 +95,7 @@ class SiemensOrder(CompensationFormat):
             file = f"{content.stem}-temperature{self.suffix}"
             files[file] = write_temperature_file(content, content.temperature)
         if vectors := list(write_swivel(content.machine, content.places)):
-            comments = (f"; {line}" for line in (*content.stamp, *_ABOUT_SWIVEL))
+            comments = (f"; {line}" for line in (*content.stamp, *ABOUT_SWIVEL))
             text = "\n".join([*comments, *vectors, "M30", ""])
             files[f"{content.stem}{SWIVEL}"] = text
         return files
@@ -137,6 +130,10 @@ class SiemensOrder(CompensationFormat):
         """Return what the leadscrew tables add to rotary axes."""
         return read_rotary_tables(_select(files, SiemensLec()))
 
+    def list_places(self, machine: Machine) -> frozenset[str]:
+        """Return what the swivel data set has."""
+        return list_swivel_places(machine)
+
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
@@ -148,7 +145,7 @@ class SiemensOrder(CompensationFormat):
 
 def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
     """Return the files that set a swivel data set."""
-    return {name: text for name, text in files.items() if "$TC_CARR" in text}
+    return {name: text for name, text in files.items() if "$TC_CARR" in text.upper()}
 
 
 def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:

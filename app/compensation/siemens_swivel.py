@@ -1,15 +1,16 @@
 """SINUMERIK `$TC_CARR`: where the rotary axes are, as a swivel data set.
 
-A table (type P) brings a point w of the workpiece to l2 + R1 (l3 + R2 (l4 + w)), a head
-(T) its tool t to l1 + R1 (l2 + R2 (l3 + t)); of one of each (M) the head is l1 + R1 (l2
-+ t), the table l3 + R2 (l4 + w). R turns right-handed about v by the angle of the axis,
-and the second axis stands on the first. Chains close: at zero nothing is moved. Swivel
-cycles use it (CYCLE800), and transformation type 72 for motion of five axes.
+A table (type P) moves a point w of the workpiece by what l2 + R1 (l3 + R2 (l4 + w)) is
+more than at zero, a head (T) its tool t by l1 + R1 (l2 + R2 (l3 + t)); of one of each
+(M) the head is l1 + R1 (l2 + t), the table l3 + R2 (l4 + w). R turns right-handed about
+v by the angle of the axis, and the second axis stands on the first. Chains are written
+closed: at zero nothing is moved. Swivel cycles use it (CYCLE800), and transformation
+type 72 for motion of five axes.
 
 Source: SINUMERIK Operate commissioning manual 12/2017, 6FC5397-1DP40-6BA1, swivelling,
-pages 572 and 586; 03/2013, page 502; Function Manual Tool Compensation (W1) 08/2005,
-pages 2-98 (a table whose axis points in +Y, at +45 degrees) and 4-3 (l4 of 15 mm in Z,
-B at 45 degrees: the zero point moves by X 10.607, Z -4.393).
+pages 566, 572 and 586; 03/2013, page 502; Function Manual Tool Compensation (W1)
+08/2005, pages 2-92, 2-98 (a table whose axis points in +Y, at +45 degrees), 2-100 and
+4-3 (l4 of 15 mm in Z, B at 45 degrees: the zero point moves by X 10.607, Z -4.393).
 """
 
 from __future__ import annotations
@@ -27,14 +28,37 @@ from truepath.app.kinematics.machine import Machine, RotaryAxis, find_local_dire
 from truepath.app.kinematics.symbols import LINEAR, TURNS, list_locations
 
 SWIVEL = "-swivel.mpf"
+ABOUT_SWIVEL = (
+    "swivel data set 1: write the number of yours (never 0) for the [1] of each line,",
+    "and keep a copy of it; run with CYCLE800(), TCARR=0 and TRAFOOF; it acts at once",
+    "compare first: l differ from yours by tenths of a mm (along its own axis a point",
+    "is free), v by a thousandth and in no sign; else do not run it",
+    "chains close: l1+l2+l3 of a head, l2+l3+l4 of a table, l1+l2 and l3+l4 of both",
+    "are 0; a set of yours that does not close, of a head or table that is changed,",
+    "is not to be replaced",
+    "$TC_CARR24, 25, 41 to 46, 55 to 60, 64 and 65 are to be 0: they would be added",
+    "mm from the zero of the machine axes, as right as the offset of the first target",
+    "from the nose of the spindle is known, which is in each l: enter it measured, in",
+    "all three directions",
+    "v have the sign with which the path was measured: angles count right-handed about",
+    "them, of a table as it turns the workpiece",
+    "trial: probe the centre of a ball at two angles of each axis, with a probe whose",
+    "length is known, before and after: the centres differ less; if they differ more,",
+    "the offset of the target is the first suspect",
+)
 _FIRST = {"l1": 1, "l2": 4, "v1": 7, "v2": 10, "l3": 15, "l4": 18}
 _USED: Mapping[str, tuple[str, ...]] = {
     "P": ("l2", "l3", "l4"),
     "T": ("l1", "l2", "l3"),
     "M": ("l1", "l2", "l3", "l4"),
 }
-_SETTING = re.compile(r"\$TC_CARR(\d+)\[1\]=(-?\d+\.\d+)")
+_SETTING = re.compile(
+    r"(?:N\d+\s*)?\$TC_CARR(\d+)\s*\[\s*(\d+)\s*\]\s*=\s*([-+]?\d+(?:\.\d*)?)",
+    re.IGNORECASE,
+)
+_ENDS = ("M30", "M17", "M2", "M02")
 _CLOSED_MM = 5e-6  # rounding of three values
+_SAME = 0.9  # cosine: an axis that leans more is another one
 
 Vectors = Mapping[str, Float64[np.ndarray, "3"]]
 
@@ -51,8 +75,8 @@ class SwivelKind:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """Names of the vectors of such a machine."""
-        return (*_USED[self.letter], *(f"v{k + 1}" for k in range(len(self.axes))))
+        """Names of the vectors of such a machine; v2 is 0 where one axis turns."""
+        return (*_USED[self.letter], "v1", "v2")
 
 
 def find_swivel_kind(machine: Machine) -> SwivelKind | None:
@@ -70,6 +94,13 @@ def find_swivel_kind(machine: Machine) -> SwivelKind | None:
     return SwivelKind(letter, (*head, *table))
 
 
+def list_swivel_places(machine: Machine) -> frozenset[str]:
+    """Return the locations that the data set has."""
+    kind = find_swivel_kind(machine)
+    names = [axis.name for axis in kind.axes] if kind else []
+    return frozenset(symbol for name in names for symbol in list_locations(name))
+
+
 def write_swivel(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:
     """Yield the lines that set the vectors; nothing where no data set has them."""
     kind = find_swivel_kind(machine)
@@ -79,7 +110,11 @@ def write_swivel(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[st
     chosen = [by_name[axis.name] for axis in kind.axes]
     turned = " and ".join(axis.name for axis in kind.axes)
     yield f'; $TC_CARR23[1] is to be "{kind.letter}", the axes {turned} in this order'
+    known = {symbol for place in chosen for symbol in place.location}
+    if unknown := sorted(list_swivel_places(machine) - known):
+        yield f"; as drawn, not measured: {', '.join(unknown)}"
     vectors = _find_vectors(kind.letter, [place.origin_mm for place in chosen])
+    vectors["v2"] = np.zeros(3)
     vectors |= {f"v{k + 1}": place.direction for k, place in enumerate(chosen)}
     for name in sorted(kind.used, key=lambda one: _FIRST[one]):
         digits = 6 if name[0] == "l" else 9
@@ -96,13 +131,13 @@ def read_swivel(name: str, text: str, machine: Machine) -> dict[str, float]:
     if kind is None:
         raise BadInput(f"{name}: no swivel data set describes chain {machine.chain}")
     vectors = _read_vectors(name, text, kind)
-    origins = _find_origins(kind.letter, vectors)
+    origins = _find_origins(kind.letter, vectors)[: len(kind.axes)]
     closed = _find_vectors(kind.letter, origins)
     if any(np.abs(closed[one] - vectors[one]).max() > _CLOSED_MM for one in closed):
         raise BadInput(f"{name}: the vectors do not close: at zero they move the tool")
     located: dict[str, float] = {}
     for k, (axis, origin) in enumerate(zip(kind.axes, origins, strict=True), 1):
-        located |= _find_location(axis, origin, vectors[f"v{k}"])
+        located |= _find_location(axis, origin, _read_direction(name, axis, vectors, k))
     return located
 
 
@@ -128,32 +163,58 @@ def _find_vectors(
 def _find_origins(letter: str, vectors: Vectors) -> list[Float64[np.ndarray, "3"]]:
     """Return a point of each axis; of one axis alone the second is of none."""
     if letter == "P":
-        return [vectors["l2"], vectors["l2"] + vectors["l3"]][: _count(vectors)]
+        return [vectors["l2"], vectors["l2"] + vectors["l3"]]
     if letter == "T":
-        return [vectors["l2"] + vectors["l3"], vectors["l3"]][: _count(vectors)]
+        return [vectors["l2"] + vectors["l3"], vectors["l3"]]
     return [vectors["l2"], vectors["l3"]]
 
 
-def _count(vectors: Vectors) -> int:
-    return 1 + ("v2" in vectors)
-
-
 def _read_vectors(name: str, text: str, kind: SwivelKind) -> Vectors:
-    values: dict[int, float] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        block = line.partition(";")[0].strip()
-        if not block.startswith("$"):
-            continue
-        setting = _SETTING.fullmatch(block)
-        if setting is None:
-            raise BadInput(f"{name}, row {number}: {block!r} is no $TC_CARR value")
-        values[int(setting[1])] = float(setting[2])
+    values = _read_values(name, text)
     places = {one: range(_FIRST[one], _FIRST[one] + 3) for one in kind.used}
     wanted = sorted(place for one in places.values() for place in one)
     if sorted(values) != wanted:
         said = ", ".join(map(str, wanted))
         raise BadInput(f"{name}: chain type {kind.letter} wants $TC_CARR {said}")
     return {one: np.array([values[k] for k in at]) for one, at in places.items()}
+
+
+def _read_values(name: str, text: str) -> dict[int, float]:
+    """Return the values of one data set, whatever its number."""
+    values: dict[int, float] = {}
+    data_set = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        block = line.partition(";")[0].strip()
+        if block.upper() in _ENDS:
+            break
+        if not block:
+            continue
+        setting = _SETTING.fullmatch(block)
+        if setting is None:
+            raise BadInput(f"{name}, row {number}: {block!r} is no $TC_CARR value")
+        place, data_set_here = int(setting[1]), setting[2]
+        data_set = data_set or data_set_here
+        if place in values or data_set_here != data_set:
+            raise BadInput(
+                f"{name}, row {number}: {block!r} states a value twice, or is of "
+                f"another data set than {data_set}"
+            )
+        values[place] = float(setting[3])
+    return values
+
+
+def _read_direction(
+    name: str, axis: RotaryAxis, vectors: Vectors, number: int
+) -> Float64[np.ndarray, "3"]:
+    """Return the unit vector of an axis, whatever length it has in the file."""
+    vector = vectors[f"v{number}"]
+    length = float(np.linalg.norm(vector))
+    if length == 0.0 or vector @ np.array(axis.direction) < _SAME * length:
+        raise BadInput(
+            f"{name}: v{number} is not the direction of {axis.name}, which turns "
+            f"right-handed about {', '.join(f'{v:g}' for v in axis.direction)}"
+        )
+    return vector / length
 
 
 def _find_location(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.axis_places import find_places
+from truepath.app.compensation.axis_places import find_places, leave_out_places
 from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
 from truepath.app.compensation.format import (
     AxisTable,
@@ -47,12 +47,16 @@ class Tabulation:
     measured: Mapping[str, MeasuredRange]
     temperature: StatedTemperature | None = None
 
+    def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
+        """Return the errors less what the files state as places of rotary axes."""
+        return leave_out_places(errors, self.kind.list_places(errors.machine))
+
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
         """Return the content of the files."""
         return CompensationTables(
             self.stem,
             errors.machine,
-            self._tabulate_axes(errors),
+            self._tabulate_axes(self.leave_out_places(errors)),
             self.stamp,
             self.temperature and self._tabulate_change(self.temperature),
             tabulate_rotary(errors, self.kind.most_points)

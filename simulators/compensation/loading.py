@@ -36,7 +36,10 @@ _SIGNS = {
         rf"\A(?:#.*\n)*{','.join(COLUMNS)}|\A{{\s*"
         r'"schema": "compensation-tables/1"'
     ),
-    "siemens": re.compile(r"\A%_N_\w+_INI|^\$(?:A[AN]_(?:ENC_COMP|CEC)|TC_CARR)", re.M),
+    "siemens": re.compile(
+        r"\A%_N_\w+_INI|^\$A[AN]_(?:ENC_COMP|CEC)|\$(?i:TC_CARR)\d+\s*\[",
+        re.M,
+    ),
     "heidenhain": re.compile(r"\ABEGIN .*\n(?:.*\n)*\[END\]"),
     "fanuc": re.compile(r"\A%\s+N\d+(?:A\d+)?P"),
     "etalon": re.compile(r"^\s*\[\w+\]\s*\n\s*(?:VALUE|Gridpoints)\s*=", re.M),

@@ -21,7 +21,9 @@ from truepath.simulators.compensation.correction import Correction
 from truepath.simulators.errors import SimulatorError
 from truepath.simulators.machine_file import MachineFile, RotaryAxis
 
-_LINE = re.compile(r"\$TC_CARR(\d+)\s*\[\s*\d+\s*\]\s*=\s*(\S+)")
+_LINE = re.compile(
+    r"(?:N\d+\s*)?\$TC_CARR(\d+)\s*\[\s*\d+\s*\]\s*=\s*([-+]?[\d.]+)", re.IGNORECASE
+)
 _NOTHING = np.zeros(3)
 
 
@@ -143,6 +145,8 @@ def _given_chains(
     )
     empty = Chain((), (_NOTHING,))
     columns = head + table
+    if any(not v.any() for v, _ in zip((v1, v2), columns, strict=False)):
+        raise SimulatorError("a swivel data set has a direction for each axis")
     links = tuple(
         Link(column, v / np.linalg.norm(v))
         for column, v in zip(columns, (v1, v2), strict=False)
@@ -159,7 +163,9 @@ def _collect(name: str, text: str) -> dict[int, float]:
     values: dict[int, float] = {}
     for number, line in enumerate(text.splitlines(), 1):
         block = line.partition(";")[0].strip()
-        if not block or block == "M30":
+        if block == "M30":
+            break
+        if not block:
             continue
         found = _LINE.fullmatch(block)
         if found is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from truepath.app.compensation.export import export_result
 from truepath.app.compensation.format import AxisTable, CompensationTables
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.rotary_tables import AxisPlace
-from truepath.app.compensation.siemens_swivel import SWIVEL
+from truepath.app.compensation.siemens_swivel import SWIVEL, write_swivel
 from truepath.app.errors import BadInput
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.result_file import CalibrationResult
@@ -173,18 +174,56 @@ def test_a_machine_that_no_data_set_describes_gets_none(chain):
     assert not [name for name in FORMAT.write(tables) if name.endswith(SWIVEL)]
 
 
-def test_vectors_that_do_not_belong_to_the_machine_are_refused():
+def write_trunnion():
+    """A trunnion, its file, and what it stands for."""
     content, tables = displace("w-C-A-b-X-Y-Z-t")
     text = FORMAT.write(tables)[f"c{SWIVEL}"]
+    stated = FORMAT.read_locations({"c.mpf": text}, tables.machine)
+    return content, tables.machine, text, stated
+
+
+def set_vector(text, first, *values):
+    """The text with another vector."""
+    for k, value in enumerate(values):
+        text = re.sub(rf"(CARR{first + k}\[1\]=).*", rf"\g<1>{value}", text)
+    return text
+
+
+def test_a_file_is_read_as_a_control_would_read_it():
+    _, machine, text, stated = write_trunnion()
+    as_well = [
+        text.replace("[1]", "[2]"),
+        text.lower(),
+        text.replace("=", " = ").replace("$TC", "N10 $TC"),
+        text.replace("=0.010000", "=+0.010000"),
+        text + "$TC_CARR4[1]=left\n",  # after the end of the program
+    ]
+    for one in as_well:
+        assert FORMAT.read_locations({"c.mpf": one}, machine) == stated
+    v2 = [2.0 * float(v) for v in re.findall(r"CARR1[012]\[1\]=(.*)", text)]
+    longer = set_vector(text, 10, *(f"{v:.9f}" for v in v2))
+    found = FORMAT.read_locations({"c.mpf": longer}, machine)
+    assert found["AOC"] == pytest.approx(stated["AOC"], abs=1e-8)
+
+
+def test_vectors_that_do_not_belong_to_the_machine_are_refused():
+    content, machine, text, _ = write_trunnion()
     cases = {
         "do not close": text.replace("CARR20[1]=170", "CARR20[1]=171"),
         "row 1: .*is no": "$TC_CARR4[1]=left",
+        "row 1: 'G70' is no": f"G70\n{text}",
         "wants .TC_CARR 4, 5": "$TC_CARR4[1]=0.0",
+        "v2 is not the direction of C, which turns right-handed about 0, 0, 1": (
+            set_vector(text, 10, "0.0", "0.0", "-1.0")
+        ),
+        "v1 is not the direction of A": set_vector(text, 7, "0.0", "0.0", "0.0"),
+        "states a value twice": f"$TC_CARR4[1]=1.0\n{text}",
+        "or is of another data set than 3": f"$TC_CARR44[3]=1.0\n{text}",
     }
     for said, wrong in cases.items():
         assert wrong != text
         with pytest.raises(BadInput, match=said):
-            FORMAT.read_locations({"c-swivel.mpf": wrong}, tables.machine)
+            FORMAT.read_locations({"c-swivel.mpf": wrong}, machine)
     _, head = displace("w-Y-b-X-Z-B-t")
     with pytest.raises(BadInput, match="type T wants"):
         FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
@@ -192,3 +231,22 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
         LoadedTables({"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}).correct(
             parse_machine(content)
         )
+
+
+def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():
+    machine = machine_from_json(describe("w-Y-b-X-Z-B-t"), file="machine.json")
+    (axis,) = machine.rotary_axes
+    place = AxisPlace(axis, {"XOB": 0.01, "ZOB": 0.02})
+    lines = list(write_swivel(machine, (place,)))
+    assert "; as drawn, not measured: AOB, COB" in lines
+    assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
+        f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
+    ]
+
+
+def test_the_file_says_what_has_to_hold_before_it_is_run():
+    text = " ".join(write_trunnion()[2].replace("\n; ", " ").split())
+    assert "as right as the offset of the first target" in text
+    assert "run with CYCLE800(), TCARR=0 and TRAFOOF" in text
+    assert "is not to be replaced" in text  # a chain that does not close
+    assert "$TC_CARR24, 25, 41 to 46, 55 to 60, 64 and 65 are to be 0" in text

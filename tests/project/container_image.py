@@ -95,10 +95,13 @@ class Running:
     log: Path
 
     def main_process(self) -> psutil.Process:
-        """Return the interpreter of the command, below the processes of buildah."""
+        """Return the interpreter of the command, below the processes of buildah.
+
+        The oldest: numbers of processes begin again where they have run out.
+        """
         below = psutil.Process(self.begun.pid).children(recursive=True)
         ours = [p for p in below if Path(p.exe()).name.startswith("python")]
-        return min(ours, key=lambda process: process.pid)
+        return min(ours, key=lambda process: process.create_time())
 
     def is_healthy(self, check: list[str]) -> bool:
         """Whether a health check, run inside the container, succeeds."""
