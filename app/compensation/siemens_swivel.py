@@ -225,6 +225,6 @@ def _find_location(
     own = find_local_directions(axis).T
     shift = own @ (origin_mm - np.array(axis.origin_mm))
     tilt = own @ np.cross(np.array(axis.direction), direction)
-    both = zip(LINEAR + TURNS, np.concatenate([shift, tilt]), strict=True)
-    told = {f"{letter}O{axis.name}": float(value) for letter, value in both}
+    both = zip(LINEAR + TURNS, [*shift.tolist(), *tilt.tolist()], strict=True)
+    told = {f"{letter}O{axis.name}": value for letter, value in both}
     return {symbol: told[symbol] for symbol in list_locations(axis.name)}
