@@ -186,12 +186,10 @@ class NominalPath:
         """Where the target should stand, one place after another."""
         return self.end_mm[self.first]
 
-    def seat_rows(
-        self, seated_mm: Float64[np.ndarray, "p 3"]
-    ) -> Float64[np.ndarray, "w 3"]:
-        """Return where the target stands at each row that stands so at the places."""
-        at = np.searchsorted(self.first, np.arange(len(self.end_mm)), "right") - 1
-        return seated_mm[at] + self.end_mm - self.place_mm[at]
+    @property
+    def is_polygon(self) -> bool:
+        """Whether the target goes straight from the end of each line to the next."""
+        return not self.bends and not self.arcs
 
     def lead_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]

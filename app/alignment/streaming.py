@@ -71,15 +71,20 @@ class StreamingAlignment:
         """Targets that sit far off their places, and by how much, as known so far."""
         return self._known.seats
 
-    @property
-    def commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
-        """Where in the tracker's frame each row should be seen; None before the pose.
+    def place_rows(
+        self, pose: RigidTransform | None = None
+    ) -> Float64[np.ndarray, "w 3"] | None:
+        """Return where in the tracker's frame each row of straight lines should be.
 
-        As the standstills so far say: what lies off it is an error of the machine.
+        pose : workpiece to tracker; that by the standstills so far if None
+
+        None before a pose is known, and where lines bend or targets are exchanged:
+        where these sit is known at the end only.
         """
-        if self.pose is None:
+        pose = pose or self.pose
+        if pose is None or self._known.seating or not self._nominal.is_polygon:
             return None
-        return self.pose.apply(self._nominal.seat_rows(self._known.seated_mm))
+        return pose.apply(self._nominal.end_mm)
 
     @property
     def samples_kept(self) -> int:

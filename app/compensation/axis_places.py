@@ -17,8 +17,9 @@ from truepath.app.kinematics.effects.location_error import list_axis_locations
 
 
 def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
-    """Return the place of each rotary axis; what the result does not know is 0."""
+    """Return the place of each rotary axis, as far as the result has it."""
     theta, slices = errors.result.theta, errors.result.model.slices
+    untold = errors.result.model.confounded
     return tuple(
         AxisPlace(
             axis,
@@ -27,6 +28,7 @@ def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
                 for one in list_axis_locations(axis)
                 if one.symbol in slices
             },
+            frozenset(untold),
         )
         for axis in errors.machine.rotary_axes
     )

@@ -52,6 +52,7 @@ _UNDIRECTED = (
     "left is stated without it"
 )
 _BETTER = 0.999  # of the error before: files that leave more are refused
+_NOTHING_UM = 0.02  # rounding of the files, where there was no error
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,20 +221,24 @@ def _require_gain(
     after: RemainingError,
     over: Mapping[str, Any] | None,
 ) -> None:
-    """Refuse files that do not make the error smaller where it was measured.
+    """Refuse files that make no error smaller, or one larger.
 
     over : the error over the travel of all axes, where some are rotary ones
     """
-    before_um = before.state_map(measured=True)["mean"]
-    after_um = after.state_map(measured=True)["mean"]
-    if over is not None and over["after"] <= _BETTER * over["before"]:
+    of_axes = [one.state_map(measured=True)["mean"] for one in (before, after)]
+    means = [of_axes, *([[over["before"], over["after"]]] if over else [])]
+    better = [after_um <= _BETTER * before_um for before_um, after_um in means]
+    worse = [
+        after_um * _BETTER > before_um + _NOTHING_UM for before_um, after_um in means
+    ]
+    if any(better) and not any(worse):
         return
-    if after_um > _BETTER * before_um:
-        raise BadInput(
-            f"read back by the rule of {kind.control}, the files take the mean "
-            f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; "
-            "what it carries is below what it resolves: choose another format"
-        )
+    before_um, after_um = means[worse.index(True)] if any(worse) else of_axes
+    raise BadInput(
+        f"read back by the rule of {kind.control}, the files take the mean "
+        f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; "
+        "what it carries is below what it resolves: choose another format"
+    )
 
 
 def _find_length_degc(

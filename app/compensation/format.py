@@ -171,9 +171,14 @@ class CompensationFormat(ABC):
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the controller's correction from the files. Raises BadInput."""
 
-    def list_places(self, machine: Machine) -> frozenset[str]:
-        """Return the locations of rotary axes, by symbol, that the files state."""
-        del machine
+    def list_places(
+        self, machine: Machine, places: Sequence[AxisPlace]
+    ) -> frozenset[str]:
+        """Return the locations of rotary axes, by symbol, that the files state.
+
+        places : what is known of them
+        """
+        del machine, places
         return frozenset()
 
     def read_rotary(

@@ -34,7 +34,7 @@ from truepath.app.compensation.motion_correction import (
 )
 from truepath.app.compensation.rotary_tables import (
     AxisPlace,
-    list_all_locations,
+    list_stated_locations,
 )
 from truepath.app.errors import BadInput
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
@@ -160,9 +160,12 @@ class GenericJson(GenericTables):
         for axis, side, at_mm, *motions in document["rows"]:
             yield axis, side, at_mm, motions
 
-    def list_places(self, machine: Machine) -> frozenset[str]:
-        """Return the locations of all rotary axes."""
-        return list_all_locations(machine)
+    def list_places(
+        self, machine: Machine, places: Sequence[AxisPlace]
+    ) -> frozenset[str]:
+        """Return all that the result has."""
+        del machine
+        return list_stated_locations(places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

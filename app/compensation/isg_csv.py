@@ -12,7 +12,7 @@ compensation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -34,7 +34,7 @@ from truepath.app.compensation.isg_rotary import (
     write_rotary_blocks,
 )
 from truepath.app.compensation.motion_correction import correct_by_motions
-from truepath.app.compensation.rotary_tables import list_all_locations
+from truepath.app.compensation.rotary_tables import AxisPlace, list_stated_locations
 from truepath.app.compensation.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
@@ -101,9 +101,12 @@ class IsgCsv(CompensationFormat):
 
         return correct_by_motions(machine, blocks, find_motion)
 
-    def list_places(self, machine: Machine) -> frozenset[str]:
-        """Return the locations of all rotary axes."""
-        return list_all_locations(machine)
+    def list_places(
+        self, machine: Machine, places: Sequence[AxisPlace]
+    ) -> frozenset[str]:
+        """Return all that the result has."""
+        del machine
+        return list_stated_locations(places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

@@ -9,7 +9,7 @@ three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -26,6 +26,7 @@ from truepath.app.compensation.linuxcnc_kinematics import (
     write_kinematics,
 )
 from truepath.app.compensation.rotary_tables import (
+    AxisPlace,
     RotaryAddition,
     RotaryTable,
 )
@@ -105,9 +106,11 @@ class LinuxCnc(TableFormat):
                 added[axis] = RotaryAddition(nominal, trim, half_deg=half)
         return added
 
-    def list_places(self, machine: Machine) -> frozenset[str]:
+    def list_places(
+        self, machine: Machine, places: Sequence[AxisPlace]
+    ) -> frozenset[str]:
         """Return what the pins have."""
-        return list_pin_places(machine)
+        return list_pin_places(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine

@@ -9,13 +9,11 @@ x-offset (B), and z-offset above z-rot-point. The table turns right-handed where
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from truepath.app.compensation.rotary_tables import (
-    AxisPlace,
-)
+from truepath.app.compensation.rotary_tables import AxisPlace, list_stated_locations
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR
@@ -37,19 +35,24 @@ def find_tilting_axis(machine: Machine) -> str | None:
     return names[1] if names[1] in _ACROSS and straight else None
 
 
-def list_pin_places(machine: Machine) -> frozenset[str]:
-    """Return the locations that the pins have; none where there is no trunnion."""
+def list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
+    """Return the locations that the pins have, of those that the result has.
+
+    None where there is no trunnion, or where nothing is known of one of its axes: the
+    pins would be those of the drawing.
+    """
     tilting = find_tilting_axis(machine)
-    if tilting is None:
+    if tilting is None or not all(place.known for place in places):
         return frozenset()
     across = LINEAR[_ACROSS[tilting]]
-    return frozenset({"XOC", "YOC", f"{across}O{tilting}", f"ZO{tilting}"})
+    pins = {"XOC", "YOC", f"{across}O{tilting}", f"ZO{tilting}"}
+    return list_stated_locations(places) & pins
 
 
 def write_kinematics(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:
-    """Yield the lines that set the pins; nothing for a machine that is no trunnion."""
+    """Yield the lines that set the pins; nothing where they would state nothing."""
     tilting = find_tilting_axis(machine)
-    if tilting is None:
+    if tilting is None or not list_pin_places(machine, places):
         return
     at = {place.axis.name: place.origin_mm for place in places}
     module, across = f"xyz{tilting.lower()}c-trt-kins", _ACROSS[tilting]

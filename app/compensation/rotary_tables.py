@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.kinematics.machine import (
-    Machine,
-    RotaryAxis,
-    find_local_directions,
-)
-from truepath.app.kinematics.symbols import LINEAR, TURNS, list_locations
-
-
-def list_all_locations(machine: Machine) -> frozenset[str]:
-    """Return the location errors of all rotary axes of a machine."""
-    names = (axis.name for axis in machine.rotary_axes)
-    return frozenset(symbol for name in names for symbol in list_locations(name))
+from truepath.app.kinematics.machine import RotaryAxis, find_local_directions
+from truepath.app.kinematics.symbols import LINEAR, TURNS
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +70,18 @@ class RotaryAddition:
 class AxisPlace:
     """Where the axis of a rotary axis is.
 
-    location : its location errors by symbol, mm and rad, as far as they are known
+    location : its location errors by symbol, mm and rad, as far as the result has them
+    untold : symbols that the measurement does not tell from other errors
     """
 
     axis: RotaryAxis
     location: Mapping[str, float]
+    untold: frozenset[str] = frozenset()
+
+    @property
+    def known(self) -> frozenset[str]:
+        """What the measurement tells of it."""
+        return frozenset(self.location) - self.untold
 
     @property
     def origin_mm(self) -> Float64[np.ndarray, "3"]:
@@ -102,3 +99,8 @@ class AxisPlace:
         """Return shifts or tilts in the directions of the machine."""
         own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
         return find_local_directions(self.axis) @ np.array(own)
+
+
+def list_stated_locations(places: Iterable[AxisPlace]) -> frozenset[str]:
+    """Return the symbols of what a result has of some places."""
+    return frozenset(symbol for place in places for symbol in place.location)

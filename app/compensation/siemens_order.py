@@ -6,7 +6,7 @@ and where rotary axes are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from truepath.app.compensation.format import (
     CompensationTables,
     Correction,
 )
-from truepath.app.compensation.rotary_tables import RotaryAddition
+from truepath.app.compensation.rotary_tables import AxisPlace, RotaryAddition
 from truepath.app.compensation.siemens import Siemens, SiemensCec, SiemensLec
 from truepath.app.compensation.siemens_controls import CONTROLS, DEFAULT_CONTROL
 from truepath.app.compensation.siemens_leadscrew import MEASURING_SYSTEMS
@@ -130,15 +130,20 @@ class SiemensOrder(CompensationFormat):
         """Return what the leadscrew tables add to rotary axes."""
         return read_rotary_tables(_select(files, SiemensLec()))
 
-    def list_places(self, machine: Machine) -> frozenset[str]:
+    def list_places(
+        self, machine: Machine, places: Sequence[AxisPlace]
+    ) -> frozenset[str]:
         """Return what the swivel data set has."""
-        return list_swivel_places(machine)
+        return list_swivel_places(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
         """Return where the swivel data set says that the axes are."""
-        for name, text in _select_swivel(files).items():
+        sets = _select_swivel(files)
+        if len(sets) > 1:
+            raise BadInput(f"one swivel data set is read, not {', '.join(sets)}")
+        for name, text in sets.items():
             return read_swivel(name, text, machine)
         return {}
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.rotary_tables import AxisPlace
+from truepath.app.compensation.rotary_tables import AxisPlace, list_stated_locations
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine, RotaryAxis, find_local_directions
 from truepath.app.kinematics.symbols import LINEAR, TURNS, list_locations
@@ -87,32 +87,37 @@ def find_swivel_kind(machine: Machine) -> SwivelKind | None:
     table = _list_rotary(machine, machine.workpiece_side)[::-1]
     head = _list_rotary(machine, machine.tool_side)
     count = len(table) + len(head)
-    beside = machine.workpiece_side[: len(table)] + machine.tool_side[-len(head) :]
+    nearest = len(machine.tool_side) - len(head)
+    beside = machine.workpiece_side[: len(table)] + machine.tool_side[nearest:]
     if count not in (1, 2) or sum(name in TURNS for name in beside) < count:
         return None
     letter = "M" if table and head else "P" if table else "T"
     return SwivelKind(letter, (*head, *table))
 
 
-def list_swivel_places(machine: Machine) -> frozenset[str]:
-    """Return the locations that the data set has."""
-    kind = find_swivel_kind(machine)
-    names = [axis.name for axis in kind.axes] if kind else []
-    return frozenset(symbol for name in names for symbol in list_locations(name))
+def list_swivel_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
+    """Return the locations that the data set has, of those that the result has.
+
+    None where no data set describes the machine, or where nothing is known of one of
+    its axes: vectors of the drawing are to replace nobody's.
+    """
+    if find_swivel_kind(machine) is None or not all(one.known for one in places):
+        return frozenset()
+    return list_stated_locations(places)
 
 
-def write_swivel(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:
-    """Yield the lines that set the vectors; nothing where no data set has them."""
+def write_swivel(machine: Machine, places: Sequence[AxisPlace]) -> Iterator[str]:
+    """Yield the lines that set the vectors; nothing where they would state nothing."""
     kind = find_swivel_kind(machine)
-    if kind is None:
+    if kind is None or not list_swivel_places(machine, places):
         return
     by_name = {place.axis.name: place for place in places}
     chosen = [by_name[axis.name] for axis in kind.axes]
     turned = " and ".join(axis.name for axis in kind.axes)
     yield f'; $TC_CARR23[1] is to be "{kind.letter}", the axes {turned} in this order'
-    known = {symbol for place in chosen for symbol in place.location}
-    if unknown := sorted(list_swivel_places(machine) - known):
-        yield f"; as drawn, not measured: {', '.join(unknown)}"
+    every = {symbol for axis in kind.axes for symbol in list_locations(axis.name)}
+    if unknown := sorted(every.difference(*(place.known for place in chosen))):
+        yield f"; not told by the measurement: {', '.join(unknown)}"
     vectors = _find_vectors(kind.letter, [place.origin_mm for place in chosen])
     vectors["v2"] = np.zeros(3)
     vectors |= {f"v{k + 1}": place.direction for k, place in enumerate(chosen)}
@@ -226,5 +231,5 @@ def _find_location(
     shift = own @ (origin_mm - np.array(axis.origin_mm))
     tilt = own @ np.cross(np.array(axis.direction), direction)
     both = zip(LINEAR + TURNS, [*shift.tolist(), *tilt.tolist()], strict=True)
-    told = {f"{letter}O{axis.name}": value for letter, value in both}
-    return {symbol: told[symbol] for symbol in list_locations(axis.name)}
+    found = {f"{letter}O{axis.name}": value for letter, value in both}
+    return {symbol: found[symbol] for symbol in list_locations(axis.name)}

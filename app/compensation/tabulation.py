@@ -49,7 +49,8 @@ class Tabulation:
 
     def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
         """Return the errors less what the files state as places of rotary axes."""
-        return leave_out_places(errors, self.kind.list_places(errors.machine))
+        stated = self.kind.list_places(errors.machine, find_places(errors))
+        return leave_out_places(errors, stated)
 
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
         """Return the content of the files."""

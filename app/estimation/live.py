@@ -146,12 +146,17 @@ class LiveEstimator:
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
         """Return where in the tracker's frame each row of a path should be seen.
 
-        None of points, and before the pose is known.
+        As the standstills so far say; where the set-up has moved, the pose since then.
+        None of points, and where `place_rows` has none.
         """
-        seen = self._alignment
-        if isinstance(self._commanded, Path) and isinstance(seen, StreamingAlignment):
-            return seen.commanded_mm
-        return None
+        seen, now = self._alignment, None
+        if not isinstance(self._commanded, Path):
+            return None
+        if not isinstance(seen, StreamingAlignment):
+            return None
+        if self._sums is not None and self._check.knocks:
+            now = self._sums.linearisation.pose
+        return seen.place_rows(now)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
         """Take the next samples or points; tell whether they have finished anything.

@@ -119,24 +119,36 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
         blocks = stream.gather()
         for part in stream.take_parts():
             chooser.go_on(part)
+            is_new = True
         for block in blocks:
             is_new = live.take(block) or is_new
         if stream.is_over:
             is_new = live.finish()
-        now = live.estimate() if is_new else None
-        if now is not None:
-            begun_s = stream.begun_s or 0.0
-            body = {
-                **estimate_json(now),
-                "notices": [notice_json(n, begun_s) for n in live.list_notices()],
-                "total": chooser.total,
-                "elapsed_s": round(now.time_s - begun_s, 4),
-                **_commanded_json(live),
-            }
-            link.send(Estimated({**body, "is_last": stream.is_over}))
+        if is_new:
+            _tell(link, live, chooser, stream)
         if stream.is_asked:
             stream.is_asked = False
-            link.send(PartChosen(chooser.next()))
+            part = chooser.next()
+            link.send(PartChosen(part))
+            if part.rows:  # its first line is to be known as commanded
+                _tell(link, live, chooser, stream)
+
+
+def _tell(
+    link: Connection, live: LiveEstimator, chooser: _PartChooser, stream: _Stream
+) -> None:
+    """Send the estimate as it is now, if there is one."""
+    now, begun_s = live.estimate(), stream.begun_s or 0.0
+    if now is None:
+        return
+    body = {
+        **estimate_json(now),
+        "notices": [notice_json(n, begun_s) for n in live.list_notices()],
+        "total": chooser.total,
+        "elapsed_s": round(now.time_s - begun_s, 4),
+        **_commanded_json(live),
+    }
+    link.send(Estimated({**body, "is_last": stream.is_over}))
 
 
 class _PartChooser:
@@ -258,8 +270,8 @@ def _commanded_json(live: LiveEstimator) -> dict[str, Any]:
         return {}
     newest = max(found.rows, default=0)
     first = max(newest - _BEHIND, 0)
-    told = places[first : newest + _AHEAD + 1]
-    return {"commanded": {"first_row": first, "tracker_mm": told.round(4).tolist()}}
+    shown = places[first : newest + _AHEAD + 1].round(4).tolist()
+    return {"commanded": {"first_row": first, "tracker_mm": shown}}
 
 
 def notice_json(notice: Any, begun_s: float) -> dict[str, Any]:

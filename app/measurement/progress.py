@@ -180,7 +180,8 @@ class LiveView:
     """Reports recorded blocks, thinned for the eye to points some 0.1 s apart.
 
     reports_blocks : the whole blocks are reported as well, for a live estimate
-    range_scale : of these, where ranges are corrected for the air afterwards
+    range_scale : of all that is reported, where ranges are corrected for the air
+        afterwards
     axes : position of the controller
     environment : newest reading of each sensor that shows one; replaced, never changed
     """
@@ -210,7 +211,8 @@ class LiveView:
         chosen = chosen[slot[chosen] > self._last_slot]
         if len(chosen):
             self._last_slot = float(slot[chosen[-1]])
-            points = np.round(samples.position_mm[chosen], 4).tolist()
+            scaled_mm = self._range_scale * samples.position_mm[chosen]
+            points = np.round(scaled_mm, 4).tolist()
             self._report(
                 LivePoints(points, list(self.axes), float(time_s[-1]), self.environment)
             )

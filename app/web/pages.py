@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict
 from functools import cache
 from hashlib import sha256
@@ -53,7 +54,7 @@ class PageFiles(StaticFiles):
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """Return the file, or 304, with headers that say whether it may be reused."""
-        first, _, rest = path.partition("/")
+        first, _, rest = path.partition(os.sep)
         is_kept = first == digest_files()
         response = await super().get_response(rest if is_kept else path, scope)
         response.headers.update(_KEEP if is_kept else _REVALIDATE)
@@ -62,6 +63,7 @@ class PageFiles(StaticFiles):
 
 def static_files() -> StaticFiles:
     """Return the application to mount at `STATIC_PATH`."""
+    digest_files()  # reads them all, which no answer is to wait for
     return PageFiles(directory=_STATIC)
 
 

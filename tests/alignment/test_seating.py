@@ -80,6 +80,16 @@ def test_a_large_shift_is_known_before_levers_are_taken(run: Run) -> None:
     assert not seen.at.seat_mm[~mine].any()
 
 
+def test_rows_of_several_targets_are_placed_nowhere_before_their_seats_are_known(
+    run: Run,
+) -> None:
+    live = StreamingAlignment(run.machine, run.commanded)
+    live.add(run.tracker)
+    live.finish()
+    assert live.pose is not None
+    assert live.place_rows() is None
+
+
 def test_targets_where_they_are_stated_have_no_shift(run: Run) -> None:
     assert align(run).at.seat_mm is None
 

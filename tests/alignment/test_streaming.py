@@ -98,7 +98,7 @@ def test_what_lies_beside_a_commanded_line_is_the_error_of_the_machine(record):
     run, truth = record(3, setting=Setting(noise_scale=0.0))
     live, parts = streamed(run, [50])
     seen = live.observations(parts)
-    places, rows = live.commanded_mm, run.commanded.position
+    places, rows = live.place_rows(), run.commanded.position
     error = less_rigid(truth.deviation_mm(rows), rows)
     assert np.abs(error).max() > 0.005
     frame = truth.recording.pose.rotation

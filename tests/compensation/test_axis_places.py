@@ -157,17 +157,29 @@ def test_pins_that_are_not_of_the_machine_are_refused(shifted):
         LoadedTables({"c.hal": wrong}).correct(parse_machine(content))
 
 
-@pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json"])
-def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(name):
-    content = describe_machine("A")
+@pytest.mark.parametrize(
+    ("machine", "name"),
+    [
+        ("trunnion", "linuxcnc"),
+        ("trunnion", "siemens"),
+        ("trunnion", "isg-csv"),
+        ("trunnion", "json"),
+        ("head-table", "siemens"),
+        ("head-table", "isg-csv"),
+    ],
+)
+def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(machine, name):
+    content = load_machine(machine)
     content["axes"]["C"] |= {"min_deg": 30.0, "max_deg": 300.0}
-    content["axes"]["A"] |= {"min_deg": 20.0, "max_deg": 95.0}
+    tilting = "A" if machine == "trunnion" else "B"
+    content["axes"][tilting] |= {"min_deg": 20.0, "max_deg": 95.0}
     machine = machine_from_json(content, file="machine.json")
     offsets = np.array([target.offset_mm for target in machine.targets])
     model, _ = build_identifiable_model(machine, offsets, intervals=4)
     theta = np.zeros(model.size)
-    for symbol, value in {"XOC": 0.03, "YOC": -0.02, "ZOA": 0.025}.items():
-        theta[model.slices[symbol]] = value
+    places = {"XOC": 0.03, "YOC": -0.02, f"ZO{tilting}": 0.025}
+    for symbol in places.keys() & model.slices.keys():
+        theta[model.slices[symbol]] = places[symbol]
     errors = map_errors(CalibrationResult(model, theta, 1e-16 * np.eye(model.size)))
     export = export_result(errors, name, "c", spacing_mm=100.0)
     over = export.account["over_all_axes_um"]

@@ -238,10 +238,37 @@ def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():
     (axis,) = machine.rotary_axes
     place = AxisPlace(axis, {"XOB": 0.01, "ZOB": 0.02})
     lines = list(write_swivel(machine, (place,)))
-    assert "; as drawn, not measured: AOB, COB" in lines
+    assert "; not told by the measurement: AOB, COB" in lines
     assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
         f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
     ]
+
+
+def test_vectors_of_the_drawing_replace_nobodys():
+    machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
+    a, c = machine.rotary_axes
+    told = AxisPlace(a, {"YOA": 0.01})
+    untold = AxisPlace(c, {"XOC": 0.01}, frozenset({"XOC"}))
+    for places in ((told, AxisPlace(c, {})), (told, untold)):
+        assert list(write_swivel(machine, places)) == []
+        assert not FORMAT.list_places(machine, places)
+        assert not load_format("linuxcnc").list_places(machine, places)
+
+
+def test_one_data_set_is_read():
+    _, machine, text, _ = write_trunnion()
+    with pytest.raises(BadInput, match="one swivel data set is read"):
+        FORMAT.read_locations({"a.mpf": text, "b.mpf": text}, machine)
+
+
+@pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json", "fanuc"])
+def test_a_format_states_the_places_that_its_files_have(displaced, name):
+    """What the files lack is in the tables: else it is corrected twice or never."""
+    _, _, tables = displaced
+    kind = load_format(name)
+    stated = kind.list_places(tables.machine, tables.places)
+    read = kind.read_locations(kind.write(tables), tables.machine)
+    assert {symbol for symbol, value in read.items() if value} == set(stated)
 
 
 def test_the_file_says_what_has_to_hold_before_it_is_run():

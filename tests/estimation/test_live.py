@@ -118,6 +118,20 @@ def test_a_knock_is_held_back_until_both_places_are_solved(moving):
     assert np.sqrt(np.mean(compare(last, clean) ** 2)) < 0.7
 
 
+def test_after_a_knock_rows_are_placed_as_the_tracker_stands_now(moving):
+    run, _, _ = moving
+    first, moved = int(0.6 * len(run.tracker)), [0.3, -0.3, 0.2]
+    places = []
+    for one in (run, spoilt(run, first, None, moved)):
+        live = LiveEstimator(one.machine, one.commanded)
+        for block in blocks_of(one):
+            live.take(block)
+        live.finish()
+        places.append(live.find_commanded_mm())
+    off = places[1] - places[0]
+    assert np.abs(off - moved).max() < 0.02
+
+
 @pytest.mark.fault_row(12)
 def test_samples_in_the_wrong_place_are_left_out_at_once(moving):
     run, _, clean = moving

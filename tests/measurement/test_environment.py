@@ -407,6 +407,17 @@ def test_live_points_bring_the_newest_readings_and_forget_what_shows_nothing():
     assert heard[0].environment == {"air_degC": 20.0}
 
 
+def test_live_points_and_blocks_are_in_one_scale():
+    """Where ranges are corrected for the air later, both are as if they were."""
+    heard = []
+    view = LiveView(heard.append, reports_blocks=True, range_scale=0.9997)
+    none, place = np.zeros(1, np.int64), np.array([[2000.0, 0.0, 10.0]])
+    view.show(TrackerSamples(none, np.array([1.0]), place, none))
+    points, recorded = heard
+    assert np.allclose(points.tracker_mm, 0.9997 * place)
+    assert np.allclose(recorded.block.position_mm, points.tracker_mm)
+
+
 def test_a_reader_that_is_stopped_reads_nothing_more(tmp_path, header, sensors):
     recorder = Recorder(tmp_path / "run.sqlite", header, reserve_bytes=0)
     reader = EnvironmentReader([sensors], recorder, lambda _: None)

@@ -56,8 +56,8 @@ def service() -> ScriptedService:
     return ScriptedService()
 
 
-class Stage:
-    """An address at which one scripted service plays after the other.
+class SharedServer:
+    """An address at which one scripted service answers after the other.
 
     It stays the same so that browsers keep the hundred files of the page.
     """
@@ -67,22 +67,22 @@ class Stage:
         self.app: FastAPI | None = None
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        assert self.app is not None, "nobody plays"
+        assert self.app is not None, "no service is there"
         await self.app(scope, receive, send)
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Stage]:
+def shared_server() -> Iterator[SharedServer]:
     """Where scripted services listen."""
     listening = socket.create_server((LOOPBACK, 0))
-    stage = Stage(f"http://{LOOPBACK}:{listening.getsockname()[1]}")
+    shared = SharedServer(f"http://{LOOPBACK}:{listening.getsockname()[1]}")
     config = uvicorn.Config(
-        stage, log_level="warning", lifespan="off", timeout_graceful_shutdown=1
+        shared, log_level="warning", lifespan="off", timeout_graceful_shutdown=1
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
     thread.start()
-    yield stage
+    yield shared
     server.should_exit = True
     thread.join(timeout=10)
     listening.close()
@@ -90,10 +90,10 @@ def stage() -> Iterator[Stage]:
 
 
 @pytest.fixture
-def address(service: ScriptedService, stage: Stage) -> Iterator[str]:
+def address(service: ScriptedService, shared_server: SharedServer) -> Iterator[str]:
     """Where the scripted service listens."""
-    stage.app = scripted_app(service)
-    yield stage.address
+    shared_server.app = scripted_app(service)
+    yield shared_server.address
     service.closing.set()
 
 
@@ -134,23 +134,25 @@ class Contexts:
         return kind, context
 
     def give_back(self, kind: str, context: BrowserContext) -> None:
-        """Forget what its pages have stored; one without a page is closed."""
-        if not context.pages:
+        """Forget what its pages have stored; one without page or kind is closed."""
+        if not context.pages or not kind:
             context.close()
             return
         first, *others = context.pages
-        told = context.new_cdp_session(first)
-        kept = {"origin": self.address, "storageTypes": "local_storage,indexeddb"}
-        told.send("Storage.clearDataForOrigin", kept)
-        context.clear_cookies()
-        for page in (first, *others):
+        for page in others:
             page.close()
+        first.goto("about:blank")
+        session = context.new_cdp_session(first)
+        kept = {"origin": self.address, "storageTypes": "local_storage,indexeddb"}
+        session.send("Storage.clearDataForOrigin", kept)
+        context.clear_cookies()
+        first.close()
         self.free.setdefault(kind, []).append(context)
 
 
 @pytest.fixture(scope="module")
-def contexts(browser: Browser, stage: Stage) -> Contexts:
-    return Contexts(browser, stage.address)
+def contexts(browser: Browser, shared_server: SharedServer) -> Contexts:
+    return Contexts(browser, shared_server.address)
 
 
 @dataclass
@@ -210,9 +212,11 @@ class Panel:
         before: str = "",
         hears: bool = True,
         card: bool = False,
+        own: bool = False,
     ) -> Page:
         """Open the page; `before` is a script that runs before those of the page.
 
+        A page of its own has a browser that no other test gets: its clock is changed.
         A page that hears has its stream of events when this returns. With a graphics
         card pictures in space are drawn by plotly.js, which takes ten times as long.
         """
@@ -222,7 +226,7 @@ class Panel:
             color_scheme="dark" if dark else "light",
             has_touch=touch,
         )
-        self.taken.append((kind, context))
+        self.taken.append(("" if own else kind, context))
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
         page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -241,6 +245,8 @@ def panel(
     """Opens pages; afterwards no console error and no request to elsewhere."""
     panel = Panel(contexts, address, service, witness)
     yield panel
-    for kind, context in panel.taken:
-        contexts.give_back(kind, context)
-    witness.judge()
+    try:
+        for kind, context in panel.taken:
+            contexts.give_back(kind, context)
+    finally:
+        witness.judge()

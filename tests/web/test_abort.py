@@ -121,7 +121,7 @@ def test_abort_without_a_job_does_not_say_that_an_unheard_machine_stands(
 def test_a_service_that_ended_during_an_abort_has_confirmed_no_stop(panel, service):
     service.deaf_to_stop = True
     job = running(service)
-    page = panel.open()
+    page = panel.open(own=True)
     expect(page.locator("#state")).to_have_text("Running")
 
     def interrupt(route):
@@ -138,7 +138,7 @@ def test_a_service_that_ended_during_an_abort_has_confirmed_no_stop(panel, servi
 def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service, kind):
     service.deaf_to_stop = True
     running(service, kind)
-    page = panel.open()
+    page = panel.open(own=True)
     wait_unconfirmed(page, service)
     box = page.locator("#abort-sheet").bounding_box()
     assert box == {"x": 0, "y": 0, "width": 1280, "height": 800}
@@ -148,7 +148,7 @@ def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service, 
 
 def test_an_answer_that_lists_no_jobs_does_not_look_like_a_stop(panel, service):
     running(service)
-    page = panel.open()
+    page = panel.open(own=True)
     bodies = itertools.cycle(['{"items": [', "<html>", "{}", "null"])
     page.route(
         "**/api/v1/jobs?*state=*", lambda route: route.fulfill(body=next(bodies))
@@ -164,13 +164,13 @@ def test_a_moving_job_is_not_lost_behind_newer_ones(panel, service):
     for _ in range(55):
         job = service.new_job("analyse")
         service.finish(job["id"])
-    wait_unconfirmed(panel.open("#/connect"), service)
+    wait_unconfirmed(panel.open("#/connect", own=True), service)
 
 
 def test_a_dead_service_does_not_look_like_a_stop(panel, service, witness):
     witness.expect(*NO_STREAM)
     running(service)
-    page = panel.open()
+    page = panel.open(own=True)
     expect(page.locator("#state")).to_have_text("Running")
     page.route("**/api/v1/**", lambda route: route.abort())
     page.clock.install()

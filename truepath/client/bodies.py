@@ -164,7 +164,11 @@ class ErrorTables(TypedDict):
 
 
 class Estimate(TypedDict):
-    """The newest estimate of a measurement under way."""
+    """The newest estimate of a measurement under way.
+
+    commanded : of straight lines to one target: `first_row`, and in `tracker_mm` where
+        the tracker should see the rows from it on
+    """
 
     job_id: str
     verdict: Verdict
@@ -175,6 +179,7 @@ class Estimate(TypedDict):
     is_last: bool
     error_tables: dict[str, ErrorTable]
     squareness_urad: dict[str, Squareness]
+    commanded: NotRequired[Json]
 
 
 class Condition(TypedDict):

@@ -22,7 +22,7 @@ class CourseOut(BaseModel):
     volumetric_uncertainty_um: list[float]
 
 
-class CommandedOut(BaseModel):
+class CommandedPlacesOut(BaseModel):
     """Where the rows of the path about the newest line should be seen.
 
     As the standstills so far place the machine before the tracker: what lies beside
@@ -55,7 +55,9 @@ class EstimateOut(BaseModel):
     axis_location: dict[str, AxisLocationOut] | None = Field(
         None, description="Of machines with rotary axes."
     )
-    commanded: CommandedOut | None = Field(
-        None, description="Of lines, not of points that are stepped through."
+    commanded: CommandedPlacesOut | None = Field(
+        None,
+        description="Of straight lines to one target, once the tracker's pose is "
+        "known.",
     )
     course: CourseOut

@@ -29,6 +29,7 @@ export function known(key, otherwise, values = {}) {
 /** Load another language and translate the shell. */
 export async function speak(wanted) {
   const answer = await fetch(new URL(`../locales/${wanted}.json`, import.meta.url));
+  if (answer.status === 404) location.reload();  // the service has another page now
   if (!answer.ok) throw new Error(`catalogue ${wanted}: ${answer.status}`);
   texts = await answer.json();
   language = wanted;

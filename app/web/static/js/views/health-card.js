@@ -98,12 +98,13 @@ function addPoints(chart, { tracker_mm: points = [], device_time_s: end_s = 0 },
 
 /** Where the ends of the line under way and of its neighbours should be seen; null while unknown. */
 function commandedNow({ job, estimate }) {
-  const { done, unit } = job.progress ?? {};
+  const { done, total, unit } = job.progress ?? {};
   if (unit !== "lines" || !estimate?.commanded || estimate.is_last) return null;
   const { first_row, tracker_mm } = estimate.commanded;
   const row = Math.floor(done) - first_row;
-  const told = [row - 1, row, row + 1, row + 2].map((each) => tracker_mm[each]);
-  return told[1] && told[2] ? told.filter(Boolean) : null;
+  const places = [row - 1, row, row + 1, row + 2].map((each) => tracker_mm[each]);
+  const isKnown = places[1] && (places[2] || (places[0] && done >= total));
+  return isKnown ? places.filter(Boolean) : null;
 }
 
 /** Whether the tracker sees its target: `seen`, `lost`, `silent` (no point for a while) or `unknown`.
