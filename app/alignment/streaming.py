@@ -42,6 +42,7 @@ from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
+_FEWEST = 3  # standstills that fix a pose
 _TRIES = 30  # standstills among which the first matching is sought
 _MOST_KEPT_S = 600.0  # of one line
 
@@ -60,6 +61,7 @@ class StreamingAlignment:
         self._raw = TrackerSamples.empty()
         self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
         self._looked_at = 0  # standstills
+        self._begun_s: list[float] = []  # of each of these
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self._is_over = False
@@ -71,20 +73,21 @@ class StreamingAlignment:
         """Targets that sit far off their places, and by how much, as known so far."""
         return self._known.seats
 
-    def place_rows(
-        self, pose: RigidTransform | None = None
-    ) -> Float64[np.ndarray, "w 3"] | None:
+    def place_rows(self, since_s: float = -np.inf) -> Float64[np.ndarray, "w 3"] | None:
         """Return where in the tracker's frame each row of straight lines should be.
 
-        pose : workpiece to tracker; that by the standstills so far if None
-
-        None before a pose is known, and where lines bend or targets are exchanged:
-        where these sit is known at the end only.
+        As the standstills say that have begun since a time. None where they do not fix
+        a pose, where lines bend, and where targets are exchanged: where these sit is
+        known at the end only.
         """
-        pose = pose or self.pose
-        if pose is None or self._known.seating or not self._nominal.is_polygon:
+        if self.pose is None or self._known.seating or not self._nominal.is_polygon:
             return None
-        return pose.apply(self._nominal.end_mm)
+        since = [(k, w) for k, w in self._matched if self._begun_s[k] > since_s]
+        nominal = self._place_mm[[w for _, w in since]]
+        if len(since) < _FEWEST or not is_wide(nominal, self._place_mm):
+            return None
+        places = np.array([self._stream.stops[k].position_mm for k, _ in since])
+        return fit_rigid(nominal, places).apply(self._nominal.end_mm)
 
     @property
     def samples_kept(self) -> int:
@@ -151,6 +154,8 @@ class StreamingAlignment:
         stops = self._stream.stops
         for index in range(self._looked_at, len(stops)):
             self._looked_at = index + 1
+            first = stops[index].first
+            self._begun_s.append(float(self._stream.part(first, first + 1)[0][0]))
             if self.pose is None:
                 self._match_first()
             else:
@@ -166,7 +171,7 @@ class StreamingAlignment:
 
     def _match_first(self) -> None:
         stops = self._stream.stops
-        if not 3 <= len(stops) <= _TRIES:
+        if not _FEWEST <= len(stops) <= _TRIES:
             return
         first = slice(len(stops) + _TRIES)
         nominal_mm = self._place_mm[first]

@@ -146,17 +146,16 @@ class LiveEstimator:
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
         """Return where in the tracker's frame each row of a path should be seen.
 
-        As the standstills so far say; where the set-up has moved, the pose since then.
-        None of points, and where `place_rows` has none.
+        As the standstills so far say, where the set-up has moved those since then. None
+        of points, and where `place_rows` has none.
         """
-        seen, now = self._alignment, None
+        seen = self._alignment
         if not isinstance(self._commanded, Path):
             return None
         if not isinstance(seen, StreamingAlignment):
             return None
-        if self._sums is not None and self._check.knocks:
-            now = self._sums.linearisation.pose
-        return seen.place_rows(now)
+        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
+        return seen.place_rows(since_s)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
         """Take the next samples or points; tell whether they have finished anything.
