@@ -138,15 +138,14 @@ class Contexts:
         if not context.pages or not kind:
             context.close()
             return
-        first, *others = context.pages
-        for page in others:
+        for page in context.pages:
             page.close()
-        first.goto("about:blank")
-        session = context.new_cdp_session(first)
+        empty = context.new_page()
         kept = {"origin": self.address, "storageTypes": "local_storage,indexeddb"}
+        session = context.new_cdp_session(empty)
         session.send("Storage.clearDataForOrigin", kept)
         context.clear_cookies()
-        first.close()
+        empty.close()
         self.free.setdefault(kind, []).append(context)
 
 
