@@ -39,6 +39,7 @@ COLOURS = 128
 DARK = 100  # of 255: text
 LARGEST_BYTES, LARGEST_SUM_BYTES = 400_000, 3_000_000
 PATIENCE_MS = 120_000
+COURSE_MS = 2500  # of points, until the scope has a course
 JOB_S = 600.0
 TOLERANCE_UM = "8"
 TITLES = {"en": "Calibration certificate", "de": "Kalibrierschein"}
@@ -174,6 +175,7 @@ def _run(desk: Desk, job: str) -> None:
     _wait_for_share(desk.client, job, 0.2)
     for panel in desk.panels:
         panel.open(f"#/run/{job}", DRAWN)
+        panel.page.wait_for_timeout(COURSE_MS)
         panel.take("run")
         if panel.name != "de-phone":
             panel.page.locator(".run-chooser button").last.click()
