@@ -146,7 +146,7 @@ def _tell(
         "notices": [notice_json(n, begun_s) for n in live.list_notices()],
         "total": chooser.total,
         "elapsed_s": round(now.time_s - begun_s, 4),
-        **_commanded_json(live),
+        **_state_rows(live),
     }
     link.send(Estimated({**body, "is_last": stream.is_over}))
 
@@ -263,7 +263,7 @@ def estimate_json(now: Any) -> dict[str, Any]:
     }
 
 
-def _commanded_json(live: LiveEstimator) -> dict[str, Any]:
+def _state_rows(live: LiveEstimator) -> dict[str, Any]:
     """Return where the rows about the newest line should be seen; {} of points."""
     found, places = live.findings(), live.find_commanded_mm()
     if found is None or places is None:

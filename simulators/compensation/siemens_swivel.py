@@ -104,7 +104,7 @@ def read_swivel(name: str, text: str, machine: MachineFile) -> SwivelCorrection:
     if len(head) + len(table) > 2:
         raise SimulatorError(f"{name}: a swivel data set has two rotary axes")
     names = machine.axis_names
-    given = _given_chains(
+    given = _read_chains(
         [names.index(axis.name) for axis in head],
         [names.index(axis.name) for axis in table],
         values,
@@ -136,7 +136,7 @@ class _Built:
         return Chain(tuple(links), tuple(steps))
 
 
-def _given_chains(
+def _read_chains(
     head: list[int], table: list[int], values: dict[int, float]
 ) -> tuple[Chain, Chain]:
     l1, l2, v1, v2, l3, l4 = (

@@ -53,7 +53,8 @@ def followed():
         live.close()
 
 
-def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
+def follow_whole(record, followed):
+    """A Run, all that was shown of it, and the live estimation that has ended."""
     run, _ = record(31, rows=32)
     shown = []
     live = followed(run, shown.append)
@@ -62,6 +63,11 @@ def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
         wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
         live.offer(block)
     live.finish()
+    return run, shown, live
+
+
+def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
+    run, shown, live = follow_whole(record, followed)
     last = shown[-1]
     assert last["is_last"]
     assert last["done"] == last["total"] == len(run.commanded) - 1
@@ -78,14 +84,7 @@ def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
 def test_rows_about_the_newest_line_are_told_where_the_tracker_sees_them(
     record, followed
 ):
-    run, _ = record(31, rows=32)
-    shown = []
-    live = followed(run, shown.append)
-    live.start()
-    for block in blocks_of(run):
-        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
-        live.offer(block)
-    live.finish()
+    run, shown, _ = follow_whole(record, followed)
     rows = len(run.commanded)
     for told in shown:
         first, places = told["commanded"]["first_row"], told["commanded"]["tracker_mm"]
