@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Collection
+from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +18,9 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.responses import HTMLResponse, Response
+from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
+from starlette.routing import BaseRoute
 
 from truepath.app.api import (
     arming,
@@ -114,7 +117,7 @@ def create_application(
         openapi_tags=_TAGS,
         docs_url=None,
         redoc_url=None,
-        generate_unique_id_function=lambda route: route.name,
+        generate_unique_id_function=_name_operation,
     )
     app.state.service = service
     app.add_middleware(AccessControl, access=service.access if service else None)
@@ -122,21 +125,33 @@ def create_application(
     app.state.metrics = metrics.ServiceMetrics(service)
     app.add_middleware(metrics.RequestTimer, metrics=app.state.metrics)
     problems.install_handlers(app)
-    app.include_router(_api(), max_body_size=MAX_BODY_BYTES)
-    app.include_router(
-        runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES
-    )
-    app.include_router(machine.probes)
-    app.include_router(metrics.router)
-    app.include_router(docs)
+    app.router.routes.extend(_list_routes(max_upload_bytes))
     app.mount("/docs/assets", StaticFiles(directory=str(_ASSETS)), name="docs-assets")
     if pages is not None:
         app.include_router(pages)
     return app
 
 
+@cache
+def _list_routes(max_upload_bytes: int) -> tuple[BaseRoute, ...]:
+    """Return the routes of every service: to build them takes longer than to serve."""
+    every = APIRouter(generate_unique_id_function=_name_operation)
+    every.include_router(_api(), prefix=PREFIX, max_body_size=MAX_BODY_BYTES)
+    every.include_router(
+        runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES
+    )
+    every.include_router(machine.probes)
+    every.include_router(metrics.router)
+    every.include_router(docs)
+    return tuple(every.routes)
+
+
+def _name_operation(route: APIRoute) -> str:
+    return route.name
+
+
 def _api() -> APIRouter:
-    api = APIRouter(prefix=PREFIX)
+    api = APIRouter()
     for router in (
         jobs.router,
         arming.router,
