@@ -7,6 +7,7 @@ from importlib import resources
 
 import pytest
 import schemathesis
+from described_answers import read_document
 from hypothesis import HealthCheck, Phase, given, settings
 from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi.checks import (
@@ -16,10 +17,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from truepath.app.api.application import (
-    create_application,
-    describe_interface,
-)
+from truepath.app.api.application import create_application
 
 HEADERS = {"host": "127.0.0.1"}
 CHECKS = [
@@ -29,7 +27,7 @@ CHECKS = [
     response_headers_conformance,
     response_schema_conformance,
 ]
-DOCUMENT = json.loads(describe_interface())
+DOCUMENT = read_document()
 EXAMPLES = json.loads(
     resources.files("truepath.app.api").joinpath("examples.json").read_text()
 )

@@ -11,11 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-
-from truepath.app.api.application import describe_interface
+from described_answers import read_document
 
 SEED = 36
-PATHS = json.loads(describe_interface())["paths"]
+PATHS = read_document()["paths"]
 STREAMS = ("/events", "/stop")
 ROUTES = sorted(
     (method, path)
@@ -93,7 +92,7 @@ def fill(path, name):
 
 def list_properties(path, method):
     """Return the names of the keys of a request's body, by its description."""
-    document = json.loads(describe_interface())
+    document = read_document()
     schema = document["paths"][path][method]["requestBody"]["content"]
     reference = schema["application/json"]["schema"]["$ref"].rpartition("/")[2]
     return sorted(document["components"]["schemas"][reference]["properties"])

@@ -7,12 +7,11 @@ import re
 from urllib.parse import quote
 
 import pytest
+from described_answers import read_document
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from truepath.app.api.application import describe_interface
-
-DESCRIBED = json.loads(describe_interface())["paths"]
+DESCRIBED = read_document()["paths"]
 PATHS = sorted(DESCRIBED)
 GET_PATHS = sorted(
     path
