@@ -134,7 +134,10 @@ def create_application(
 
 @cache
 def _list_routes(max_upload_bytes: int) -> tuple[BaseRoute, ...]:
-    """Return the routes of every service: to build them takes longer than to serve."""
+    """Return the routes, the same for every service; once a process, as it takes long.
+
+    max_upload_bytes : that a measurement bundle may have
+    """
     every = APIRouter(generate_unique_id_function=_name_operation)
     every.include_router(_api(), prefix=PREFIX, max_body_size=MAX_BODY_BYTES)
     every.include_router(
