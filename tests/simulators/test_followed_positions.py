@@ -81,14 +81,24 @@ def test_a_source_is_a_file_or_a_socket(tmp_path):
         open_source(str(tmp_path / "no-such"))
 
 
+def read_samples(tracker, count):
+    """Return at least so many positions with their numbers and times."""
+    blocks, deadline = [], time.monotonic() + 30.0
+    while sum(map(len, blocks)) < count:
+        assert time.monotonic() < deadline, "the tracker sends too little"
+        blocks.append(tracker.read(1.0))
+    names = ("sequence", "device_time_s", "position_mm")
+    return [np.concatenate([getattr(b, name) for b in blocks]) for name in names]
+
+
 def test_the_tracker_streams_what_it_follows():
     read, write = os.pipe()
-    ended = threading.Event()
+    ended, stepped = threading.Event(), threading.Event()
 
     def drive():
         number = 0
         while not ended.wait(0.01):
-            x = 100.0 if number < 600 else 300.0
+            x = 300.0 if stepped.is_set() else 100.0
             lines = (f"{number + k} {x} 50 20\n" for k in range(10))
             os.write(write, "".join(lines).encode())
             number += 10
@@ -103,14 +113,17 @@ def test_the_tracker_streams_what_it_follows():
             with pytest.raises(SimulatorError, match="no simulated cnc"):
                 bench.inject("cnc:alarm")
             tracker.start(500.0)
-            time.sleep(1.0)
-            samples = tracker.read(1.0)
+            before = read_samples(tracker, 50)
+            stepped.set()
+            # As many again as can still be on their way from before the step.
+            after = read_samples(tracker, 500)
     finally:
         ended.set()
         thread.join()
         os.close(read)
         os.close(write)
-    assert (np.diff(samples.sequence) == 1).all()
-    np.testing.assert_allclose(np.diff(samples.device_time_s), 2e-3, atol=2e-6)
-    first, last = samples.position_mm[:20].mean(0), samples.position_mm[-20:].mean(0)
+    sequence, time_s, position = map(np.concatenate, zip(before, after, strict=True))
+    assert (np.diff(sequence) == 1).all()
+    np.testing.assert_allclose(np.diff(time_s), 2e-3, atol=2e-6)
+    first, last = position[:20].mean(0), position[-20:].mean(0)
     assert np.linalg.norm(last - first) == pytest.approx(200.0, abs=0.02)
