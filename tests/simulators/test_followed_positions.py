@@ -81,13 +81,13 @@ def test_a_source_is_a_file_or_a_socket(tmp_path):
         open_source(str(tmp_path / "no-such"))
 
 
-def read_samples(tracker, count):
-    """Return at least so many positions with their numbers and times."""
+def read_until(tracker, is_enough):
+    """Return numbers, times and positions of samples, read until they are enough."""
     blocks, deadline = [], time.monotonic() + 30.0
-    while sum(map(len, blocks)) < count:
-        assert time.monotonic() < deadline, "the tracker sends too little"
-        blocks.append(tracker.read(1.0))
     names = ("sequence", "device_time_s", "position_mm")
+    while not blocks or not is_enough(np.vstack([b.position_mm for b in blocks])):
+        assert time.monotonic() < deadline, "what was waited for was not seen"
+        blocks.append(tracker.read(1.0))
     return [np.concatenate([getattr(b, name) for b in blocks]) for name in names]
 
 
@@ -104,7 +104,6 @@ def test_the_tracker_streams_what_it_follows():
             number += 10
 
     thread = threading.Thread(target=drive)
-    thread.start()
     try:
         with (
             Bench(error_scale=0.0, source=read, source_unit_s=1e-3) as bench,
@@ -112,18 +111,25 @@ def test_the_tracker_streams_what_it_follows():
         ):
             with pytest.raises(SimulatorError, match="no simulated cnc"):
                 bench.inject("cnc:alarm")
+            # Not before: what waits in the pipe would all be streamed at once.
+            thread.start()
             tracker.start(500.0)
-            before = read_samples(tracker, 50)
+            before = read_until(tracker, lambda seen: len(seen) >= 50)
             stepped.set()
-            # As many again as can still be on their way from before the step.
-            after = read_samples(tracker, 500)
+            stood = before[2][:20].mean(0)
+            after = read_until(
+                tracker,
+                lambda seen: (np.linalg.norm(seen[-20:] - stood, axis=1) > 10.0).all(),
+            )
     finally:
         ended.set()
-        thread.join()
+        if thread.ident is not None:
+            thread.join()
         os.close(read)
         os.close(write)
     sequence, time_s, position = map(np.concatenate, zip(before, after, strict=True))
     assert (np.diff(sequence) == 1).all()
     np.testing.assert_allclose(np.diff(time_s), 2e-3, atol=2e-6)
-    first, last = position[:20].mean(0), position[-20:].mean(0)
-    assert np.linalg.norm(last - first) == pytest.approx(200.0, abs=0.02)
+    assert np.linalg.norm(position[-20:].mean(0) - stood) == pytest.approx(
+        200.0, abs=0.02
+    )
