@@ -15,7 +15,7 @@ from truepath.app.api.models.base import PREFIX, JobId, MachineId, Time
 from truepath.app.api.models.job import JobOut, JobPage
 from truepath.app.api.models.job_request import JobRequest
 from truepath.app.api.models.naming import JobNaming, Name
-from truepath.app.api.models.plan import PlanOut
+from truepath.app.api.models.plan_rows import PlanOut
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.request_headers import (

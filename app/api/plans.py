@@ -12,14 +12,12 @@ from truepath.app.api.models.base import PREFIX, JobId, Mm, PlanId, Problem
 from truepath.app.api.models.grade import GradeOut
 from truepath.app.api.models.plan import (
     CurvePoint,
-    PlanCheck,
-    PlanCheckOut,
     PlanCurve,
     PlanLinks,
-    PlanOut,
     PlanRequest,
     PlanResource,
 )
+from truepath.app.api.models.plan_rows import PlanCheck, PlanCheckOut, PlanOut
 from truepath.app.api.problems import declare_problems, describe_failure
 from truepath.app.api.request_headers import IdempotencyKeyHeader, format_etag, make_key
 from truepath.app.api.service import Service, ServiceDep

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.models.effects import EffectOut
 from truepath.app.api.models.model_file import ChangeOut, ParentOut
-from truepath.app.api.models.plan import Waypoint
+from truepath.app.api.models.plan_rows import Waypoint
 from truepath.app.api.models.tables import VerdictOut
 
 

@@ -21,7 +21,8 @@ from truepath.app.api.models.base import (
     TargetUm,
     Time,
 )
-from truepath.app.api.models.plan import PlanRequest, Point, Waypoint
+from truepath.app.api.models.plan import PlanRequest
+from truepath.app.api.models.plan_rows import Point, Waypoint
 from truepath.app.api.models.workspace import KeepOut
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
