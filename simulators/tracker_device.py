@@ -97,6 +97,7 @@ class TrackerDevice:
         self._frames = FrameReader()
         self._line = FrameDamage(faults, generator(parts.seed, "faults: damage"))
         self._stream: _Stream | None = None
+        self._streams = 0
         self._sequence = 0
         self._sent_of_stream = 0
         self._frames_sent = 0
@@ -217,7 +218,9 @@ class TrackerDevice:
             return Nak(start.transaction, Type.START, NakCode.RATE_NOT_POSSIBLE, text)
         now_us = self._device_us(true_s)
         if self._stream is None:
-            noise = SampleNoise(self._parts.seed, start.rate_hz, self._parts.air)
+            seed, air = self._parts.seed, self._parts.air
+            noise = SampleNoise(seed, start.rate_hz, air, self._streams)
+            self._streams += 1
             self._stream = _Stream(start.rate_hz, start.format, now_us, noise)
             self._sent_of_stream = 0
             self._faults.begin(true_s)

@@ -59,11 +59,15 @@ class Air:
 
 
 class SampleNoise:
-    """Three channels of unit variance, white plus air; the same however it is split."""
+    """Three channels of unit variance, white plus air; the same however it is split.
 
-    def __init__(self, seed: int, rate_hz: float, air: Air) -> None:
-        self._white = generator(seed, "tracker: white noise")
-        self._driver = generator(seed, "tracker: air")
+    stream : number of the stream since power-on; each has noise of its own
+    """
+
+    def __init__(self, seed: int, rate_hz: float, air: Air, stream: int = 0) -> None:
+        of_stream = f" of stream {stream}" if stream else ""
+        self._white = generator(seed, "tracker: white noise" + of_stream)
+        self._driver = generator(seed, "tracker: air" + of_stream)
         self._share = air.share
         self._keep = float(np.exp(-1.0 / (rate_hz * air.tau_s)))
         self._last = self._driver.standard_normal(3)

@@ -175,6 +175,19 @@ def test_starting_again_changes_nothing(streaming: Callable[..., Wire]) -> None:
     assert device.decoder.health.lost_samples == 0
 
 
+def test_each_stream_has_noise_of_its_own(streaming: Callable[..., Wire]) -> None:
+    device = streaming()
+    first = device.stream(2.0).position_mm
+    device.ask(Stop(2))
+    device.ask(Start(3, 500.0))
+    second = device.stream(2.0).position_mm
+    off = [part[:900] - part[:900].mean(0) for part in (first, second)]
+    # It stands: what is left of a mean is noise, with the correlation of its air.
+    alike = (off[0] * off[1]).sum() / np.sqrt((off[0] ** 2).sum() * (off[1] ** 2).sum())
+    assert abs(alike) < 0.3
+    assert off[0].std() == pytest.approx(off[1].std(), rel=0.3)
+
+
 def test_a_running_stream_is_not_changed_by_another_start(
     streaming: Callable[..., Wire],
 ) -> None:
