@@ -179,10 +179,11 @@ class TcpPort(Port):
             return data
         with contextlib.suppress(BlockingIOError):
             fresh, _ = self._listener.accept()
-            if self._has_host():
+            # What it sent before it went is read first: only then its end shows.
+            sent = (self._read_host() or b"") + (self._read_host() or b"")
+            if self._host is not None:
                 fresh.close()
-                return b""
-            self.disconnect()
+                return sent
             fresh.setblocking(False)
             fresh.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._host = fresh
@@ -203,17 +204,6 @@ class TcpPort(Port):
             return data
         self.disconnect()
         return None
-
-    def _has_host(self) -> bool:
-        """Whether the host of before is there, as far as its connection tells."""
-        if self._host is None:
-            return False
-        try:
-            return self._host.recv(1, socket.MSG_PEEK) != b""
-        except BlockingIOError:
-            return True
-        except OSError:
-            return False
 
     def send(self, data: bytes) -> None:
         """Send what the connection takes now; without a host it is lost."""
