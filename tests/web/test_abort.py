@@ -96,6 +96,25 @@ def test_abort_works_from_the_keyboard(panel, service):
     assert service.jobs[job]["state"] == "aborted"
 
 
+def test_the_release_of_a_long_press_is_no_second_order(panel, service):
+    running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.locator("#abort").hover()
+    page.mouse.down()
+    title = page.locator("#abort-title")
+    expect(title).to_have_text("Motion stopped")
+    page.mouse.up()
+    page.locator("#abort-close").focus()  # the release has been taken by now
+    expect(title).to_have_text("Motion stopped")
+    assert service.stops == 1
+    page.locator("#abort-close").click()
+    page.locator("#abort").focus()
+    page.keyboard.press("Enter")
+    expect(title).to_be_visible()
+    assert service.stops == 2
+
+
 def test_abort_without_motion_says_so(panel, service):
     service.stopped = "true"
     page = panel.open()

@@ -123,9 +123,20 @@
   }
 
   // On touch-down, not on release: a gloved finger that slides still stops the machine.
+  let pressed = false;
   button.addEventListener("pointerdown", (event) => {
-    if (event.button === 0) abort();
+    if (event.button !== 0) return;
+    pressed = true;
+    abort();
   });
+  // The release of a long press is no second order: what the first has done stays shown.
+  button.addEventListener("click", (event) => {
+    if (pressed && event.detail > 0) event.preventDefault();
+    pressed = false;
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    document.addEventListener(end, () => setTimeout(() => { pressed = false; }), true);
+  }
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     abort();
