@@ -41,13 +41,13 @@ from truepath.app.alignment.segmentation import (
     find_arc_drives,
 )
 from truepath.app.alignment.sequence import Matching, match_stops, require_targets
+from truepath.app.alignment.stop_chains import FEWEST_ASTRAY
 from truepath.app.alignment.stops import StopSequence, find_stops
 from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointRows, Run
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
-_FEWEST_ASTRAY = 3  # standstills that a machine may make by itself
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
 _FEWEST_POINTS = 4  # of which three tell the pose
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
@@ -180,7 +180,7 @@ def _list_astray(
     expected = matching.pose.apply(nominal.place_mm)
     found: list[LeftOut] = []
     for (a, b), (c, d) in zip(pairwise(stop), pairwise(place), strict=True):
-        if min(b - a, d - c) <= _FEWEST_ASTRAY:
+        if min(b - a, d - c) <= FEWEST_ASTRAY:
             continue
         away = stops.position_mm[a + 1 : b, None] - expected[None, c + 1 : d]
         off_mm = float(np.linalg.norm(away, axis=2).min(axis=1).max())

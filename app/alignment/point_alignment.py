@@ -29,6 +29,7 @@ from truepath.app.alignment.sequence import (
     is_wide,
     match_stops,
 )
+from truepath.app.alignment.stop_chains import FEWEST_ASTRAY
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointBlock, PointRows, Run
 from truepath.app.kinematics.machine import Machine
@@ -62,6 +63,22 @@ class PointAlignment:
     def seats(self) -> Seats:
         """Targets that sit far off their places, and by how much, as known so far."""
         return self._known.seats
+
+    def find_astray(self) -> LeftOut | None:
+        """Return the points since the latest known one, none of which is at its place.
+
+        None of few: a single one may be off by itself.
+        """
+        known_s = self._run.tracker.device_time_s[np.array(self._near, np.int64)]
+        since = [x for x in self._astray if x.begin_s > known_s.max(initial=-np.inf)]
+        if len(since) < FEWEST_ASTRAY:
+            return None
+        return replace(
+            since[0],
+            end_s=since[-1].end_s,
+            samples=sum(each.samples for each in since),
+            off_mm=max(each.off_mm for each in since),
+        )
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""

@@ -32,7 +32,7 @@ from truepath.app.alignment.sequence import (
     is_wide,
     match_stops,
 )
-from truepath.app.alignment.stop_chains import SKIP
+from truepath.app.alignment.stop_chains import FEWEST_ASTRAY, SKIP
 from truepath.app.alignment.stops import StopStream, join_stops
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import Run
@@ -88,6 +88,29 @@ class StreamingAlignment:
             return None
         places = np.array([self._stream.stops[k].position_mm for k, _ in since])
         return fit_rigid(nominal, places).apply(self._nominal.end_mm)
+
+    def find_astray(self) -> LeftOut | None:
+        """Return the standstills since the latest known one, at no place of the path.
+
+        None of few: a machine may stand still by itself.
+        """
+        if self.pose is None:
+            return None
+        latest, waypoint = self._matched[-1]
+        stops = self._stream.stops[latest + 1 :]
+        ahead = self.pose.apply(self._known.seated_mm[waypoint + 1 :])
+        if min(len(stops), len(ahead)) < FEWEST_ASTRAY:
+            return None
+        places = np.array([stop.position_mm for stop in stops])
+        away_mm = np.linalg.norm(places[:, None] - ahead, axis=2).min(axis=1)
+        return LeftOut(
+            "astray",
+            int(self._nominal.first[waypoint + 1]),
+            self._begun_s[latest + 1],
+            self._begun_s[-1],
+            stops[-1].last - stops[0].first,
+            float(away_mm.max()),
+        )
 
     @property
     def samples_kept(self) -> int:

@@ -15,10 +15,10 @@ from jaxtyping import Float64
 from truepath.app.alignment.align import align_all
 from truepath.app.alignment.observations import Observations
 from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.checked_parts import collect_parts
 from truepath.app.estimation.information import Information, add_information
 from truepath.app.estimation.knots import join_cells
 from truepath.app.estimation.known_effects import KnownEffects
-from truepath.app.estimation.live_gate import collect_parts
 from truepath.app.estimation.noise import raise_noise
 from truepath.app.estimation.noise_fit import guess_noise, refine_runs
 from truepath.app.estimation.runs import RunInput

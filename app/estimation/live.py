@@ -5,8 +5,9 @@ linearisation and one model of the noise. Both are updated whenever the number o
 has doubled, and at the end: then all cells are added anew, so that this costs, in the
 mean, no more than a second addition of each.
 
-What contradicts the rest does not go in (`live_gate`). Where the set-up has moved, what
-came before goes on as knowledge of the machine, its own pose integrated out.
+What contradicts the rest does not go in (`live_gate`, `checked_parts`). Where the
+set-up has moved, what came before goes on as knowledge of the machine, its own pose
+integrated out.
 
 A weak prior keeps tables finite before the lines determine them (`weak_prior`).
 """
@@ -25,6 +26,7 @@ from truepath.app.alignment.point_alignment import PointAlignment
 from truepath.app.alignment.streaming import StreamingAlignment
 from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import Unidentifiable
+from truepath.app.estimation.checked_parts import check_parts, split_at, weaken_prior
 from truepath.app.estimation.confounded_prior import WholePrior
 from truepath.app.estimation.design_matrix import Linearisation
 from truepath.app.estimation.earlier_runs import EarlierRun, sum_up_runs
@@ -36,13 +38,7 @@ from truepath.app.estimation.information import (
 from truepath.app.estimation.knots import add_hidden_variance, join_cells
 from truepath.app.estimation.known_effects import KnownEffects
 from truepath.app.estimation.live_estimate import LiveEstimate, LiveFindings
-from truepath.app.estimation.live_gate import (
-    LineGate,
-    LiveCheck,
-    check_parts,
-    split_at,
-    weaken_prior,
-)
+from truepath.app.estimation.live_gate import LineGate, LiveCheck
 from truepath.app.estimation.noise import NoiseModel
 from truepath.app.estimation.noise_fit import guess_noise, refine_runs
 from truepath.app.estimation.normal_equations import RecursiveEstimator
@@ -124,6 +120,7 @@ class LiveEstimator:
         self._foretold: Posterior | None = None  # of machine and pose, about the sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
+        self._astray_s = -np.inf  # when the last of it came that is at no place
         self._next_look = _FIRST_LOOK  # at so many stretches
 
     def extend(self, commanded: Path | Configurations) -> None:
@@ -160,15 +157,16 @@ class LiveEstimator:
     def take(self, block: TrackerSamples | PointBlock) -> bool:
         """Take the next samples or points; tell whether they have finished anything.
 
-        All blocks of a measurement are of one kind.
+        Or whether the target has stood at a further place that is none of its own. All
+        blocks of a measurement are of one kind.
         """
         if isinstance(block, TrackerSamples):
             assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
-            return self._add(self._alignment.add(block))
+            return self._add(self._alignment.add(block)) or self._goes_astray()
         if not isinstance(self._alignment, PointAlignment):
             self._alignment = PointAlignment(self._machine, self._commanded)
             self._seats = self._alignment.seats
-        return self._add(self._alignment.add(block))
+        return self._add(self._alignment.add(block)) or self._goes_astray()
 
     def finish(self) -> bool:
         """Nothing follows: look at pose and noise with all there is."""
@@ -198,8 +196,21 @@ class LiveEstimator:
             len(self._rows),
             self._check.cells,
             float(self._parts[-1].cells.time_s[-1]),
-            self._check,
+            self._state_check(),
         )
+
+    def _goes_astray(self) -> bool:
+        """Tell whether what is at no place of the path has become more."""
+        astray, before_s = self._alignment.find_astray(), self._astray_s
+        self._astray_s = -np.inf if astray is None else astray.end_s
+        return self._astray_s > before_s and self._sums is not None
+
+    def _state_check(self) -> LiveCheck:
+        """Return what is said so far, with what is at no place of the path."""
+        astray = self._alignment.find_astray()
+        if astray is None:
+            return self._check
+        return replace(self._check, left_out=(*self._check.left_out, astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
         """Return what has been noticed to change while it was measured."""
@@ -283,14 +294,14 @@ class LiveEstimator:
         self._seats = self._alignment.seats
         seen = self._observations(self._parts)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
-        parts = split_at(seen, [knock.time_s for knock in self._check.knocks])
-        pose = seen.pose
+        parts, pose = split_at(seen, self._check.knocks), seen.pose
         check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
         if len(self._parts) >= _FIRST_LOOK:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
             prior, weak = weaken_prior(self._prior.told, self._weak), self._weak[-6:]
-            found = check_parts(parts, pose, noise, prior, self._known, weak)
+            knocks = self._check.knocks
+            found = check_parts(seen, knocks, pose, noise, prior, self._known, weak)
             parts, noise = [*found.parts], found.estimate_noise(noise)
             if thoroughly:
                 main = found.parts[found.main].seen

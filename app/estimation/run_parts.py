@@ -34,14 +34,20 @@ class Knock:
     """A step of the place of tracker or reflector, both sides of which were solved.
 
     run : of those given; row : on the way to which, or at which, it happened
+    between_s : times of the last cell before it and the first after it
     moved_mm : of the pose, at the middle of the measured points; turned_rad : likewise
     """
 
     run: int
     row: int
-    time_s: float
+    between_s: tuple[float, float]
     moved_mm: float
     turned_rad: float
+
+    @property
+    def time_s(self) -> float:
+        """The middle of the time in which it happened."""
+        return 0.5 * sum(self.between_s)
 
 
 def leave_out(
@@ -103,8 +109,17 @@ def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunP
     before, after = (cell, cell)
     if within:
         before, after = int(edges[joined - 1]), int(edges[joined + 1])
-    halves = [np.arange(before), np.arange(after, len(seen))]
     time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
+    return divide(part, before, after, time_s)
+
+
+def divide(part: RunPart, before: int, after: int, time_s: float) -> list[RunPart]:
+    """Return so many cells before a step, and those after it, as two Runs.
+
+    after : the first of them; time_s : what is left out since then is the second's
+    """
+    seen = part.seen
+    halves = [np.arange(before), np.arange(after, len(seen))]
     found: list[RunPart] = []
     used = 0
     for number, cells in enumerate(halves):
@@ -207,7 +222,7 @@ def measure_knock(
     return Knock(
         after.given,
         int(after.seen.row[0]),
-        0.5 * float(before.seen.at.time_s[-1] + after.seen.at.time_s[0]),
+        (float(before.seen.at.time_s[-1]), float(after.seen.at.time_s[0])),
         float(np.linalg.norm(moved)),
         turned * float(np.sqrt(2.0)),
     )

@@ -45,7 +45,8 @@ SENTENCES: Mapping[str, Sentence] = {
         "From {from_s} to {to_s} on the tracker's clock, from line {line} on, the "
         "target stands at places up to {distance_um} off those of the path; nothing of "
         "that time is used.",
-        "Look whether the frame, a sign or a unit of the stream changed at that time.",
+        "Look whether tracker or reflector was moved by more than a millimetre at that "
+        "time, or the frame, a sign or a unit of the stream changed.",
     ),
     "air-uncorrected": Sentence(
         "The tracker's ranges are not corrected for the air: {why}. Every length, and "

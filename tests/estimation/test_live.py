@@ -118,6 +118,41 @@ def test_a_knock_is_held_back_until_both_places_are_solved(moving):
     assert np.sqrt(np.mean(compare(last, clean) ** 2)) < 0.7
 
 
+@pytest.mark.parametrize("size_mm", [0.1, 0.5])
+def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(moving, size_mm):
+    run, _, clean = moving
+    first = int(0.35 * len(run.tracker))
+    shift_mm = size_mm * np.array([0.64, -0.64, 0.42])
+    on_the_way, last = followed(spoilt(run, first, None, shift_mm))
+    assert max(len(now.check.knocks) for now, _ in on_the_way) == 1
+    (knock,) = last.check.knocks
+    assert abs(knock.time_s - run.tracker.device_time_s[first]) < 3.0
+    assert knock.moved_mm == pytest.approx(np.linalg.norm(shift_mm), abs=0.003)
+    assert judge_live(last.check, last.done).state == "usable"
+    assert np.sqrt(np.mean(compare(last, clean) ** 2)) < 0.7
+
+
+def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(moving):
+    run, _, _ = moving
+    first = int(0.35 * len(run.tracker))
+    on_the_way, _ = followed(spoilt(run, first, None, [1.9, -1.9, 1.3]))
+    told = [
+        (now, reason)
+        for now, _ in on_the_way
+        for reason in judge_live(now.check, now.done).reasons
+        if reason.kind == "stream-astray"
+    ]
+    assert judge_live(told[0][0].check, 1).state == "doubtful"
+    values = [reason.values for _, reason in told]
+    assert [v["to_s"] for v in values] == sorted({v["to_s"] for v in values})
+    lines = np.diff(run.commanded.position, axis=0)
+    assert len(values) > 0.5 * 0.65 * len(lines)
+    knocked_s = run.tracker.device_time_s[first]
+    for one in values:
+        assert knocked_s - 1.0 < one["from_s"] < knocked_s + 10.0
+        assert one["distance_um"] > 2000.0
+
+
 def test_after_a_knock_rows_are_placed_as_the_tracker_stands_now(moving):
     run, _, _ = moving
     first, moved = int(0.6 * len(run.tracker)), [0.06, -0.06, 0.04]

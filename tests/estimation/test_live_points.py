@@ -75,6 +75,23 @@ def test_tables_tighten_point_by_point_and_end_where_the_batch_does(polled):
     assert np.abs(off).max() < 1.0
 
 
+def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(polled):
+    knocked = polled.tracker.position_mm.copy()
+    knocked[25:] += [0.0, 3.0, 0.0]
+    run = replace(polled, tracker=replace(polled.tracker, position_mm=knocked))
+    on_the_way, last = follow(run)
+    told = [
+        reason
+        for now in [*on_the_way, last]
+        for reason in judge_live(now.check, now.done).reasons
+        if reason.kind == "stream-astray"
+    ]
+    assert len(told) > 0.5 * (len(knocked) - 25)
+    assert {reason.values["line"] for reason in told} == {int(run.points.row[25])}
+    assert told[-1].values["distance_um"] == pytest.approx(3000.0, abs=100.0)
+    assert judge_live(last.check, last.done).state == "doubtful"
+
+
 def test_points_astray_are_left_out_and_said(polled):
     astray = polled.tracker.position_mm.copy()
     astray[20] += [0.0, 30.0, 0.0]
