@@ -62,6 +62,7 @@ class StreamingAlignment:
         self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
         self._looked_at = 0  # standstills
         self._begun_s: list[float] = []  # of each of these
+        self._astray_mm: list[float] = []  # how far off the newest are that match none
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self._is_over = False
@@ -94,22 +95,18 @@ class StreamingAlignment:
 
         None of few: a machine may stand still by itself.
         """
-        if self.pose is None:
+        if len(self._astray_mm) < FEWEST_ASTRAY:
             return None
-        latest, waypoint = self._matched[-1]
-        stops = self._stream.stops[latest + 1 :]
-        ahead = self.pose.apply(self._known.seated_mm[waypoint + 1 :])
-        if min(len(stops), len(ahead)) < FEWEST_ASTRAY:
-            return None
-        places = np.array([stop.position_mm for stop in stops])
-        away_mm = np.linalg.norm(places[:, None] - ahead, axis=2).min(axis=1)
+        first = len(self._begun_s) - len(self._astray_mm)
+        waypoint = self._matched[-1][1] + 1
+        stops = self._stream.stops
         return LeftOut(
             "astray",
-            int(self._nominal.first[waypoint + 1]),
-            self._begun_s[latest + 1],
+            int(self._nominal.first[waypoint]),
+            self._begun_s[first],
             self._begun_s[-1],
-            stops[-1].last - stops[0].first,
-            float(away_mm.max()),
+            stops[-1].last - stops[first].first,
+            max(self._astray_mm),
         )
 
     @property
@@ -226,7 +223,12 @@ class StreamingAlignment:
         near = np.flatnonzero(off < TOLERANCE_MM + self._find_reach_mm(ahead))
         if len(near):
             self._matched.append((index, begin + int(near[0])))
+            self._astray_mm.clear()
             self._refine_pose()
+        elif begin < len(self._place_mm):
+            further = self.pose.apply(self._known.seated_mm[begin:])
+            away_mm = np.linalg.norm(further - place, axis=1)
+            self._astray_mm.append(float(away_mm.min()))
 
     def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
         """Return how far off targets may be whose seats are not known yet."""
