@@ -64,21 +64,22 @@ class PointAlignment:
         """Targets that sit far off their places, and by how much, as known so far."""
         return self._known.seats
 
-    def find_astray(self) -> LeftOut | None:
-        """Return the points since the latest known one, none of which is at its place.
+    def list_astray(self) -> tuple[LeftOut, ...]:
+        """Return the points since the latest known one, as one; nothing of few.
 
-        None of few: a single one may be off by itself.
+        Those before it are said with the observations.
         """
         known_s = self._run.tracker.device_time_s[np.array(self._near, np.int64)]
         since = [x for x in self._astray if x.begin_s > known_s.max(initial=-np.inf)]
         if len(since) < FEWEST_ASTRAY:
-            return None
-        return replace(
+            return ()
+        whole = replace(
             since[0],
             end_s=since[-1].end_s,
             samples=sum(each.samples for each in since),
             off_mm=max(each.off_mm for each in since),
         )
+        return (whole,)
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""

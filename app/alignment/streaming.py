@@ -38,6 +38,7 @@ from truepath.app.errors import AlignmentError
 from truepath.app.files.run import Run
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Configurations
+from truepath.app.motion.line_of_sight import measure_distances
 from truepath.app.numerics.rigid import RigidTransform, fit_rigid
 from truepath.drivers.interfaces.records import Path, TrackerSamples
 
@@ -62,7 +63,8 @@ class StreamingAlignment:
         self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
         self._looked_at = 0  # standstills
         self._begun_s: list[float] = []  # of each of these
-        self._astray_mm: list[float] = []  # how far off the newest are that match none
+        self._astray: list[tuple[int, float]] = []  # the newest, and how far off
+        self._was_astray: list[LeftOut] = []
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self._is_over = False
@@ -90,23 +92,23 @@ class StreamingAlignment:
         places = np.array([self._stream.stops[k].position_mm for k, _ in since])
         return fit_rigid(nominal, places).apply(self._nominal.end_mm)
 
-    def find_astray(self) -> LeftOut | None:
-        """Return the standstills since the latest known one, at no place of the path.
+    def list_astray(self) -> tuple[LeftOut, ...]:
+        """Return the times in which all standstills were at no place of the path."""
+        now = self._describe_astray()
+        return (*self._was_astray, *((now,) if now else ()))
 
-        None of few: a machine may stand still by itself.
-        """
-        if len(self._astray_mm) < FEWEST_ASTRAY:
+    def _describe_astray(self) -> LeftOut | None:
+        """Return the standstills since the latest known one; None of few."""
+        if len(self._astray) < FEWEST_ASTRAY:
             return None
-        first = len(self._begun_s) - len(self._astray_mm)
-        waypoint = self._matched[-1][1] + 1
-        stops = self._stream.stops
+        first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
         return LeftOut(
             "astray",
-            int(self._nominal.first[waypoint]),
-            self._begun_s[first],
-            self._begun_s[-1],
-            stops[-1].last - stops[first].first,
-            max(self._astray_mm),
+            int(self._nominal.first[self._matched[-1][1] + 1]),
+            self._begun_s[self._astray[0][0]],
+            self._begun_s[self._astray[-1][0]],
+            last.last - first.first,
+            max(off_mm for _, off_mm in self._astray),
         )
 
     @property
@@ -222,13 +224,29 @@ class StreamingAlignment:
         )
         near = np.flatnonzero(off < TOLERANCE_MM + self._find_reach_mm(ahead))
         if len(near):
+            if (was := self._describe_astray()) is not None:
+                self._was_astray.append(was)
+            self._astray.clear()
             self._matched.append((index, begin + int(near[0])))
-            self._astray_mm.clear()
             self._refine_pose()
         elif begin < len(self._place_mm):
-            further = self.pose.apply(self._known.seated_mm[begin:])
-            away_mm = np.linalg.norm(further - place, axis=1)
-            self._astray_mm.append(float(away_mm.min()))
+            self._note_astray(index, begin)
+
+    def _note_astray(self, index: int, begin: int) -> None:
+        """Note a standstill that is neither at a place ahead nor on the way there.
+
+        begin : the next place
+        """
+        assert self.pose is not None  # noqa: S101 (the caller has asked)
+        place = self.pose.invert().apply(self._stream.stops[index].position_mm)
+        away_mm = np.linalg.norm(self._known.seated_mm[begin:] - place, axis=1)
+        last = min(begin + SKIP, len(self._place_mm) - 1)
+        rows = slice(self._nominal.first[begin], self._nominal.first[last] + 1)
+        lines = self._nominal.begin_mm[rows], self._nominal.end_mm[rows]
+        beside_mm, _ = measure_distances(place, *lines)
+        reach_mm = self._find_reach_mm(slice(begin, last + 1)).max()
+        if min(away_mm.min(), beside_mm.min()) > TOLERANCE_MM + reach_mm:
+            self._astray.append((index, float(away_mm.min())))
 
     def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
         """Return how far off targets may be whose seats are not known yet."""

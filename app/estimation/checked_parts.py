@@ -14,6 +14,7 @@ from itertools import takewhile
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.observations import Observations
 from truepath.app.errors import Unidentifiable
 from truepath.app.estimation.contradictions import remove_plainest
@@ -177,6 +178,16 @@ def check_parts(
         except Unidentifiable:
             break  # too little would be left
     return found
+
+
+def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
+    """Return what was said to be left out at a knock, and now is not looked at."""
+    return [
+        each
+        for each in said
+        for first_s, last_s in (knock.between_s for knock in check.knocks)
+        if first_s < each.begin_s < last_s and each not in check.left_out
+    ]
 
 
 def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:

@@ -26,7 +26,11 @@ from truepath.app.alignment.point_alignment import PointAlignment
 from truepath.app.alignment.streaming import StreamingAlignment
 from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import Unidentifiable
-from truepath.app.estimation.checked_parts import check_parts, split_at, weaken_prior
+from truepath.app.estimation.checked_parts import (
+    check_parts,
+    list_at_knocks,
+    weaken_prior,
+)
 from truepath.app.estimation.confounded_prior import WholePrior
 from truepath.app.estimation.design_matrix import Linearisation
 from truepath.app.estimation.earlier_runs import EarlierRun, sum_up_runs
@@ -44,6 +48,7 @@ from truepath.app.estimation.noise_fit import guess_noise, refine_runs
 from truepath.app.estimation.normal_equations import RecursiveEstimator
 from truepath.app.estimation.notices import ChangeWatch, Notice
 from truepath.app.estimation.prior import widen_by_unknown_precision
+from truepath.app.estimation.run_parts import RunPart
 from truepath.app.estimation.runs import RunInput
 from truepath.app.estimation.weak_prior import list_weak_precisions
 from truepath.app.files.run import PointBlock
@@ -151,7 +156,8 @@ class LiveEstimator:
             return None
         if not isinstance(seen, StreamingAlignment):
             return None
-        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
+        knocks = self._check.knocks
+        since_s = max((knock.between_s[1] for knock in knocks), default=-np.inf)
         return seen.place_rows(since_s)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
@@ -201,16 +207,15 @@ class LiveEstimator:
 
     def _goes_astray(self) -> bool:
         """Tell whether what is at no place of the path has become more."""
-        astray, before_s = self._alignment.find_astray(), self._astray_s
-        self._astray_s = -np.inf if astray is None else astray.end_s
+        before_s = self._astray_s
+        for each in self._alignment.list_astray()[-1:]:
+            self._astray_s = each.end_s
         return self._astray_s > before_s and self._sums is not None
 
     def _state_check(self) -> LiveCheck:
         """Return what is said so far, with what is at no place of the path."""
-        astray = self._alignment.find_astray()
-        if astray is None:
-            return self._check
-        return replace(self._check, left_out=(*self._check.left_out, astray))
+        astray = self._alignment.list_astray()
+        return replace(self._check, left_out=(*self._check.left_out, *astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
         """Return what has been noticed to change while it was measured."""
@@ -294,14 +299,14 @@ class LiveEstimator:
         self._seats = self._alignment.seats
         seen = self._observations(self._parts)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
-        parts, pose = split_at(seen, self._check.knocks), seen.pose
+        known = self._check.knocks
+        parts, pose = [RunPart(0, seen)], seen.pose
         check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
         if len(self._parts) >= _FIRST_LOOK:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
             prior, weak = weaken_prior(self._prior.told, self._weak), self._weak[-6:]
-            knocks = self._check.knocks
-            found = check_parts(seen, knocks, pose, noise, prior, self._known, weak)
+            found = check_parts(seen, known, pose, noise, prior, self._known, weak)
             parts, noise = [*found.parts], found.estimate_noise(noise)
             if thoroughly:
                 main = found.parts[found.main].seen
@@ -309,6 +314,8 @@ class LiveEstimator:
                 noise = _refine_noise(main, own, noise, self._known)
             pose = found.find_pose(len(parts) - 1)
             check, self._gate = found.state(noise), found.start_gate(seen)
+            said = list_at_knocks(self._check.left_out, check)
+            check = replace(check, left_out=(*check.left_out, *said))
             self._earlier = found.sum_up_earlier(self._model, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)

@@ -11,7 +11,7 @@ from truepath.app.alignment import streaming
 from truepath.app.alignment.align import align
 from truepath.app.alignment.streaming import StreamingAlignment
 from truepath.app.errors import AlignmentError
-from truepath.simulators.synthetic import ROUGH, Setting
+from truepath.simulators.synthetic import ROUGH, Defects, Setting
 
 
 def rows_of(tracker, rows):
@@ -147,3 +147,47 @@ def test_another_machines_path_gives_no_pose_and_no_lines(record):
     assert parts == []
     with pytest.raises(AlignmentError, match="pose"):
         live.observations(parts)
+
+
+def test_holds_on_the_way_are_not_astray(record):
+    holds = tuple((begin_s, 1.0) for begin_s in (61.0, 63.0, 65.0))
+    paused = Setting(defects=Defects(holds=holds))
+    run, _ = record(8, rows=14, feed=2500.0, setting=paused)
+    live, most = StreamingAlignment(run.machine, run.commanded), 0
+    for begin in range(0, len(run.tracker), 50):
+        live.add(run.tracker.select(slice(begin, begin + 50)))
+        if live.pose is not None:
+            most = max(most, len(live._stream.stops) - 1 - live._matched[-1][0])
+        assert live.list_astray() == ()
+    assert most >= 3  # they have been seen
+
+
+def test_places_that_are_too_far_ahead_to_be_known_are_not_astray(record):
+    run, _ = record(31, rows=32)
+    seen = align(run)
+    first, last = (seen.at.time_s[seen.row == row] for row in (12, 19))
+    time_s = run.tracker.device_time_s
+    kept = (time_s < first.min() - 1.0) | (time_s > last.max())
+    live = StreamingAlignment(run.machine, run.commanded)
+    tracker = run.tracker.select(np.flatnonzero(kept))
+    for begin in range(0, len(tracker), 50):
+        live.add(tracker.select(slice(begin, begin + 50)))
+        assert live.list_astray() == ()
+    assert len(live._stream.stops) - live._matched[-1][0] > 5
+
+
+def test_what_was_astray_stays_said_where_places_are_known_again(record):
+    run, _ = record(31, rows=32)
+    place_mm, time_s = run.tracker.position_mm.copy(), run.tracker.device_time_s
+    seen = align(run)
+    first, last = (seen.at.time_s[seen.row == row] for row in (12, 15))
+    away = (time_s > first.min()) & (time_s < last.max())
+    place_mm[away] += [3.0, -2.0, 4.0]
+    live = StreamingAlignment(run.machine, run.commanded)
+    tracker = replace(run.tracker, position_mm=place_mm)
+    for begin in range(0, len(tracker), 50):
+        live.add(tracker.select(slice(begin, begin + 50)))
+    (one,) = live.list_astray()
+    assert one.row in (12, 13)
+    assert first.min() - 1.0 < one.begin_s < one.end_s < last.max() + 1.0
+    assert one.off_mm > 2.0

@@ -124,6 +124,11 @@ def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(moving):
     shift_mm = np.array([0.32, -0.32, 0.21])
     on_the_way, last = followed(spoilt(run, first, None, shift_mm))
     assert max(len(now.check.knocks) for now, _ in on_the_way) == 1
+    checks = [now.check for now, _ in on_the_way if now.check.knocks]
+    first_s, last_s = checks[0].knocks[0].between_s
+    said = {x for x in checks[0].left_out if first_s < x.begin_s < last_s}
+    assert said
+    assert all(said <= set(check.left_out) for check in checks)
     (knock,) = last.check.knocks
     assert abs(knock.time_s - run.tracker.device_time_s[first]) < 3.0
     assert knock.moved_mm == pytest.approx(np.linalg.norm(shift_mm), abs=0.003)
