@@ -109,10 +109,38 @@ def test_the_release_of_a_long_press_is_no_second_order(panel, service):
     expect(title).to_have_text("Motion stopped")
     assert service.stops == 1
     page.locator("#abort-close").click()
+    # A key is an order even while a button of the mouse is down.
+    page.locator("#abort").hover()
+    with page.expect_response("**/api/v1/stop"):
+        page.mouse.down()
+    expect(title).to_have_text("No job was under way")
     page.locator("#abort").focus()
-    page.keyboard.press("Enter")
-    expect(title).to_be_visible()
-    assert service.stops == 2
+    with page.expect_response("**/api/v1/stop"):
+        page.keyboard.press("Enter")
+    page.mouse.up()
+    assert service.stops == 3
+
+
+def test_a_tap_is_one_stop_though_its_click_comes_after_the_confirmation(
+    panel, service
+):
+    page = panel.open(touch=True)
+    page.evaluate(
+        """() => { window.clicked = new Promise((done) => {
+          const button = document.querySelector("#abort");
+          button.addEventListener("click", () => setTimeout(done));
+        }); }"""
+    )
+    box = page.locator("#abort").bounding_box()
+    at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+    finger = page.context.new_cdp_session(page)
+    finger.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [at]})
+    title = page.locator("#abort-title")
+    expect(title).to_have_text("No job was under way")
+    finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    page.evaluate("window.clicked")
+    expect(title).to_have_text("No job was under way")
+    assert service.stops == 1
 
 
 def test_abort_without_motion_says_so(panel, service):

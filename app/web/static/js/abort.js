@@ -9,6 +9,7 @@
   "use strict";
   const RETRY_MS = 2000;
   const POLL_MS = 300;
+  const CLICK_MS = 500; // after the release that it is of
   const UNCONFIRMED_MS = 6000;
   const UNHEARD = new Set(["faulted", "interrupted"]);
 
@@ -123,20 +124,27 @@
   }
 
   // On touch-down, not on release: a gloved finger that slides still stops the machine.
-  let pressed = false;
+  let isDown = false;
+  let released_ms = -Infinity;
   button.addEventListener("pointerdown", (event) => {
     if (event.button !== 0) return;
-    pressed = true;
+    isDown = true;
     abort();
   });
   // The release of a long press is no second order: what the first has done stays shown.
-  button.addEventListener("click", (event) => {
-    if (pressed && event.detail > 0) event.preventDefault();
-    pressed = false;
-  });
-  for (const end of ["pointerup", "pointercancel"]) {
-    document.addEventListener(end, () => setTimeout(() => { pressed = false; }), true);
+  // A click by touch comes some time after it; one of no press, or by a key, is an order.
+  function release() {
+    if (isDown) released_ms = performance.now();
+    isDown = false;
   }
+  for (const end of ["pointerup", "pointercancel", "mouseup"]) {
+    window.addEventListener(end, release, true);
+  }
+  window.addEventListener("blur", release); // of the window alone: that of elements stays there
+  button.addEventListener("click", (event) => {
+    const isOfPress = isDown || performance.now() - released_ms < CLICK_MS;
+    if (isOfPress && event.detail > 0) event.preventDefault();
+  });
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     abort();
