@@ -179,7 +179,8 @@ class TcpPort(Port):
             return data
         with contextlib.suppress(BlockingIOError):
             fresh, _ = self._listener.accept()
-            # What it sent before it went is read first: only then its end shows.
+            # What it sent before it went is read first: only then its end shows. If it
+            # has gone, its last word goes with it, as it does on a line that breaks.
             sent = (self._read_host() or b"") + (self._read_host() or b"")
             if self._host is not None:
                 fresh.close()

@@ -119,7 +119,10 @@ def test_the_tracker_streams_what_it_follows():
             stood = before[2][:20].mean(0)
             after = read_until(
                 tracker,
-                lambda seen: (np.linalg.norm(seen[-20:] - stood, axis=1) > 10.0).all(),
+                lambda seen: (
+                    len(seen) >= 20
+                    and (np.linalg.norm(seen[-20:] - stood, axis=1) > 10.0).all()
+                ),
             )
     finally:
         ended.set()

@@ -29,16 +29,17 @@ def receive(port, wanted):
     return data
 
 
-class LeavesMeanwhile:
-    """A listener at which a host is taken while another one leaves with a word."""
+class SpeaksMeanwhile:
+    """A listener at which one host is taken while another one says a word."""
 
-    def __init__(self, listener, leaving):
-        self._listener, self._leaving = listener, leaving
+    def __init__(self, listener, other, *, leaves):
+        self._listener, self._other, self._leaves = listener, other, leaves
 
     def accept(self):
         fresh = self._listener.accept()
-        self._leaving.sendall(b"STOP")
-        self._leaving.close()
+        self._other.sendall(b"STOP")
+        if self._leaves:
+            self._other.close()
         return fresh
 
     def close(self):
@@ -50,7 +51,7 @@ def test_a_host_that_leaves_with_a_last_word_makes_room_for_the_next(port):
     assert receive(port, None) is None
     with connect(port) as second:
         second.sendall(b"START")
-        port._listener = LeavesMeanwhile(port._listener, first)
+        port._listener = SpeaksMeanwhile(port._listener, first, leaves=True)
         assert receive(port, None) is None
         assert receive(port, b"START") == b"START"
 
@@ -58,9 +59,8 @@ def test_a_host_that_leaves_with_a_last_word_makes_room_for_the_next(port):
 def test_while_a_host_is_there_others_are_turned_away_and_its_words_are_kept(port):
     with connect(port) as first, connect(port) as second:
         assert receive(port, None) is None
-        first.sendall(b"GO")
-        assert receive(port, b"GO") == b"GO"
-        port.receive()
+        port._listener = SpeaksMeanwhile(port._listener, first, leaves=False)
+        assert port.receive() == b"STOP"
         assert second.recv(1) == b""
         first.sendall(b"ON")
         assert receive(port, b"ON") == b"ON"
