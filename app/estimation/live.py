@@ -157,7 +157,7 @@ class LiveEstimator:
         if not isinstance(seen, StreamingAlignment):
             return None
         knocks = self._check.knocks
-        since_s = max((knock.between_s[1] for knock in knocks), default=-np.inf)
+        since_s = max((knock.time_s for knock in knocks), default=-np.inf)
         return seen.place_rows(since_s)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
