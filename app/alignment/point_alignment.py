@@ -69,8 +69,10 @@ class PointAlignment:
 
         Those before it are said with the observations.
         """
-        known_s = self._run.tracker.device_time_s[np.array(self._near, np.int64)]
-        since = [x for x in self._astray if x.begin_s > known_s.max(initial=-np.inf)]
+        if len(self._astray) < FEWEST_ASTRAY or not self._near:
+            return ()
+        known_s = self._run.tracker.device_time_s[self._near[-1]]
+        since = [x for x in self._astray if x.begin_s > known_s]
         if len(since) < FEWEST_ASTRAY:
             return ()
         whole = replace(

@@ -156,8 +156,7 @@ class LiveEstimator:
             return None
         if not isinstance(seen, StreamingAlignment):
             return None
-        knocks = self._check.knocks
-        since_s = max((knock.time_s for knock in knocks), default=-np.inf)
+        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
         return seen.place_rows(since_s)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
