@@ -72,6 +72,18 @@ ROWS = (
     ("workers or scheduler are killed", "the same bits, or a failure by name"),
     ("too few or parallel lines", "names what is not determined"),
     ("SIGTERM in motion", "the feed is held first; ends in time"),
+    ("the tracker repeats one place bit for bit", "held by name; never taken"),
+    ("axis positions that cannot be", "two in a row hold the feed, by name"),
+    ("sensor readings that cannot be", "left out, counted, shown with the reason"),
+    (
+        "every reply of the link is late",
+        "held blind within 0.5 s of the last right one",
+    ),
+    ("connections are used up", "a stop still arrives"),
+    ("many windows, blocked streams, uploads", "ABORT arrives within 1 s"),
+    ("a proxy before the service", "page and ABORT work, or the page says they do not"),
+    ("a job has ended and the disk is full", "an end stays the end"),
+    ("a plug-in that hangs, lies or breaks", "held in time; named; the others work"),
 )
 
 
