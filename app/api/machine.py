@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from dataclasses import asdict
 from typing import Literal
 
@@ -21,7 +21,8 @@ from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.api.thread_pools import CONNECTING, on_threads
 from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
-from truepath.app.jobs.cell_status import CellStatus
+from truepath.app.jobs.cell_status import CellStatus, Devices
+from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.jobs.machine_cells import MachineCell
@@ -48,6 +49,16 @@ class DeviceIdentity(BaseModel):
     )
 
 
+class SensorTryOut(BaseModel):
+    """What a sensor shows when it is read in one of several ways."""
+
+    channel: str = Field(examples=["X_degC"])
+    how: str = Field(examples=['address = 12, word_order = "little"'])
+    value: float | None = Field(description="Null where this way gives no number.")
+    is_set: bool = Field(description="The way of the settings.")
+    is_likely: bool = Field(description="The way that seems right.")
+
+
 class Connection(BaseModel):
     """The devices, once they have answered."""
 
@@ -55,6 +66,10 @@ class Connection(BaseModel):
     tracker: DeviceIdentity | None
     motion: DeviceIdentity | None
     thermometers: DeviceIdentity | None = None
+    sensors: list[SensorTryOut] = Field(
+        [], description="Both orders of words and addresses beside, as connected."
+    )
+    sensors_refused: str = Field("", description="Why no sensor is read.")
 
 
 class MachineOut(MachineCoreOut, Connection):
@@ -118,7 +133,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
     # Here `tracker` and `motion` are who answers.
     content["tracker_noise"] = content.pop("tracker")
     content["motion_limits"] = content.pop("motion", None)
-    connection = describe_connection(one.cell.status.devices)
+    connection = describe_connection(one.cell, one.cell.status.devices)
     return MachineOut(**content, **connection.model_dump())
 
 
@@ -128,7 +143,8 @@ def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.machines.first is None:
         raise NoMachine
-    return describe_connection(service.machines.first.cell.connect())
+    cell = service.machines.first.cell
+    return describe_connection(cell, cell.connect())
 
 
 @machines.get("/current/conditions", responses=declare_problems(404))
@@ -204,7 +220,11 @@ def list_conditions_of(one: MachineCell) -> ConditionList:
     return ConditionList(items=[ConditionOut(**asdict(each)) for each in found])
 
 
-def describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
-    """Return who answers, as the supervisor of a cell keeps it."""
-    none = dict.fromkeys(("tracker", "motion"))
-    return Connection.model_validate({**none, **devices, "connected": bool(devices)})
+def describe_connection(cell: CellSupervisor, devices: Devices) -> Connection:
+    """Return who answers, and how sensors were read."""
+    known = dict.fromkeys(("tracker", "motion")) | {"connected": bool(devices)}
+    tries = [asdict(one) for one in cell.sensors.tries]
+    for one in tries:
+        one["value"] = one["value"] if math.isfinite(one["value"]) else None
+    sensors = {"sensors": tries, "sensors_refused": cell.sensors.refused}
+    return Connection.model_validate(known | dict(devices) | sensors)

@@ -157,7 +157,8 @@ def try_machine_devices(machine_id: MachinePath, service: ServiceDep) -> TrialOu
 @on_threads(CONNECTING)
 def connect_one_machine(machine_id: MachinePath, service: ServiceDep) -> Connection:
     """Open the ports of a machine and return who answers. Moves nothing."""
-    return describe_connection(service.machines.get(machine_id).cell.connect())
+    cell = service.machines.get(machine_id).cell
+    return describe_connection(cell, cell.connect())
 
 
 @router.get("/{machine_id}/conditions", responses=declare_problems(404))

@@ -117,6 +117,7 @@ def import_recording(
         tracker=read.samples,
         points=read.points,
         temperature=read.temperature,
+        events=read.events,
     )
     if not json:
         _print_recording(read, source)

@@ -93,9 +93,11 @@ def read_bundle(
         tracker, points = decode_tracker(stream, file=tracker_file)
         _require_rows(points, commanded, tracker_file)
         environment = files.get("environment.csv")
-        temperature, air = (
-            decode_environment(environment()) if environment else (None, None)
-        )
+        temperature, air, doubted = None, None, ()
+        if environment:
+            temperature, air, doubted = decode_environment(
+                environment(), machine.altitude_m
+            )
         reference = files.get("reference.csv")
         refraction, tracker = correct_refraction(refraction, tracker, temperature, air)
         return Run(
@@ -107,7 +109,7 @@ def read_bundle(
             temperature=temperature,
             air=air,
             refraction=refraction,
-            events=events,
+            events=(*events, *doubted),
             reference=decode_reference(reference()) if reference else (),
             provenance={
                 "source": FilePath(path).name,

@@ -14,10 +14,10 @@ from truepath.app.files.refraction import (
     refraction_from_json,
     refraction_to_json,
 )
-from truepath.app.files.run import SENSOR_KINDS, Run, RunEvent
+from truepath.app.files.run import IMPLAUSIBLE, SENSOR_KINDS, Run, RunEvent
 
-KEY = "environment"
-_TOLD = "told"
+KEY, _SILENT = "environment", "sensor-silent"
+_TOLD, _LEFT_OUT = "told", "left_out"
 
 
 def describe_environment(run: Run) -> dict[str, Any]:
@@ -30,6 +30,8 @@ def describe_environment(run: Run) -> dict[str, Any]:
         content |= {"missing": missing} if missing else {}
     told = [event.text for event in run.events if event.kind in SENSOR_KINDS]
     content |= {_TOLD: list(dict.fromkeys(told))} if told else {}
+    wrong = [event.text for event in run.events if event.kind == IMPLAUSIBLE]
+    content |= {_LEFT_OUT: list(dict.fromkeys(wrong))} if wrong else {}
     if run.refraction != Refraction():
         content["refraction"] = refraction_to_json(run.refraction)
     return {KEY: content} if content else {}
@@ -46,7 +48,9 @@ def read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:
     try:
         refraction = refraction_from_json(stated.get("refraction"))
         missing = [f"{name}: {why}" for name, why in stated.get("missing", {}).items()]
-        texts = dict.fromkeys([*map(str, stated.get(_TOLD, ())), *missing])
+        wrong = [str(text) for text in stated.get(_LEFT_OUT, ())]
+        kinds = dict.fromkeys([*map(str, stated.get(_TOLD, ())), *missing], _SILENT)
+        kinds |= dict.fromkeys(wrong, IMPLAUSIBLE)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BundleError(
             f"cannot be understood ({error})",
@@ -54,4 +58,4 @@ def read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:
             column=KEY,
             remedy="leave the key as it was exported, or leave it out",
         ) from error
-    return refraction, tuple(RunEvent(0, "sensor-silent", text) for text in texts)
+    return refraction, tuple(RunEvent(0, kind, text) for text, kind in kinds.items())

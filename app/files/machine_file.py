@@ -166,6 +166,12 @@ class MotionFile(FileModel):
         return MotionLimits(**stated, assumed=assumed)
 
 
+class SiteFile(FileModel):
+    """Where the machine stands; its altitude tells which pressures there can be."""
+
+    altitude_m: Annotated[float, Field(ge=-450.0, le=6000.0)] | None = None
+
+
 class MachineFile(FileModel):
     """A machine file."""
 
@@ -177,6 +183,7 @@ class MachineFile(FileModel):
     targets: dict[str, TargetFile] | None = None
     tracker: TrackerFile = TrackerFile()
     motion: MotionFile | None = None
+    site: SiteFile = SiteFile()
 
     @model_validator(mode="before")
     @classmethod
@@ -236,7 +243,10 @@ class MachineFile(FileModel):
         noise = TrackerNoise(**self.tracker.model_dump())
         motion = (self.motion or MotionFile()).limits()
         axes = self.axes.axes()
-        return Machine(self.name, *self.sides(), axes, targets, noise, motion)
+        altitude_m = self.site.altitude_m
+        return Machine(
+            self.name, *self.sides(), axes, targets, noise, motion, altitude_m
+        )
 
 
 def read_machine(path: str | Path) -> Machine:
@@ -256,7 +266,7 @@ def machine_from_json(content: object, *, file: str = "machine.json") -> Machine
 
 def machine_to_json(machine: Machine) -> dict[str, Any]:
     """Return the content of the machine file of a machine."""
-    noise = machine.tracker
+    noise, site = machine.tracker, machine.altitude_m
     return {
         "schema": SCHEMA,
         "name": machine.name,
@@ -265,6 +275,7 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
         **_targets_json(machine.targets),
         "tracker": {name: getattr(noise, name) for name in TrackerFile.model_fields},
         **_motion_json(machine.motion),
+        **({} if site is None else {"site": {"altitude_m": site}}),
     }
 
 

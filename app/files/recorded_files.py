@@ -23,7 +23,8 @@ from truepath.app.files.environment import (
     name_columns,
     split_columns,
 )
-from truepath.app.files.run import DirectMeasurement, PointRows
+from truepath.app.files.run import DirectMeasurement, PointRows, RunEvent
+from truepath.app.files.sensor_gate import find_pressures, gate_columns
 from truepath.app.files.tables import Table, encode_csv, read_csv, read_parquet
 from truepath.drivers.interfaces.records import (
     AirSamples,
@@ -43,6 +44,17 @@ _COVARIANCE = {  # of one shot about the mean
 _STREAM = frozenset(
     ("t_s", *_POSITION, "status", "quality", "point", "shots", *_COVARIANCE)
 )
+_SENSORS = {  # by the end of a column: what it is here, factor, and what is added first
+    "_degC": (DEGC, 1.0, 0.0),
+    "_degF": (DEGC, 1.0 / 1.8, -32.0),
+    "pressure_hPa": (PRESSURE, 1.0, 0.0),
+    "pressure_mbar": (PRESSURE, 1.0, 0.0),
+    "pressure_mmHg": (PRESSURE, 1.33322387415, 0.0),
+    "pressure_inHg": (PRESSURE, 33.8638866667, 0.0),
+    "pressure_kPa": (PRESSURE, 10.0, 0.0),
+    "pressure_Pa": (PRESSURE, 0.01, 0.0),
+    "humidity_percent": (HUMIDITY, 1.0, 0.0),
+}
 MAX_STREAM_TEXT_BYTES = 1 << 30  # a stream as text, in one piece in memory
 _UM2 = 1e6  # in a mm²
 _SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")
@@ -102,20 +114,37 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
 
 
 def decode_environment(
-    data: bytes, *, file: str = "environment.csv"
-) -> tuple[TemperatureSamples | None, AirSamples | None]:
-    """Return temperatures and air; other columns are left out."""
+    data: bytes, altitude_m: float | None = None, *, file: str = "environment.csv"
+) -> tuple[TemperatureSamples | None, AirSamples | None, tuple[RunEvent, ...]]:
+    """Return temperatures and air, and what of them is not believed.
+
+    Units are taken by the names of columns; other columns are left out. A pressure that
+    is never that of the site is refused.
+    """
     table = read_csv(data, file)
     table.require("t_s")
-    sensors = [key for key in table.names if key.endswith(DEGC) and key != DEGC]
-    sensors += [key for key in (PRESSURE, HUMIDITY) if key in table.names]
-    if not sensors:
+    columns: dict[str, NDArray[np.float64]] = {}
+    for key in table.names:
+        for end, (own, factor, offset) in _SENSORS.items():
+            name = key.removesuffix(end) + own
+            if not key.endswith(end) or (own == DEGC and key == end):
+                continue
+            if name in columns:
+                remedy = "leave one of the columns out"
+                raise BundleError(
+                    f"states {name} again", file=file, column=key, remedy=remedy
+                )
+            columns[name] = factor * (table.numbers(key) + offset)
+            if name == PRESSURE and altitude_m is not None:
+                _require_site(table, key, columns[name], altitude_m)
+    if not columns:
         raise BundleError(
             "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
         )
     table.require_rows("leave out the file")
-    columns = {key: table.numbers(key) for key in sensors}
-    return split_columns(_read_clock(table), columns)
+    time_s = _read_clock(table)
+    columns, told = gate_columns(time_s, columns, altitude_m)
+    return *split_columns(time_s, columns), told
 
 
 def encode_environment(
@@ -160,6 +189,22 @@ def encode_reference(reference: tuple[DirectMeasurement, ...]) -> bytes:
         for position, value in zip(one.position_mm, one.value, strict=True)
     ]
     return encode_csv(dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True)))
+
+
+def _require_site(
+    table: Table, key: str, hpa: NDArray[np.float64], altitude_m: float
+) -> None:
+    low, high = find_pressures(altitude_m)
+    if not ((low <= hpa) & (hpa <= high)).any():
+        table.refuse(
+            np.ones(len(hpa), bool),
+            key,
+            lambda k: (
+                f"is {table.cells(key)[k]}, {hpa[k]:.0f} hPa: a site at "
+                f"{altitude_m:g} m has {low:.0f} to {high:.0f} hPa"
+            ),
+            "name the unit by the column (pressure_mmHg), or correct site.altitude_m",
+        )
 
 
 def _name_point_columns(points: PointRows) -> dict[str, NDArray[np.generic]]:

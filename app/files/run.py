@@ -30,12 +30,13 @@ from truepath.drivers.interfaces.records import (
 )
 from truepath.drivers.interfaces.tracker_records import TrackerEventKind
 
+IMPLAUSIBLE = "sensor-implausible"
 # Kinds of the events that a cell records of sensors.
 SENSOR_KINDS = frozenset(
     {
         "sensor-silent",
         "sensor-no-number",
-        "sensor-implausible",
+        IMPLAUSIBLE,
         "sensor-stuck",
         "sensor-back",
     }
@@ -153,6 +154,7 @@ class RunSummary:
     temperature_degc : lowest and highest of each sensor
     sensors : every sensor, those that showed nothing as well
     sensors_told : what went wrong with them, each once
+    sensors_left_out : readings that were shown and are not believed, likewise
     source : what the Run itself knows about where it comes from
     told : what the tracker itself has said meanwhile, each once
     interruptions : of the stream; driven_again : which lines were, each time
@@ -172,6 +174,7 @@ class RunSummary:
     told: tuple[str, ...] = ()
     sensors: tuple[ChannelFacts, ...] = ()
     sensors_told: tuple[str, ...] = ()
+    sensors_left_out: tuple[str, ...] = ()
     refraction: Refraction = _UNKNOWN
     interruptions: Interruptions = NO_INTERRUPTIONS
     driven_again: tuple[str, ...] = ()
@@ -200,6 +203,7 @@ def summarize_run(run: Run) -> RunSummary:
         _collect_texts(run, _TOLD),
         state_facts(run.temperature, run.air, *_find_span_s(time_s)),
         _collect_texts(run, SENSOR_KINDS),
+        _collect_texts(run, {IMPLAUSIBLE}),
         run.refraction,
         find_interruptions(run.tracker, *_count_events(run, "search", "found")),
         tuple(e.text for e in run.events if e.kind == "again"),

@@ -54,6 +54,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "the tracker assumed: up to 270 µm in a metre.",
         "Measure temperature and pressure of the air, and measure again.",
     ),
+    "sensor-left-out": Sentence(
+        "Readings of a sensor are not believed, and not used: {what}.",
+        "Look at its wires, register, order of words and unit; state the site's "
+        "altitude where it is a pressure.",
+    ),
     "range-off": Sentence(
         "All distances of the tracker seem to be off by {distance_um} (within "
         "{within_um}, k = 2): a wrong home distance or constant of the reflector. The "

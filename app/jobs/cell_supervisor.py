@@ -35,6 +35,7 @@ from truepath.app.measurement.messages import (
     ControllerRead,
     FaultReported,
     MeasurementOrder,
+    SensorsTried,
     StateChanged,
     TemperaturesRead,
     TrackerTrial,
@@ -63,6 +64,7 @@ class CellSupervisor:
     status : the cell's last known state, for any thread
     controller : what the controller showed last at rest; None before and after that
     counters : what all its measurements have counted so far
+    sensors : how thermometers were read as they were connected last
     stream : what their events tell of beam, stream and temperatures
     samples : what is recorded, for whoever looks
     """
@@ -75,6 +77,7 @@ class CellSupervisor:
         self._on_event: EventHandler | None = None
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
+        self.sensors = SensorsTried()
         self.counters, self.stream = CellCounters(), StreamWatch()
         self.samples = SampleFeed()
         self._closing, self._must_kill = threading.Event(), threading.Event()
@@ -248,6 +251,9 @@ class CellSupervisor:
                 now_s = time.monotonic()
                 self.controller = ControllerLevels(status, text, now_s, axes)
                 return
+            case SensorsTried():
+                self.sensors = event
+                return
             case TemperaturesRead():
                 return
         if self._on_event is not None:
@@ -272,6 +278,8 @@ class CellSupervisor:
         self._set_status("connecting")
         try:
             found = cell.connect()
+            for event in cell.poll(0.0):
+                self._handle(event)
         except MeasurementFailed as error:
             raise CellDown(str(error)) from error
         except TruepathError as error:

@@ -108,6 +108,7 @@ class Machine:
 
     workpiece_side : axes that move the workpiece, in chain order from `w` to `b`
     tool_side : axes that move the tool, in chain order from `b` to `t`
+    altitude_m : of its site; None where it is not stated
     """
 
     name: str
@@ -117,6 +118,7 @@ class Machine:
     targets: tuple[Target, ...]
     tracker: TrackerNoise
     motion: MotionLimits = MotionLimits()
+    altitude_m: float | None = None
 
     @property
     def chain(self) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 from truepath.app.device_options import make_device
 from truepath.app.errors import TruepathError
 from truepath.app.files.refraction import choose_refraction
-from truepath.app.measurement.channel_judge import ChannelJudge
+from truepath.app.measurement.channel_judge import ChannelJudge, make_judges
 from truepath.app.measurement.faults import classify_fault
 from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
@@ -36,6 +36,7 @@ from truepath.app.measurement.messages import (
     MeasurementCommand,
     MeasurementOrder,
     RunClosed,
+    SensorsTried,
     StateChanged,
     TemperaturesRead,
     TrackerTrial,
@@ -241,12 +242,14 @@ class _CellServer:
     def _connect_thermometers(self) -> None:
         """Connect them if they answer; a measurement tries again, and says so."""
         if self._thermometers is not None:
-            channels = self._thermometers.channels
+            refused = ""
             try:
                 self._identities["thermometers"] = self._thermometers.connect()
-                self._judges = {c.name: ChannelJudge(c) for c in channels}
+                self._judges = make_judges(self._thermometers.channels)
             except DeviceError as error:
+                refused = str(error)
                 log.warning("thermometers: %s", error)
+            self._outbox.report(SensorsTried(self._thermometers.tries, refused))
 
     def _begin(self, order: MeasurementOrder) -> None:
         if self._measuring:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from truepath.app.files.run import IMPLAUSIBLE
+from truepath.app.files.sensor_gate import ChannelGate, make_gates
 from truepath.app.measurement.faults import Fault
 from truepath.drivers.interfaces.thermometers import Channel, Reading
 
 SILENT, NO_NUMBER = "sensor-silent", "sensor-no-number"
-IMPLAUSIBLE, STUCK, BACK = "sensor-implausible", "sensor-stuck", "sensor-back"
+STUCK, BACK = "sensor-stuck", "sensor-back"
 PATIENCE_S = 5.0  # a lost reply is no dead sensor
 _ACTIONS: Mapping[str, str] = MappingProxyType(
     {
@@ -28,11 +30,15 @@ class ChannelJudge:
     """Judges the readings of one channel in the order of time."""
 
     channel: Channel
+    gate: ChannelGate = field(init=False)
     _told: str = ""
     _bad_since_s: float | None = None
     _last: float = math.nan
     _changed_s: float = -math.inf
     _said: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.gate = ChannelGate(self.channel)
 
     def judge(self, reading: Reading) -> tuple[float, Fault | None]:
         """Return the value, NaN where none is to be believed, and what is new of it.
@@ -63,17 +69,27 @@ class ChannelJudge:
         return Fault(BACK, text, "", latched=False)
 
     def _find_fault(self, reading: Reading) -> tuple[str, str]:
-        value, (low, high) = reading.value, self.channel.plausible
+        value = reading.value
         if reading.fault and math.isnan(value):
             return SILENT, reading.fault
         if not math.isfinite(value):
             return NO_NUMBER, "it shows no number"
-        if not low <= value <= high:
-            unit = self.channel.unit
-            return IMPLAUSIBLE, f"{value:g} {unit} is not within {low:g} to {high:g}"
+        if why := self.gate.judge(reading.host_time_s, value):
+            return IMPLAUSIBLE, why
         if value != self._last:
             self._last, self._changed_s = value, reading.host_time_s
         still_s = reading.host_time_s - self._changed_s
         if 0.0 < self.channel.stuck_s <= still_s:
             return STUCK, f"it has shown {value:g} unchanged for {still_s:.0f} s"
         return "", ""
+
+
+def make_judges(
+    channels: Sequence[Channel], altitude_m: float | None = None
+) -> dict[str, ChannelJudge]:
+    """Return the judge of each channel of a group, by its name."""
+    judges = {one.name: ChannelJudge(one) for one in channels}
+    gates = make_gates({one.name: one for one in channels}, altitude_m)
+    for name, gate in gates.items():
+        judges[name].gate = gate
+    return judges

@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from truepath.app.errors import MeasurementFailed
-from truepath.app.measurement.channel_judge import ChannelJudge
+from truepath.app.files.run import IMPLAUSIBLE
+from truepath.app.measurement.channel_judge import make_judges
 from truepath.app.measurement.faults import Fault
 from truepath.app.measurement.recorder import Recorder
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceError
@@ -108,10 +109,16 @@ class EnvironmentReader:
         on_notice: OnNotice,
         *,
         on_readings: OnReadings = lambda _: None,
+        altitude_m: float | None = None,
     ) -> None:
         self._recorder, self._on_notice = recorder, on_notice
         self._on_readings = on_readings
         self._stopping = threading.Event()
+        self._judges = {
+            name: judge
+            for group in groups
+            for name, judge in make_judges(group.channels, altitude_m).items()
+        }
         self._threads = [
             threading.Thread(
                 target=self._run, args=(group,), name="environment", daemon=True
@@ -125,19 +132,26 @@ class EnvironmentReader:
             thread.start()
 
     def stop(self) -> None:
-        """End; a driver that hangs is not waited for. Idempotent."""
+        """End; a driver that hangs is not waited for. Idempotent.
+
+        Tells how many readings of each sensor were left out, and why.
+        """
+        is_first = not self._stopping.is_set()
         self._stopping.set()
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join(JOIN_S)
+        for name, judge in self._judges.items() if is_first else ():
+            if judge.gate.left_out:
+                text = judge.gate.describe(name)
+                self._on_notice(Fault(IMPLAUSIBLE, text, "", latched=False))
 
     def _run(self, group: Thermometers) -> None:
         """Body of a thread."""
-        judges = {c.name: ChannelJudge(c) for c in group.channels}
         period_s = max(group.period_s, _FASTEST_S)
         try:
             while not self._stopping.is_set():
-                self._record(_read(group), judges)
+                self._record(_read(group))
                 self._stopping.wait(period_s)
         except MeasurementFailed as error:
             log.warning("readings of sensors are not recorded any more: %s", error)
@@ -147,14 +161,13 @@ class EnvironmentReader:
             action = "the measurement goes on without them; the log has the details"
             self._on_notice(Fault("sensor-silent", text, action, latched=False))
 
-    def _record(
-        self, readings: Sequence[Reading], judges: dict[str, ChannelJudge]
-    ) -> None:
+    def _record(self, readings: Sequence[Reading]) -> None:
         if not readings or self._stopping.is_set():
             return
         values: dict[str, float] = {}
         for reading in readings:
-            values[reading.channel], notice = judges[reading.channel].judge(reading)
+            judge = self._judges[reading.channel]
+            values[reading.channel], notice = judge.judge(reading)
             if notice is not None:
                 self._on_notice(notice)
         self._recorder.put_environment(readings[len(readings) // 2].host_time_s, values)

@@ -176,6 +176,7 @@ class Measurement:
             self._recorder,
             self._note_sensor,
             on_readings=view.show_readings,
+            altitude_m=order.machine.altitude_m,
         )
         self._environment.start()
         search = self._make_search(order.machine)

@@ -21,6 +21,7 @@ from truepath.drivers.interfaces.records import (
     Path,
     TrackerSamples,
 )
+from truepath.drivers.interfaces.thermometers import ReadingTry
 from truepath.drivers.interfaces.tracker_records import Light
 
 
@@ -281,6 +282,17 @@ class TemperaturesRead:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorsTried:
+    """Event: what each sensor shows by the ways to read it, as of the last connect.
+
+    refused : why the driver does not read them; empty where it does
+    """
+
+    tries: tuple[ReadingTry, ...] = ()
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class FaultReported:
     """Event: something is wrong; the state says whether this is the end.
 
@@ -323,6 +335,7 @@ CellEvent = (
     | LinesDamaged
     | ControllerRead
     | TemperaturesRead
+    | SensorsTried
     | FaultReported
     | RunClosed
 )

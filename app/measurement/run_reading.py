@@ -19,6 +19,7 @@ from truepath.app.files.bundle import read_bundle
 from truepath.app.files.environment import Series, tabulate_channels
 from truepath.app.files.refraction import correct_refraction
 from truepath.app.files.run import PointRows, Run, RunEvent
+from truepath.app.files.sensor_gate import gate_columns
 from truepath.app.measurement.faults import DAMAGED, NO_WATCHDOG
 from truepath.app.measurement.run_content import open_database, read_content
 from truepath.app.measurement.run_file import (
@@ -72,8 +73,12 @@ def open_run(file: str | Path) -> Run:
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
     tracker, points = _join_points(read_samples(content.batches), content.batches)
+    told, doubted = gate_columns(
+        tracker.device_time_s, _read_air(points), header.machine.altitude_m
+    )
     temperature, air = tabulate_channels(
-        _read_air(tracker, points) | _read_channels(content.batches, header.channels)
+        {name: (tracker.device_time_s, values) for name, values in told.items()}
+        | _read_channels(content.batches, header.channels)
     )
     refraction, tracker = correct_refraction(
         header.refraction, tracker, temperature, air
@@ -89,7 +94,7 @@ def open_run(file: str | Path) -> Run:
         refraction=refraction,
         axis_samples=_axes(content.batches, header.axes),
         points=None if points is None else PointRows(*map(points.__getitem__, _ROWS)),
-        events=(*content.events, *_make_events(missing)),
+        events=(*content.events, *doubted, *_make_events(missing)),
         provenance={
             "source": place.name,
             "started": started,
@@ -175,18 +180,12 @@ def _join_points(
     return tracker.select(sample), records[point]
 
 
-def _read_air(
-    tracker: TrackerSamples, points: NDArray[np.void] | None
-) -> dict[str, Series]:
+def _read_air(points: NDArray[np.void] | None) -> dict[str, NDArray[np.float64]]:
     """Return the air that the tracker told with its points."""
     if points is None or not len(points):
         return {}
     told = {name: points[field].copy() for name, field in _AIR_OF_POINTS.items()}
-    return {
-        name: (tracker.device_time_s, values)
-        for name, values in told.items()
-        if np.isfinite(values).any()
-    }
+    return {name: values for name, values in told.items() if np.isfinite(values).any()}
 
 
 def _read_channels(

@@ -7,9 +7,11 @@ that one is asked instead. Nothing moves.
 from __future__ import annotations
 
 import grp
+import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from truepath.app.operation.finding import Finding, Grade
 from truepath.app.operation.running_service import RunningService
 from truepath.app.settings import Settings
 from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.thermometers import ReadingTry
 
 _PORT_OPTIONS = ("port", "serial_port")
 _LINK = "check power and cable, and the port in the settings"
@@ -50,7 +53,10 @@ def _look_at_one(
     for word, name, options in _list_devices(settings):
         yield from look_at_port(word, options)
         if not running.is_there:
-            yield ask_device(word, name, options)
+            tries: list[ReadingTry] = []
+            yield ask_device(word, name, options, tries)
+            for channel, ways in groupby(tries, lambda one: one.channel):
+                yield _compare_ways(channel, [*ways])
 
 
 def _list_devices(
@@ -106,8 +112,16 @@ def _find_group(port: Path) -> str:
         return str(number)
 
 
-def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Finding:
-    """Return who answers; the driver's own time-outs bound it."""
+def ask_device(
+    word: str,
+    name: str,
+    options: Mapping[str, Any],
+    tries: list[ReadingTry] | None = None,
+) -> Finding:
+    """Return who answers; the driver's own time-outs bound it.
+
+    tries : receives what sensors show by the ways to read them
+    """
     try:
         device = make_device(word, name, options)
     except BadInput as error:
@@ -118,11 +132,26 @@ def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Finding:
         return Finding(word, Grade.WRONG, f"{name}: {error}", _LINK)
     finally:
         device.close()
+        if tries is not None:
+            tries += getattr(device, "tries", ())
     text = f"{who.maker} {who.model}, serial {who.serial_number}, {who.firmware}"
     if word == "motion" and not who.has_watchdog:
         remedy = "give it a watchdog: it would move on if the service died"
         return Finding(word, Grade.WARNING, f"{text}; no watchdog", remedy)
     return Finding(word, Grade.OK, text)
+
+
+def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
+    """Return what a sensor shows by each way to read it; that of the settings first."""
+    shown = [
+        f"{w.value:.6g} with {w.how}{' (as set)' * w.is_set}{' (likely)' * w.is_likely}"
+        for w in ways
+        if w.is_set or not math.isnan(w.value)
+    ]
+    is_well = ways[0].is_likely
+    remedy = "" if is_well else "look at the sensor, its address and order of words"
+    grade = Grade.OK if is_well else Grade.WARNING
+    return Finding(channel, grade, "; ".join(shown), remedy)
 
 
 def read_cell(running: RunningService) -> Finding:

@@ -23,7 +23,7 @@ from truepath.app.estimation.run_estimate import RunEstimate
 from truepath.app.estimation.run_parts import Knock
 from truepath.app.estimation.tracker_score import RangeOffsetScore
 from truepath.app.files.refraction import NOBODY, Refraction, find_cause
-from truepath.app.files.run import number_names
+from truepath.app.files.run import RunSummary, number_names
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Reason, State, Value, Verdict
 from truepath.app.results.volumetric_error import VolumetricError
@@ -91,6 +91,21 @@ def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> V
         for kind, values in _describe_driving(driving)
     ]
     return Verdict(tuple(reasons))
+
+
+def judge_surroundings(summaries: Sequence[RunSummary]) -> Verdict:
+    """Return what Runs had to do without: the air on the beam, readings of sensors."""
+    names = [one.name for one in summaries]
+    reasons: list[Reason] = []
+    for one in summaries:
+        used = {sensor.name for sensor in one.sensors if sensor.is_used}
+        last = {text.partition(":")[0]: text for text in one.sensors_left_out}
+        for name, text in last.items():
+            state = "usable" if name in used else "doubtful"
+            run = one.name if len(names) > 1 else ""
+            reasons.append(Reason("sensor-left-out", state, {"what": text}, run))
+    air = judge_air([one.refraction for one in summaries], names)
+    return Verdict.merge([air, Verdict(tuple(reasons))])
 
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:

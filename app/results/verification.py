@@ -63,7 +63,7 @@ from truepath.app.results.predicted_motion import (
     find_poses,
     predict_displacement,
 )
-from truepath.app.results.verdict import judge_air
+from truepath.app.results.verdict import judge_surroundings
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ def _state(
     return Verification(
         held.result,
         runs,
-        judge_air([one.refraction for one in summaries], [s.name for s in summaries]),
+        judge_surroundings(summaries),
         places,
         measured,
         predicted,

@@ -17,8 +17,14 @@ from truepath.drivers.interfaces.device import Device
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*_degC|pressure_hPa|humidity_percent")
 _PLAUSIBLE: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {"degC": (-30.0, 90.0), "hPa": (500.0, 1150.0), "percent": (0.0, 100.0)}
+    {
+        "air_degC": (-10.0, 50.0),
+        "degC": (-30.0, 90.0),
+        "hPa": (600.0, 1100.0),
+        "percent": (0.0, 100.0),
+    }
 )
+_TINY = 1e-6  # no sensor resolves it; words in the wrong order look like this
 STUCK_S = 900.0
 
 
@@ -59,11 +65,23 @@ class Channel:
     @property
     def plausible(self) -> tuple[float, float]:
         """Lowest and highest reading to be believed."""
-        low, high = _PLAUSIBLE[self.unit]
+        low, high = _PLAUSIBLE.get(self.name, _PLAUSIBLE[self.unit])
         return (
             low if math.isnan(self.low) else self.low,
             high if math.isnan(self.high) else self.high,
         )
+
+    def find_fault(self, value: float) -> str:
+        """Return why a number, seen by itself, is no reading; empty where it may be."""
+        low, high = self.plausible
+        if 0.0 < abs(value) < _TINY:
+            return (
+                f"{value:g} {self.unit} is nearly 0, as of words in the wrong order or "
+                "another register"
+            )
+        if low <= value <= high:
+            return ""
+        return f"{value:g} {self.unit} is not within {low:g} to {high:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +99,21 @@ class Reading:
     fault: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class ReadingTry:
+    """What a channel shows when it is read in one of several ways.
+
+    how : the way, as settings say it; value : NaN where it gives no number
+    is_set : the way of the settings; is_likely : the one that seems right
+    """
+
+    channel: str
+    how: str
+    value: float
+    is_set: bool
+    is_likely: bool
+
+
 class Thermometers(Device):
     """A group of channels behind one link. For one thread; `close` for any."""
 
@@ -93,6 +126,14 @@ class Thermometers(Device):
     @abstractmethod
     def period_s(self) -> float:
         """Shortest time between two readings of a channel, for who calls `read`."""
+
+    @property
+    def tries(self) -> tuple[ReadingTry, ...]:
+        """What `connect` saw by other ways of reading, where it has tried any.
+
+        It is kept where `connect` was Refused because the way of the settings is wrong.
+        """
+        return ()
 
     @abstractmethod
     def read(self) -> tuple[Reading, ...]:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.app.errors import BadInput, BundleError
-from truepath.app.files.run import PointRows
+from truepath.app.files.environment import split_columns
+from truepath.app.files.run import PointRows, RunEvent
+from truepath.app.files.sensor_gate import gate_columns
 from truepath.app.files.tracker_text.cells import Cells, read_cells
 from truepath.app.files.tracker_text.clock import read_clock
 from truepath.app.files.tracker_text.columns import (
@@ -46,6 +48,7 @@ class Recording:
     first_row: tuple[str, ...]
     facts: dict[str, str]
     notes: tuple[str, ...]
+    events: tuple[RunEvent, ...] = ()
 
 
 def read_recording(
@@ -65,7 +68,7 @@ def read_recording(
     position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
     _refuse_wrong_size(cells, position_mm[status == 0], commanded, unit)
     time_s, clock = _read_times(cells, by_role, commanded, options)
-    temperature = _read_temperatures(cells, columns, time_s)
+    temperature, doubted = _read_temperatures(cells, columns, time_s)
     samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
     rows = _find_points(cells, columns, commanded, time_s)
     points = None
@@ -85,8 +88,10 @@ def read_recording(
         (
             *cells.notes,
             *repeats,
+            *(event.text for event in doubted),
             *(note_oddities(cells, samples) if rows is None else ()),
         ),
+        doubted,
     )
 
 
@@ -297,11 +302,14 @@ def _average_points(
 
 def _read_temperatures(
     cells: Cells, columns: list[Column], time_s: NDArray[np.float64]
-) -> TemperatureSamples | None:
-    """Return the rows at which a temperature changes, the first and the last."""
+) -> tuple[TemperatureSamples | None, tuple[RunEvent, ...]]:
+    """Return the rows at which a temperature changes, the first and the last.
+
+    What is not believed is NaN, and told.
+    """
     sensors = [column for column in columns if column.role.endswith("_degC")]
     if not sensors:
-        return None
+        return None, ()
     decimal = find_decimal(cells, [column.index for column in sensors])
     celsius = np.stack([read_numbers(cells, c.index, decimal) for c in sensors], axis=1)
     fahrenheit = [column.unit == "degF" for column in sensors]
@@ -309,11 +317,12 @@ def _read_temperatures(
     keep = np.isfinite(celsius).all(axis=1) & np.append(True, np.diff(time_s) > 0)
     time_s, celsius = time_s[keep], celsius[keep]
     if not len(time_s):
-        return None
+        return None, ()
     change = np.append(True, (np.diff(celsius, axis=0) != 0).any(axis=1))
     change[-1] = True
-    names = tuple(column.role.removesuffix("_degC") for column in sensors)
-    return TemperatureSamples(names, time_s[change], celsius[change])
+    columns_degc = {c.role: v for c, v in zip(sensors, celsius[change].T, strict=True)}
+    kept, doubted = gate_columns(time_s[change], columns_degc, None)
+    return split_columns(time_s[change], kept)[0], doubted
 
 
 def _count(samples: TrackerSamples, points: PointRows | None) -> dict[str, str]:

@@ -15,13 +15,19 @@ from truepath.drivers.interfaces.errors import (
     Refused,
 )
 from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath.drivers.interfaces.thermometers import (
+    Channel,
+    Reading,
+    ReadingTry,
+    Thermometers,
+)
 from truepath.drivers.thermometers.modbus_registers.register import Register
 from truepath.drivers.transport.modbus_link import ModbusLink, make_address
 
 log = logging.getLogger(__name__)
 
 _NO_NUMBER = "the register holds no number"
+_USUAL = {"degC": (0.5, 45.0), "hPa": (900.0, 1060.0), "percent": (10.0, 90.0)}
 
 
 class ModbusRegisters(Thermometers):
@@ -51,7 +57,13 @@ class ModbusRegisters(Thermometers):
         self._link = ModbusLink(address, self._registers[0].unit)
         self._identity = Identity("", name, "", "")
         self._due_s: dict[str, float] = {}
+        self._tries: tuple[ReadingTry, ...] = ()
         self._is_connected = False
+
+    @property
+    def tries(self) -> tuple[ReadingTry, ...]:
+        """Both orders of words, and the addresses beside, as `connect` read them."""
+        return self._tries
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -67,7 +79,8 @@ class ModbusRegisters(Thermometers):
         """Open the link and read every sensor.
 
         One that is silent is left for later; DeviceTimeout if all are. Refused, naming
-        the channel, where the device does not have its registers.
+        the channel, where the device does not have its registers, and where its words
+        are a reading in the other order alone.
         """
         if self._is_connected and self._link.is_open:
             return self._identity
@@ -114,10 +127,11 @@ class ModbusRegisters(Thermometers):
 
     def _require_answers(self) -> None:
         silent: dict[int, DeviceTimeout] = {}
+        found: list[tuple[Register, float]] = []
         for each in self._registers:
             try:
                 if each.unit not in silent:
-                    self._ask(each)
+                    found.append((each, self._ask(each)))
             except DeviceTimeout as error:
                 silent[each.unit] = error
                 log.warning("%s", error)
@@ -125,6 +139,36 @@ class ModbusRegisters(Thermometers):
                 raise Refused(f"{each.name}: {error}", error.code) from error
         if len(silent) == len({each.unit for each in self._registers}):
             raise next(iter(silent.values()))
+        shy: set[int] = set()  # units that bear no question beyond their list
+        tried = [self._try_ways(each, value, shy) for each, value in found]
+        self._tries = tuple(one for ways in tried for one in ways)
+        for (each, _), ways in zip(found, tried, strict=True):
+            _refuse_order(each, ways)
+
+    def _try_ways(
+        self, each: Register, value: float, shy: set[int]
+    ) -> tuple[ReadingTry, ...]:
+        """Read a sensor in every way; `value` is what it shows in that of the list."""
+        ways = each.list_ways()
+        values = [value]
+        for way in ways[1:]:
+            values.append(math.nan)
+            try:
+                if way.unit not in shy:
+                    values[-1] = self._ask(way)
+            except Refused:
+                pass
+            except DeviceError:
+                shy.add(way.unit)
+                self._open_anew()
+        usable = [i for i, v in enumerate(values) if _is_reading(each, v)]
+        low, high = _USUAL[each.channel.unit]
+        own = [i for i in usable if ways[i].address == each.address] or usable
+        likely = next((i for i in own if low <= values[i] <= high), (*own, -1)[0])
+        return tuple(
+            ReadingTry(each.name, way.describe_way(), values[i], i == 0, i == likely)
+            for i, way in enumerate(ways)
+        )
 
     def _ask(self, each: Register) -> float:
         words = self._link.read(
@@ -144,6 +188,22 @@ class ModbusRegisters(Thermometers):
         except ConnectionLost as error:
             return str(error)
         return ""
+
+
+def _is_reading(each: Register, value: float) -> bool:
+    return value != 0.0 and not math.isnan(value) and not each.channel.find_fault(value)
+
+
+def _refuse_order(each: Register, ways: Sequence[ReadingTry]) -> None:
+    """Raise Refused where words are a reading in the other order, and not as set."""
+    if each.count < 2 or _is_reading(each, ways[0].value):
+        return
+    if _is_reading(each, ways[1].value):
+        unit = each.channel.unit
+        raise Refused(
+            f"{each.name}: its words are in the other order: {ways[0].value:g} {unit} "
+            f"with {ways[0].how}, {ways[1].value:g} {unit} with {ways[1].how}; set that"
+        )
 
 
 def _read_register(stated: Mapping[str, Any]) -> Register:

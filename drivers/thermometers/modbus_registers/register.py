@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from truepath.drivers.interfaces.thermometers import STUCK_S, Channel
@@ -75,7 +75,29 @@ class Register:
         ordered = words if self.word_order == "big" else list(reversed(words))
         data = struct.pack(f">{len(ordered)}H", *ordered)
         value = struct.unpack(_FORMS[self.type], data)[0]
-        return self.offset + self.scale * value if math.isfinite(value) else math.nan
+        if not math.isfinite(value):
+            return math.nan
+        # Rounded, so that 0 °C of an integer in kelvin is 0, not its rounding error.
+        shown = self.offset + self.scale * value
+        return shown if self.type == "float32" else round(shown, 9)
+
+    def list_ways(self) -> tuple[Register, ...]:
+        """Return the ways to read it: this, the other order, an address beside."""
+        last = _HIGHEST + 1 - self.count
+        at = [self.address, self.address - 1, self.address + 1]
+        other: WordOrder = "big" if self.word_order == "little" else "little"
+        orders = (self.word_order, other) if self.count == 2 else (self.word_order,)
+        return tuple(
+            replace(self, address=address, word_order=order)
+            for address in at
+            if 0 <= address <= last
+            for order in orders
+        )
+
+    def describe_way(self) -> str:
+        """Return address and order of words in the words of the settings."""
+        order = f', word_order = "{self.word_order}"' if self.count == 2 else ""
+        return f"address = {self.address}{order}"
 
     def _require(self, key: str, kept: bool, otherwise: str) -> None:
         if not kept:

@@ -57,13 +57,13 @@ def test_words_of_libmodbus_are_the_temperatures_that_were_put_there(options):
 
 
 @pytest.mark.fault_row(18)
-def test_the_wrong_word_order_is_no_pressure(options):
-    rows = [{**options["registers"][3], "word_order": "big"}]
-    with ModbusRegisters(**{**options, "registers": rows}) as group:
-        (reading,) = group.read()
-        (channel,) = group.channels
-    low, high = channel.plausible
-    assert not low <= reading.value <= high
+@pytest.mark.fault_row(43)
+@pytest.mark.parametrize(("row", "right"), [(2, "big"), (3, "little")])
+def test_a_clearly_wrong_order_of_words_is_refused_by_name(options, row, right):
+    wrong = {"big": "little", "little": "big"}[right]
+    rows = [{**options["registers"][row], "word_order": wrong}]
+    with pytest.raises(Refused, match=f'{rows[0]["name"]}.*word_order = "{right}"'):
+        ModbusRegisters(**{**options, "registers": rows}).connect()
 
 
 def test_registers_that_are_not_there_are_named(options):

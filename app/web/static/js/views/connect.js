@@ -1,7 +1,7 @@
 /* The step Connect: tracker and machine control answer, and are the ones expected. */
 import { h, icon, mark, s } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
-import { card, head, pairs } from "../parts.js";
+import { card, head, notice, pairs } from "../parts.js";
 import { number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { conditionsCard } from "./conditions-card.js";
@@ -32,6 +32,7 @@ export function mount(root, { store, actions }) {
   const control = device("controller", t("connect.control"));
   const thermometers = device("thermometer", t("connect.thermometers"));
   const machineCard = h("section", { class: "card" });
+  const sensorsCard = h("section", { class: "card", "data-card": "sensors" });
   const devices = deviceCard({ actions });
   const lastError = lastErrorCard(actions.forgetDeviceError);
   const held = h("div");
@@ -40,7 +41,7 @@ export function mount(root, { store, actions }) {
     head(t("connect.title"), t("connect.text")),
     h("div", { class: "columns" },
       h("div", { class: "stack" }, lastError.element, tracker.element, control.element,
-        thermometers.element,
+        thermometers.element, sensorsCard,
         card(t("connect.recorded"), dropZone(store, actions)), devices.element),
       h("div", { class: "stack" }, machineCard, held)),
   );
@@ -61,6 +62,8 @@ export function mount(root, { store, actions }) {
       thermometers.element.hidden = !machine?.thermometers;
       if (machine === described) return;
       described = machine;
+      sensorsCard.hidden = !machine?.sensors?.length && !machine?.sensors_refused;
+      sensorsCard.replaceChildren(...(sensorsCard.hidden ? [] : describeSensors(machine)));
       machineCard.replaceChildren(...describe(machine, machineName(state)));
     },
     close() {
@@ -95,6 +98,14 @@ function device(shape, name) {
   };
 }
 
+/** What every sensor shows by each way to read it: the one that is set, and the one that seems right. */
+function describeSensors({ sensors, sensors_refused: refused }) {
+  const words = ({ value, is_set: isSet, is_likely: isLikely }) => [value === null ? "–" : number(value, 2),
+    isSet && t("connect.way_set"), isLikely ? t("connect.way_likely") : isSet && t("connect.way_unlikely")].filter(Boolean).join(" · ");
+  return [h("h2", {}, t("connect.sensors")), refused && notice("fault", t("connect.sensors_refused"), refused),
+    pairs(sensors.map((way) => [`${way.channel}: ${way.how}`, words(way)]))].filter(Boolean);
+}
+
 function watchdogFact({ has_watchdog: has }) {
   const row = fact(t("connect.watchdog"), t(has ? "connect.has_watchdog" : "connect.no_watchdog"));
   mark(row, "data-tone", has ? null : "fault");
@@ -121,6 +132,7 @@ function facts(machine, name) {
     const offset = machine.tool_offset_mm.map((v) => figure(v, "travel", 1)).join("   ");
     rows.push([t("connect.offset"), `${offset} ${unitOf("travel")}`]);
   }
+  if (machine.site) rows.push([t("machine.altitude"), `${number(machine.site.altitude_m)} m`]);
   const rate_hz = machine.tracker_noise?.rate_hz;
   if (rate_hz) rows.push([t("connect.rate"), `${number(rate_hz)} Hz`]);
   return rows;

@@ -27,6 +27,7 @@ export function machineForm({ name, content = USUAL, asksId = false, label, save
   const file = h("input", { type: "file", accept: ".json,application/json", id: `${name}-file` });
   let known = content;
   let axes = [];
+  let altitude = null;
   let texts = {};
 
   function fill(of) {
@@ -34,13 +35,19 @@ export function machineForm({ name, content = USUAL, asksId = false, label, save
     texts = { name: textField(`${name}-name`, t("connect.name"), of.name ?? "", { required: true }),
       kinematic_chain: textField(`${name}-chain`, t("connect.chain"), of.kinematic_chain ?? "", { required: true }) };
     axes = Object.entries(of.axes ?? {}).flatMap(([axis, travel]) => ENDS.map((end) => travelField(name, axis, travel, end)));
-    fields.replaceChildren(...[...Object.values(texts), ...axes].map((field) => field.element));
+    altitude = textField(`${name}-altitude`, [t("machine.altitude"), h("span", { class: "unit" }, "m")],
+      of.site?.altitude_m === undefined ? "" : plain(of.site.altitude_m, 1), { inputmode: "decimal" });
+    fields.replaceChildren(...[...Object.values(texts), ...axes, altitude].map((field) => field.element));
   }
 
   function read() {
     const described = structuredClone(known);
     for (const [key, field] of Object.entries(texts)) described[key] = field.input.value.trim();
     for (const { axis, key, value } of axes) described.axes[axis][key] = value();
+    const height = altitude.input.value.trim();
+    const altitude_m = height ? typed(height) : undefined;
+    if (altitude_m === null || Number.isNaN(altitude_m)) throw new RangeError(t("machine.no_altitude"));
+    described.site = { ...described.site, altitude_m };
     return described;
   }
 
