@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Literal
 
@@ -26,6 +25,7 @@ from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.jobs.machine_cells import MachineCell
+from truepath.drivers.interfaces.thermometers import ReadingTry
 
 _NO_MACHINE = "no machine is set up; give the service a machine_file"
 
@@ -49,16 +49,6 @@ class DeviceIdentity(BaseModel):
     )
 
 
-class SensorTryOut(BaseModel):
-    """What a sensor shows when it is read in one of several ways."""
-
-    channel: str = Field(examples=["X_degC"])
-    how: str = Field(examples=['address = 12, word_order = "little"'])
-    value: float | None = Field(description="Null where this way gives no number.")
-    is_set: bool = Field(description="The way of the settings.")
-    is_likely: bool = Field(description="The way that seems right.")
-
-
 class Connection(BaseModel):
     """The devices, once they have answered."""
 
@@ -66,8 +56,8 @@ class Connection(BaseModel):
     tracker: DeviceIdentity | None
     motion: DeviceIdentity | None
     thermometers: DeviceIdentity | None = None
-    sensors: list[SensorTryOut] = Field(
-        [], description="Both orders of words and addresses beside, as connected."
+    sensors: tuple[ReadingTry, ...] = Field(
+        (), description="By both orders of words and addresses beside, at connect."
     )
     sensors_refused: str = Field("", description="Why no sensor is read.")
 
@@ -222,9 +212,7 @@ def list_conditions_of(one: MachineCell) -> ConditionList:
 
 def describe_connection(cell: CellSupervisor, devices: Devices) -> Connection:
     """Return who answers, and how sensors were read."""
-    known = dict.fromkeys(("tracker", "motion")) | {"connected": bool(devices)}
-    tries = [asdict(one) for one in cell.sensors.tries]
-    for one in tries:
-        one["value"] = one["value"] if math.isfinite(one["value"]) else None
-    sensors = {"sensors": tries, "sensors_refused": cell.sensors.refused}
-    return Connection.model_validate(known | dict(devices) | sensors)
+    none = dict.fromkeys(("tracker", "motion"))
+    tried = {"sensors": cell.sensors.tries, "sensors_refused": cell.sensors.refused}
+    known = {**none, **devices, **tried, "connected": bool(devices)}
+    return Connection.model_validate(known)

@@ -48,11 +48,9 @@ _SENSORS = {  # by the end of a column: what it is here, factor, and what is add
     "_degC": (DEGC, 1.0, 0.0),
     "_degF": (DEGC, 1.0 / 1.8, -32.0),
     "pressure_hPa": (PRESSURE, 1.0, 0.0),
-    "pressure_mbar": (PRESSURE, 1.0, 0.0),
     "pressure_mmHg": (PRESSURE, 1.33322387415, 0.0),
     "pressure_inHg": (PRESSURE, 33.8638866667, 0.0),
     "pressure_kPa": (PRESSURE, 10.0, 0.0),
-    "pressure_Pa": (PRESSURE, 0.01, 0.0),
     "humidity_percent": (HUMIDITY, 1.0, 0.0),
 }
 MAX_STREAM_TEXT_BYTES = 1 << 30  # a stream as text, in one piece in memory
@@ -124,19 +122,28 @@ def decode_environment(
     table = read_csv(data, file)
     table.require("t_s")
     columns: dict[str, NDArray[np.float64]] = {}
+    low, high = find_pressures(altitude_m)
     for key in table.names:
-        for end, (own, factor, offset) in _SENSORS.items():
-            name = key.removesuffix(end) + own
-            if not key.endswith(end) or (own == DEGC and key == end):
-                continue
-            if name in columns:
-                remedy = "leave one of the columns out"
-                raise BundleError(
-                    f"states {name} again", file=file, column=key, remedy=remedy
-                )
-            columns[name] = factor * (table.numbers(key) + offset)
-            if name == PRESSURE and altitude_m is not None:
-                _require_site(table, key, columns[name], altitude_m)
+        end = next((end for end in _SENSORS if key.endswith(end)), key)
+        own, factor, offset = _SENSORS.get(end, ("", 1.0, 0.0))
+        name = key.removesuffix(end) + own
+        if name in ("", DEGC) or (own != DEGC and key != end):
+            continue  # of no sensor that is known here
+        if name in columns:
+            remedy = "leave one of the columns out"
+            raise BundleError(f"is {name} again", file=file, column=key, remedy=remedy)
+        columns[name] = value = factor * (table.numbers(key) + offset)
+        is_off = ~((low <= value) & (value <= high))
+        if name == PRESSURE and altitude_m is not None and is_off.all():
+            table.refuse(
+                is_off,
+                key,
+                lambda k, hpa=value: (
+                    f"is {hpa[k]:.0f} hPa: a site at "
+                    f"{altitude_m:g} m has {low:.0f} to {high:.0f} hPa"
+                ),
+                "name its unit in the column (pressure_mmHg), or correct altitude_m",
+            )
     if not columns:
         raise BundleError(
             "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
@@ -189,22 +196,6 @@ def encode_reference(reference: tuple[DirectMeasurement, ...]) -> bytes:
         for position, value in zip(one.position_mm, one.value, strict=True)
     ]
     return encode_csv(dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True)))
-
-
-def _require_site(
-    table: Table, key: str, hpa: NDArray[np.float64], altitude_m: float
-) -> None:
-    low, high = find_pressures(altitude_m)
-    if not ((low <= hpa) & (hpa <= high)).any():
-        table.refuse(
-            np.ones(len(hpa), bool),
-            key,
-            lambda k: (
-                f"is {table.cells(key)[k]}, {hpa[k]:.0f} hPa: a site at "
-                f"{altitude_m:g} m has {low:.0f} to {high:.0f} hPa"
-            ),
-            "name the unit by the column (pressure_mmHg), or correct site.altitude_m",
-        )
 
 
 def _name_point_columns(points: PointRows) -> dict[str, NDArray[np.generic]]:

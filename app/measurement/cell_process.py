@@ -21,7 +21,8 @@ from typing import Any
 from truepath.app.device_options import make_device
 from truepath.app.errors import TruepathError
 from truepath.app.files.refraction import choose_refraction
-from truepath.app.measurement.channel_judge import ChannelJudge, make_judges
+from truepath.app.files.sensor_gate import ChannelGate
+from truepath.app.measurement.channel_judge import ChannelJudge
 from truepath.app.measurement.faults import classify_fault
 from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
@@ -245,7 +246,9 @@ class _CellServer:
             refused = ""
             try:
                 self._identities["thermometers"] = self._thermometers.connect()
-                self._judges = make_judges(self._thermometers.channels)
+                gates: dict[str, ChannelGate] = {}
+                channels = self._thermometers.channels
+                self._judges = {c.name: ChannelJudge(c, None, gates) for c in channels}
             except DeviceError as error:
                 refused = str(error)
                 log.warning("thermometers: %s", error)

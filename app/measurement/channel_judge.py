@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from truepath.app.files.run import IMPLAUSIBLE
-from truepath.app.files.sensor_gate import ChannelGate, make_gates
+from truepath.app.files.sensor_gate import ChannelGate
 from truepath.app.measurement.faults import Fault
 from truepath.drivers.interfaces.thermometers import Channel, Reading
 
@@ -27,10 +27,14 @@ _ACTIONS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(slots=True)
 class ChannelJudge:
-    """Judges the readings of one channel in the order of time."""
+    """Judges the readings of one channel in the order of time.
+
+    altitude_m, group : as of its gate
+    """
 
     channel: Channel
-    gate: ChannelGate = field(init=False)
+    altitude_m: float | None = None
+    group: dict[str, ChannelGate] = field(default_factory=dict)
     _told: str = ""
     _bad_since_s: float | None = None
     _last: float = math.nan
@@ -38,7 +42,7 @@ class ChannelJudge:
     _said: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.gate = ChannelGate(self.channel)
+        ChannelGate(self.channel.name, self.channel, self.altitude_m, self.group)
 
     def judge(self, reading: Reading) -> tuple[float, Fault | None]:
         """Return the value, NaN where none is to be believed, and what is new of it.
@@ -74,7 +78,7 @@ class ChannelJudge:
             return SILENT, reading.fault
         if not math.isfinite(value):
             return NO_NUMBER, "it shows no number"
-        if why := self.gate.judge(reading.host_time_s, value):
+        if why := self.group[self.channel.name].judge(reading.host_time_s, value):
             return IMPLAUSIBLE, why
         if value != self._last:
             self._last, self._changed_s = value, reading.host_time_s
@@ -82,14 +86,3 @@ class ChannelJudge:
         if 0.0 < self.channel.stuck_s <= still_s:
             return STUCK, f"it has shown {value:g} unchanged for {still_s:.0f} s"
         return "", ""
-
-
-def make_judges(
-    channels: Sequence[Channel], altitude_m: float | None = None
-) -> dict[str, ChannelJudge]:
-    """Return the judge of each channel of a group, by its name."""
-    judges = {one.name: ChannelJudge(one) for one in channels}
-    gates = make_gates({one.name: one for one in channels}, altitude_m)
-    for name, gate in gates.items():
-        judges[name].gate = gate
-    return judges

@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.run import IMPLAUSIBLE
-from truepath.app.measurement.channel_judge import make_judges
+from truepath.app.files.sensor_gate import ChannelGate
+from truepath.app.measurement.channel_judge import ChannelJudge
 from truepath.app.measurement.faults import Fault
 from truepath.app.measurement.recorder import Recorder
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceError
@@ -114,10 +115,11 @@ class EnvironmentReader:
         self._recorder, self._on_notice = recorder, on_notice
         self._on_readings = on_readings
         self._stopping = threading.Event()
+        self._gates: dict[str, ChannelGate] = {}
         self._judges = {
-            name: judge
+            c.name: ChannelJudge(c, altitude_m, self._gates)
             for group in groups
-            for name, judge in make_judges(group.channels, altitude_m).items()
+            for c in group.channels
         }
         self._threads = [
             threading.Thread(
@@ -141,9 +143,9 @@ class EnvironmentReader:
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join(JOIN_S)
-        for name, judge in self._judges.items() if is_first else ():
-            if judge.gate.left_out:
-                text = judge.gate.describe(name)
+        for gate in self._gates.values() if is_first else ():
+            if gate.left_out:
+                text = gate.describe()
                 self._on_notice(Fault(IMPLAUSIBLE, text, "", latched=False))
 
     def _run(self, group: Thermometers) -> None:

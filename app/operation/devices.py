@@ -7,7 +7,6 @@ that one is asked instead. Nothing moves.
 from __future__ import annotations
 
 import grp
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -144,9 +143,8 @@ def ask_device(
 def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
     """Return what a sensor shows by each way to read it; that of the settings first."""
     shown = [
-        f"{w.value:.6g} with {w.how}{' (as set)' * w.is_set}{' (likely)' * w.is_likely}"
+        f"{w.value} with {w.how}{' (as set)' * w.is_set}{' (likely)' * w.is_likely}"
         for w in ways
-        if w.is_set or not math.isnan(w.value)
     ]
     is_well = ways[0].is_likely
     remedy = "" if is_well else "look at the sensor, its address and order of words"

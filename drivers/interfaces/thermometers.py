@@ -103,13 +103,13 @@ class Reading:
 class ReadingTry:
     """What a channel shows when it is read in one of several ways.
 
-    how : the way, as settings say it; value : NaN where it gives no number
+    how : the way, as settings say it; value : None where it gives no number
     is_set : the way of the settings; is_likely : the one that seems right
     """
 
     channel: str
     how: str
-    value: float
+    value: float | None
     is_set: bool
     is_likely: bool
 
@@ -129,10 +129,7 @@ class Thermometers(Device):
 
     @property
     def tries(self) -> tuple[ReadingTry, ...]:
-        """What `connect` saw by other ways of reading, where it has tried any.
-
-        It is kept where `connect` was Refused because the way of the settings is wrong.
-        """
+        """What `connect`, even Refused, has seen by all the ways that it tried."""
         return ()
 
     @abstractmethod

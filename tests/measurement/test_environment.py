@@ -153,6 +153,50 @@ class TestJudge:
         assert not any(judged([20.0] * 5, step_s=3600.0, channel=coarse)[1])
 
 
+def swap_words(value):
+    """Return what a float32 looks like in the wrong order of its words."""
+    return float(np.array([value], ">f4").view(">u2")[::-1].copy().view(">f4")[0])
+
+
+@pytest.mark.fault_row(43)
+class TestGate:
+    def test_of_words_in_the_wrong_order_nothing_is_believed(self):
+        draws = np.random.default_rng(0).normal(20.0, 0.02, 1000)
+        found, told = judged([swap_words(value) for value in draws])
+        assert np.isfinite(found).sum() <= 1  # one that happens to look like one
+        assert IMPLAUSIBLE in told
+        assert BACK not in told
+
+    @pytest.mark.parametrize("wrong", [0.0, 2.3e-41, swap_words(20.5), -1e-9])
+    def test_nearly_nothing_is_no_temperature_however_long_it_lasts(self, wrong):
+        for values in ([wrong] * 60, [20.0, 20.1, *[wrong] * 60]):
+            found, told = judged(values)
+            assert np.isnan(found[-60:]).all()
+            assert told[-60] == IMPLAUSIBLE
+
+    def test_a_channel_stays_out_until_it_has_been_steady_for_a_while(self):
+        bad = [20.0, 1e-30, 20.0, 327.0, 20.0, 45.0, 20.0]
+        found, told = judged([*[20.0] * 30, *bad, *[20.0] * 30])
+        assert np.isnan(found[31:40]).all()
+        assert found[-15:] == [20.0] * 15
+        assert told.count(BACK) == 1
+
+    def test_a_new_level_is_believed_when_a_machine_can_have_come_there(self):
+        found, _ = judged([*[20.0] * 30, *[26.0] * 600])
+        first = int(np.flatnonzero(np.isfinite(found[30:]))[0])
+        assert 100 < first < 400
+
+    def test_the_air_is_colder_than_a_spindle_may_be(self):
+        assert math.isnan(judged([60.0], channel=Channel("air_degC"))[0][0])
+        assert judged([60.0], channel=Channel("spindle_degC"))[0] == [60.0]
+
+    @pytest.mark.parametrize("step_s", [0.1, 1.0, 10.0])
+    def test_what_warms_is_believed(self, step_s):
+        warms = 15.0 + 25.0 * (1.0 - np.exp(-np.arange(0.0, 900.0, step_s) / 100.0))
+        values = np.round(warms, 1) + np.random.default_rng(0).normal(0, 0.03)
+        assert np.isfinite(judged(values.tolist(), step_s=step_s)[0]).all()
+
+
 @pytest.fixture
 def order(mill, square, tmp_path) -> MeasurementOrder:
     return MeasurementOrder(
@@ -232,6 +276,16 @@ def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
     assert motion.beats == motion.looks
     assert (np.diff(run.tracker.sequence) == 1).all()
     assert run.temperature is None
+
+
+@pytest.mark.fault_row(43)
+def test_what_was_left_out_is_counted_in_the_run_with_its_reason(measure, sensors):
+    sensors.shows["X_degC"] = swap_words(20.5)
+    sensors.shows["pressure_hPa"] = 746.0  # of mercury, in mm
+    run, _ = measure(sensors)
+    told = summarize_run(run).sensors_told
+    for words in ("nearly 0", "a site whose altitude is not stated"):
+        assert any("readings not used" in text and words in text for text in told)
 
 
 def test_a_driver_with_a_defect_costs_its_readings(measure, sensors, journal):

@@ -27,7 +27,7 @@ from truepath.drivers.transport.modbus_link import ModbusLink, make_address
 log = logging.getLogger(__name__)
 
 _NO_NUMBER = "the register holds no number"
-_USUAL = {"degC": (0.5, 45.0), "hPa": (900.0, 1060.0), "percent": (10.0, 90.0)}
+_SMALL = 0.5  # words in the wrong order may look like less
 
 
 class ModbusRegisters(Thermometers):
@@ -142,15 +142,18 @@ class ModbusRegisters(Thermometers):
         shy: set[int] = set()  # units that bear no question beyond their list
         tried = [self._try_ways(each, value, shy) for each, value in found]
         self._tries = tuple(one for ways in tried for one in ways)
-        for (each, _), ways in zip(found, tried, strict=True):
-            _refuse_order(each, ways)
+        for (each, _), (own, other, *_) in zip(found, tried, strict=True):
+            if each.count == 2 and other.is_likely:
+                raise Refused(
+                    f"{each.name}: its words are in the other order: {own.value} with "
+                    f"{own.how}, {other.value} with {other.how}; set that"
+                )
 
     def _try_ways(
         self, each: Register, value: float, shy: set[int]
-    ) -> tuple[ReadingTry, ...]:
+    ) -> list[ReadingTry]:
         """Read a sensor in every way; `value` is what it shows in that of the list."""
-        ways = each.list_ways()
-        values = [value]
+        ways, values = each.list_ways(), [value]
         for way in ways[1:]:
             values.append(math.nan)
             try:
@@ -161,14 +164,21 @@ class ModbusRegisters(Thermometers):
             except DeviceError:
                 shy.add(way.unit)
                 self._open_anew()
-        usable = [i for i, v in enumerate(values) if _is_reading(each, v)]
-        low, high = _USUAL[each.channel.unit]
-        own = [i for i in usable if ways[i].address == each.address] or usable
-        likely = next((i for i in own if low <= values[i] <= high), (*own, -1)[0])
-        return tuple(
-            ReadingTry(each.name, way.describe_way(), values[i], i == 0, i == likely)
+        # Beside it another sensor may be: its own address comes first.
+        may = [i for i, v in enumerate(values) if each.may_be(v)]
+        own = [i for i in may if i < each.count] or may
+        likely = next((i for i in own if abs(values[i]) > _SMALL), (*own, -1)[0])
+        return [
+            ReadingTry(
+                each.name,
+                f"address = {way.address}"
+                + f', word_order = "{way.word_order}"' * (each.count > 1),
+                values[i] if math.isfinite(values[i]) else None,
+                is_set=i == 0,
+                is_likely=i == likely,
+            )
             for i, way in enumerate(ways)
-        )
+        ]
 
     def _ask(self, each: Register) -> float:
         words = self._link.read(
@@ -188,22 +198,6 @@ class ModbusRegisters(Thermometers):
         except ConnectionLost as error:
             return str(error)
         return ""
-
-
-def _is_reading(each: Register, value: float) -> bool:
-    return value != 0.0 and not math.isnan(value) and not each.channel.find_fault(value)
-
-
-def _refuse_order(each: Register, ways: Sequence[ReadingTry]) -> None:
-    """Raise Refused where words are a reading in the other order, and not as set."""
-    if each.count < 2 or _is_reading(each, ways[0].value):
-        return
-    if _is_reading(each, ways[1].value):
-        unit = each.channel.unit
-        raise Refused(
-            f"{each.name}: its words are in the other order: {ways[0].value:g} {unit} "
-            f"with {ways[0].how}, {ways[1].value:g} {unit} with {ways[1].how}; set that"
-        )
 
 
 def _read_register(stated: Mapping[str, Any]) -> Register:

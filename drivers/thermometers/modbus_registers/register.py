@@ -81,23 +81,19 @@ class Register:
         shown = self.offset + self.scale * value
         return shown if self.type == "float32" else round(shown, 9)
 
-    def list_ways(self) -> tuple[Register, ...]:
-        """Return the ways to read it: this, the other order, an address beside."""
-        last = _HIGHEST + 1 - self.count
-        at = [self.address, self.address - 1, self.address + 1]
-        other: WordOrder = "big" if self.word_order == "little" else "little"
-        orders = (self.word_order, other) if self.count == 2 else (self.word_order,)
-        return tuple(
-            replace(self, address=address, word_order=order)
-            for address in at
-            if 0 <= address <= last
-            for order in orders
-        )
+    def may_be(self, value: float | None) -> bool:
+        """Tell whether a number may be a reading."""
+        return bool(value) and not self.channel.find_fault(value or math.nan)
 
-    def describe_way(self) -> str:
-        """Return address and order of words in the words of the settings."""
-        order = f', word_order = "{self.word_order}"' if self.count == 2 else ""
-        return f"address = {self.address}{order}"
+    def list_ways(self) -> list[Register]:
+        """Return the ways to read it: this, the other order, an address beside."""
+        other: WordOrder = "big" if self.word_order == "little" else "little"
+        return [
+            replace(self, address=address, word_order=order)
+            for address in (self.address, self.address - 1, self.address + 1)
+            if 0 <= address <= _HIGHEST + 1 - self.count
+            for order in (self.word_order, other)[: self.count]
+        ]
 
     def _require(self, key: str, kept: bool, otherwise: str) -> None:
         if not kept:

@@ -1,0 +1,111 @@
+"""`truepath doctor` shows by which ways a sensor may be read, and which is likely."""
+
+import struct
+import threading
+import time
+
+import pytest
+
+from truepath.app.cli.command import run
+from truepath.simulators.modbus_ports import ModbusTcpPort
+from truepath.simulators.modbus_wire import ILLEGAL_ADDRESS, exception
+
+pytestmark = pytest.mark.fault_row(43)
+
+
+class Gateway:
+    """Holding registers of one unit, from address 10 on."""
+
+    def __init__(self, words):
+        self.words, self.port = words, ModbusTcpPort("127.0.0.1", 0, (1,))
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ending.set()
+        self._thread.join()
+        self.port.close()
+
+    def _serve(self):
+        while not self._ending.is_set():
+            self.port.serve(self._answer)
+            time.sleep(0.002)
+
+    def _answer(self, unit, pdu):
+        function, address, count = struct.unpack(">BHH", pdu)
+        words = self.words[address - 10 : address - 10 + count]
+        if address < 10 or len(words) < count:
+            return exception(pdu, ILLEGAL_ADDRESS)
+        return struct.pack(f">BB{count}H", function, 2 * count, *words)
+
+
+def words_of(value, *, swapped=False):
+    words = struct.unpack(">2H", struct.pack(">f", value))
+    return list(words[::-1] if swapped else words)
+
+
+@pytest.fixture
+def ask(tmp_path, capsys):
+    """Return what the doctor says of one sensor."""
+
+    def ask(words, **row):
+        row = {"name": "X_degC", "address": 10, "function": "holding"} | row
+        with Gateway(words) as gateway:
+            options = "".join(f"{k} = {v!r}\n" for k, v in gateway.port.address.items())
+            keys = "".join(f"{k} = {v!r}\n" for k, v in row.items())
+            (tmp_path / "t.toml").write_text(
+                f"data_dir = {str(tmp_path / 'data')!r}\n"
+                f"machine_file = {str(tmp_path / 'none.json')!r}\n"
+                'thermometer_driver = "modbus-registers"\n'
+                'tracker_options = {host = "127.0.0.1", port = 1}\n'
+                'motion_options = {host = "127.0.0.1", port = 1}\n'
+                f"[thermometer_options]\n{options}"
+                f"[[thermometer_options.registers]]\n{keys}"
+            )
+            run(["doctor", "--config", str(tmp_path / "t.toml")])
+        return capsys.readouterr().out
+
+    return ask
+
+
+def line_of(said, subject):
+    return next(x for x in said.splitlines() if x.split()[1:2] == [subject])
+
+
+@pytest.mark.parametrize("value", [20.5, 20.53, -3.25, 20.02])
+def test_words_in_the_wrong_order_are_refused_by_name(ask, value):
+    said = ask(words_of(value, swapped=True), type="float32")
+    refused = line_of(said, "thermometer")
+    assert refused.startswith("WRONG")
+    assert "X_degC: its words are in the other order" in refused
+    shown = line_of(said, "X_degC")
+    assert 'word_order = "little" (likely)' in shown
+    assert f"{value:g}" in shown
+
+
+def test_the_order_that_is_set_is_marked_where_it_is_the_likely_one(ask):
+    said = ask(words_of(20.53), type="float32")
+    assert line_of(said, "thermometer").startswith("ok")
+    assert 'word_order = "big" (as set) (likely)' in line_of(said, "X_degC")
+
+
+def test_an_address_beside_is_shown_where_that_of_the_settings_holds_nothing(ask):
+    said = ask([0, 205, 0], address=10, scale=0.1)
+    shown = line_of(said, "X_degC")
+    assert shown.startswith("warning")
+    assert "0.0 with address = 10 (as set)" in shown
+    assert "20.5 with address = 11 (likely)" in shown
+
+
+def test_a_dead_sensor_beside_another_is_no_wrong_address(ask):
+    said = ask([0x7FFF, 205], address=10, scale=0.1)
+    assert line_of(said, "thermometer").startswith("ok")
+
+
+def test_whole_numbers_of_two_words_are_compared_as_well(ask):
+    said = ask([2053, 0], type="int32", scale=0.01)
+    assert 'word_order = "little"' in line_of(said, "thermometer")
