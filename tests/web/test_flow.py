@@ -649,6 +649,34 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
     expect(row).to_have_attribute("data-level", "true")
 
 
+@pytest.mark.fault_row(43)
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(
+    panel, service, language
+):
+    ways = [
+        {"how": 'address = 12, word_order = "big"', "value": 0.06, "is_set": True},
+        {"how": 'address = 12, word_order = "little"', "value": 20.53},
+        {"how": 'address = 11, word_order = "big"', "value": None},
+    ]
+    sensors = [
+        {"channel": "X_degC", "is_set": False, "is_likely": way["value"] == 20.53} | way
+        for way in ways
+    ]
+    refused = "X_degC: its words are in the other order"
+    told = {"sensors": sensors, "sensors_refused": refused}
+    service.machine = service.machine | told
+    service.connected = True
+    page = panel.open("#/connect", language=language)
+    card = page.locator("[data-card=sensors]")
+    set_, likely = {
+        "en": ("0.06 · as set · unlikely", "20.53 · likely"),
+        "de": ("0,06 · wie eingestellt · unwahrscheinlich", "20,53 · wahrscheinlich"),
+    }[language]
+    for words in (refused, 'word_order = "little"', set_, likely):
+        expect(card).to_contain_text(words)
+
+
 WARM = {
     "type": "temperature-steady",
     "level": "false",

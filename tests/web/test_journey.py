@@ -426,12 +426,14 @@ def test_a_machine_is_added_from_its_file_and_described_anew(
     changed = page.locator("[data-form=describe]")
     expect(changed.get_by_label(most)).to_have_value(re.compile("612.5"))
     changed.get_by_label(most).fill("700")
+    changed.get_by_label(re.compile("Altitude of the site|Höhe des Stand")).fill("120")
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
     changed.get_by_role("button", name=save).click()
     expect(page.locator("[data-card=describe] form")).to_be_hidden()
     method, path, sent = service.requests[-1]
     assert (method, path) == ("PUT", "/machines/mill-5/machine-file")
     assert sent["machine_file"]["axes"]["X"]["max_mm"] == 700
+    assert sent["machine_file"]["site"] == {"altitude_m": 120}
     assert sent["machine_file"]["tool_offset_mm"] == content["tool_offset_mm"]
 
 

@@ -134,6 +134,22 @@ def judged_faults() -> Iterator[Fault]:
         _, fault = judge.judge(Reading("air_degC", host_time_s, value))
         if fault:
             yield fault
+    for name, altitude_m, shown in (
+        ("pressure_hPa", None, (746.0,)),
+        ("pressure_hPa", 120.0, (746.0,)),
+        ("X_degC", None, (2.4e-41,)),
+        ("X_degC", None, (0.0,)),
+        ("X_degC", None, (20.0, 45.5)),
+    ):
+        judge = ChannelJudge(Channel(name), altitude_m)
+        for second, value in enumerate(shown):
+            _, fault = judge.judge(Reading(name, 10.0 + second, value))
+        yield fault
+    group = {}
+    judges = [ChannelJudge(Channel(f"{n}_degC"), None, group) for n in "YZX"]
+    for judge, value in zip(judges, (20.0, 20.5, 45.0), strict=True):
+        _, fault = judge.judge(Reading(judge.channel.name, 10.0, value))
+    yield fault
 
 
 def temperature_refusals() -> Iterator[str]:

@@ -47,7 +47,7 @@ export function machineForm({ name, content = USUAL, asksId = false, label, save
     const height = altitude.input.value.trim();
     const altitude_m = height ? typed(height) : undefined;
     if (altitude_m === null || Number.isNaN(altitude_m)) throw new RangeError(t("machine.no_altitude"));
-    described.site = { ...described.site, altitude_m };
+    if (height || described.site) described.site = { ...described.site, altitude_m };
     return described;
   }
 
