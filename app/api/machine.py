@@ -186,7 +186,6 @@ def get_readiness(service: ServiceDep) -> Ready:
 
 
 def _require_first(service: Service) -> MachineCell:
-    """Return the only or first machine. Raises NotFound."""
     if service.machines.first is None:
         raise NotFound(_NO_MACHINE)
     return service.machines.first

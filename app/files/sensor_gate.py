@@ -72,7 +72,9 @@ class ChannelGate:
         elif self._out is not None:
             since_s, count = self._out
             is_steady = count > 0 and at_s - since_s >= STEADY_S
-            is_steady = is_steady and self._agrees(at_s, value)
+            at_once, a_second = _STEP[self.channel.unit]
+            drift = _DRIFT * a_second * (at_s - self._good_s)
+            is_steady &= not abs(value - self._good) > at_once + drift
             self._out = None if is_steady else (since_s, count + 1)
             fault = "" if is_steady else "it is not steady yet"
         self.left_out += bool(fault)
@@ -87,12 +89,6 @@ class ChannelGate:
         count = f"{self.left_out} of {self.seen} readings"
         return f"{self.name}: {count} not used: {self.why}"
 
-    def _agrees(self, at_s: float, value: float) -> bool:
-        """Tell whether a steady reading is where the channel can have come to since."""
-        at_once, a_second = _STEP[self.channel.unit]
-        drift = _DRIFT * a_second * (at_s - self._good_s)
-        return math.isnan(self._good) or abs(value - self._good) <= at_once + drift
-
     def _find_fault(self, at_s: float, value: float) -> str:
         unit, last = self.channel.unit, self._last
         if fault := self.channel.find_fault(value):
@@ -105,9 +101,8 @@ class ChannelGate:
             return f"0 {unit} to the last digit, as of a register that nothing writes"
         step_s = min(at_s - self._last_s, _LONGEST_S)
         self._last, self._last_s = value, at_s
-        is_jump = max(abs(value), abs(last)) > max(
-            1.0, _JUMP * min(abs(value), abs(last))
-        )
+        small, large = sorted((abs(value), abs(last)))
+        is_jump = large > max(1.0, _JUMP * small)
         if is_jump or abs(value - last) > at_once + a_second * step_s:
             return f"{value:g} {unit} comes {step_s:.3g} s after {last:g} {unit}"
         near = self.group.values() if _SCALE.fullmatch(self.name) else ()

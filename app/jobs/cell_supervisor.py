@@ -189,7 +189,6 @@ class CellSupervisor:
         return self._commands.put(command)
 
     def _run(self) -> None:
-        """Body of the cell thread."""
         pause_s = self._first_pause_s
         while not self._closing.is_set():
             begun = time.monotonic()

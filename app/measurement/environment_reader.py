@@ -149,7 +149,6 @@ class EnvironmentReader:
                 self._on_notice(Fault(IMPLAUSIBLE, text, "", latched=False))
 
     def _run(self, group: Thermometers) -> None:
-        """Body of a thread."""
         period_s = max(group.period_s, _FASTEST_S)
         try:
             while not self._stopping.is_set():
@@ -177,7 +176,6 @@ class EnvironmentReader:
 
 
 def _read(group: Thermometers) -> tuple[Reading, ...]:
-    """Read a group, connecting it where it is not."""
     try:
         try:
             return group.read()

@@ -33,7 +33,12 @@ from truepath.app.planning.grade import Grade, SetUp, grade_together
 from truepath.app.progress import Progress, ignore_progress, scale_progress
 from truepath.app.results.findings import Findings, Provenance, state_checked_findings
 from truepath.app.results.trial_results import run_trials
-from truepath.app.results.verdict import judge_driving, judge_range, judge_surroundings
+from truepath.app.results.verdict import (
+    judge_air,
+    judge_driving,
+    judge_range,
+    judge_sensors,
+)
 
 # Share of the work that is done after alignment, estimation and trials.
 _SHARES, _SHARES_WITH_TRIALS = (0.1, 0.9, 0.9), (0.01, 0.09, 0.98)
@@ -94,8 +99,9 @@ def analyse(
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     driven = judge_driving([each.driving for each in observed], names)
-    around = judge_surroundings(summaries)
-    verdict = Verdict.merge([found.verdict, ranges, driven, around])
+    air = judge_air([run.refraction for run in runs], names)
+    around = [air, judge_sensors(summaries)]
+    verdict = Verdict.merge([found.verdict, ranges, driven, *around])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
 
 

@@ -23,7 +23,7 @@ from truepath.app.estimation.run_estimate import RunEstimate
 from truepath.app.estimation.run_parts import Knock
 from truepath.app.estimation.tracker_score import RangeOffsetScore
 from truepath.app.files.refraction import NOBODY, Refraction, find_cause
-from truepath.app.files.run import RunSummary, number_names
+from truepath.app.files.run import RunSummary, number_names, summarize_run
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Reason, State, Value, Verdict
 from truepath.app.results.volumetric_error import VolumetricError
@@ -93,19 +93,17 @@ def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> V
     return Verdict(tuple(reasons))
 
 
-def judge_surroundings(summaries: Sequence[RunSummary]) -> Verdict:
-    """Return what Runs had to do without: the air on the beam, readings of sensors."""
-    names = [one.name for one in summaries]
+def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
+    """Return which sensors showed what cannot be; doubtful where one is missing."""
     reasons: list[Reason] = []
     for one in summaries:
         used = {sensor.name for sensor in one.sensors if sensor.is_used}
         last = {text.partition(":")[0]: text for text in one.sensors_left_out}
         for name, text in last.items():
             state = "usable" if name in used else "doubtful"
-            run = one.name if len(names) > 1 else ""
+            run = one.name if len(summaries) > 1 else ""
             reasons.append(Reason("sensor-left-out", state, {"what": text}, run))
-    air = judge_air([one.refraction for one in summaries], names)
-    return Verdict.merge([air, Verdict(tuple(reasons))])
+    return Verdict(tuple(reasons))
 
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
@@ -206,7 +204,8 @@ def judge_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
     white = max(max(run.noise.white) for run in found.baseline.runs)
     reasons += _judge_noise(noise * left, white)
     used = Verdict() if parent is None else parent.judge_use()
-    return Verdict.merge([Verdict(tuple(reasons)), used])
+    sensors = judge_sensors([summarize_run(one.run) for one in found.aligned])
+    return Verdict.merge([Verdict(tuple(reasons)), sensors, used])
 
 
 def _judge_left_out(

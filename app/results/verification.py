@@ -63,7 +63,7 @@ from truepath.app.results.predicted_motion import (
     find_poses,
     predict_displacement,
 )
-from truepath.app.results.verdict import judge_surroundings
+from truepath.app.results.verdict import judge_air, judge_sensors
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,14 @@ def _state(
     return Verification(
         held.result,
         runs,
-        judge_surroundings(summaries),
+        Verdict.merge(
+            [
+                judge_air(
+                    [one.refraction for one in summaries], [s.name for s in summaries]
+                ),
+                judge_sensors(summaries),
+            ]
+        ),
         places,
         measured,
         predicted,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import threading
 import time
 from dataclasses import replace
@@ -180,6 +181,12 @@ class TestGate:
         assert np.isnan(found[31:40]).all()
         assert found[-15:] == [20.0] * 15
         assert told.count(BACK) == 1
+
+    def test_a_sensor_that_keeps_coming_and_going_stays_out(self):
+        swapped = struct.unpack("<f", struct.pack(">f", 20.5))[0]  # bytes, not words
+        for bad in (0.0, swapped, -20.0, 60.0):
+            found, _ = judged([*[20.0] * 20, *[bad, 20.0, 20.0, 20.1] * 20])
+            assert np.isnan(found[20:]).all()
 
     def test_a_new_level_is_believed_when_a_machine_can_have_come_there(self):
         found, _ = judged([*[20.0] * 30, *[26.0] * 600])

@@ -59,12 +59,6 @@ class MotionLimitsOut(BaseModel):
     jerk_mm_s3: float | None = None
 
 
-class SiteOut(BaseModel):
-    """Where the machine stands."""
-
-    altitude_m: float
-
-
 class MachineCoreOut(BaseModel):
     """Name, chain, axes and targets of a machine."""
 
@@ -77,7 +71,9 @@ class MachineCoreOut(BaseModel):
         None, description="Of the one target in the tool; else there are `targets`."
     )
     targets: dict[str, TargetOut] | None = Field(None, description="By name.")
-    site: SiteOut | None = Field(None, description="Where its file states it.")
+    site: dict[str, float] | None = Field(
+        None, examples=[{"altitude_m": 120.0}], description="Where its file states it."
+    )
 
 
 class MachineFileOut(MachineCoreOut):
