@@ -108,6 +108,23 @@ def test_temperatures_of_an_export_are_in_the_bundle(bring, record, tmp_path):
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
 
 
+@pytest.mark.fault_row(43)
+def test_a_temperature_that_cannot_be_is_left_out_with_a_note(
+    bring, record, tmp_path, capsys
+):
+    """The sensor falls to 0 halfway, as with its words in the wrong order."""
+    rows = list(rows_of(record(1, rows=12)[0]))
+    text = ["t_s,x_mm,y_mm,z_mm,X_degC"]
+    for number, (t, p, _) in enumerate(rows):
+        degc = 20.0 + 0.1 * (number % 3) if 2 * number < len(rows) else 2.3e-41
+        text.append(",".join(map(repr, (float(t), *map(float, p), degc))))
+    assert bring("\n".join(text).encode()) == 0
+    assert "X_degC: " in "".join(capsys.readouterr())
+    run_of_export = read_bundle(tmp_path / "bundle")
+    assert run_of_export.temperature is None
+    assert any("X_degC" in e.text for e in run_of_export.events)
+
+
 def test_an_nc_program_is_the_path_that_it_drives(bring, record, tmp_path):
     truth = record(1, rows=12)[0]
     program = write_program(truth.commanded, truth.machine, "heidenhain")
