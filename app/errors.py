@@ -41,6 +41,10 @@ class BundleError(BadInput):
         return partial(BundleError, remedy=self.remedy, **place), (self.problem,)
 
 
+class ActiveTablesUnknown(BadInput):
+    """The control compensated as it was measured, and nobody says by which tables."""
+
+
 class NotUsable(BadInput):
     """A result that says of itself that it is not to be used."""
 

@@ -55,19 +55,25 @@ def create_compensation(
     """Make the files of a format, and say what they leave before anybody loads them.
 
     Of a job with error tables, or of a discovery's model. The same request makes the
-    same files, which are kept with the result.
+    same files, which are kept with the result. Where the control compensated while it
+    was measured, they are combined with the tables that it had, or the difference.
     """
+    from truepath.app.compensation.active_files import GivenTables
     from truepath.app.compensation.kept_files import CompensationOrder, keep_files
     from truepath.app.compensation.unmeasured import Unmeasured
 
     folder = _find_folder(service, job_id)
     source = find_model_file(service.results, service.store.get(job_id).id)
     choice = Unmeasured(request.unmeasured)
+    data = {name: text.encode() for name, text in request.active_files.items()}
+    given = GivenTables(data, is_difference=request.difference)
     order = CompensationOrder(
-        request.format, request.spacing_mm, choice, request.choices
+        request.format, request.spacing_mm, choice, request.choices, given
     )
-    account = keep_files(source, folder, order, accept_verdict=request.accept_verdict)
-    made = _describe(job_id, order.name, account)
+    made = _describe(
+        job_id,
+        *keep_files(source, folder, order, accept_verdict=request.accept_verdict),
+    )
     response.headers["Location"] = made.links.self
     return made
 

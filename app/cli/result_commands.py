@@ -21,7 +21,7 @@ from truepath.app.cli.terminal import (
     require_folder,
     say,
 )
-from truepath.app.errors import BadInput, NotUsable
+from truepath.app.errors import ActiveTablesUnknown, BadInput, NotUsable
 
 
 def compare(
@@ -109,6 +109,18 @@ def export(
             help="Of the machine, where RESULT.json is what `temperature` wrote.",
         ),
     ] = None,
+    active: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="A table that the control had while it was measured, once for each "
+            "file: what is written has it as well, to be loaded in its place.",
+        ),
+    ] = None,
+    difference: Annotated[
+        bool,
+        typer.Option("--difference", help="Only what the active tables lacked."),
+    ] = False,
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -120,6 +132,7 @@ def export(
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
     collect_seldom()
+    from truepath.app.compensation.active_files import read_given_tables
     from truepath.app.compensation.export import export_files
     from truepath.app.compensation.unmeasured import Unmeasured
 
@@ -140,7 +153,11 @@ def export(
             choices={key: word for key, word in chosen.items() if word},
             accept_verdict=accept_verdict,
             at_temperature_degc=at_temperature,
+            given=read_given_tables(active or (), format, is_difference=difference),
         )
+    except ActiveTablesUnknown as error:
+        remedy = "--active FILE for each of their files, or --difference"
+        raise BadInput(f"{result}: {error}: {remedy}") from error
     except NotUsable as error:
         raise BadInput(f"{error} --accept-verdict writes it all the same") from error
     warn_of_verdict(account["verdict"])
@@ -160,6 +177,7 @@ def export(
 
 def _print_compensation(account: Mapping[str, Any]) -> None:
     error = account["volumetric_error_um"]
+    print(f"holds {account['basis']['holds']}: {account['basis']['text']}")
     print(f"carries: {account['carries']}")
     print(f"not carried: {account['not_carried']}")
     if stated := account["temperature"]:
@@ -197,6 +215,9 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
 def _state_rotary(one: Mapping[str, Any]) -> str:
     """Return what tables leave of a rotary axis, and what no table has."""
     parts: list[str] = []
+    if table := one["table"]:
+        beyond = "each turn" if table["repeats_each_turn"] else "end values beyond"
+        parts.append(f"table {table['from_deg']:g} to {table['to_deg']:g} deg, {beyond}")
     if angle := one.get("positioning_urad"):
         parts.append(
             f"positioning {_state_change(angle)} µrad, at the tool "

@@ -75,6 +75,7 @@ def verify(
     loaded = read_result(result)
     files = tuple(compensation or ())
     active = read_active_files(files, format, loaded.machine)
+    active = active and active.relate(loaded.provenance)
     with show_progress("verify") as on_progress:
         found = verify(
             loaded,

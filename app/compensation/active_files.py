@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.format import Correction
+from truepath.app.compensation.format import CompensationFormat, Correction
 from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.kept_files import read_account
-from truepath.app.errors import BadInput, BundleError
+from truepath.app.errors import ActiveTablesUnknown, BadInput, BundleError
 from truepath.app.files.file_model import as_object, parse_json
+from truepath.app.files.provenance_file import (
+    CONTROL,
+    MIXED,
+    OFF,
+    ON,
+    read_control_state,
+)
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
@@ -23,21 +29,140 @@ from truepath.app.kinematics.machine import Machine
 AddedMotion = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
 """What a controller adds, mm, under conditions that say from where an axis came."""
 
+_HOLDS = {
+    "as-found": "the whole error: measured while the control did not compensate",
+    "as-measured": "the error as it was measured; nothing says whether the control "
+    "compensated: if it did, this is what its tables lacked",
+    "combined": "the tables that were active and what they lacked, to be loaded in "
+    "their place",
+    "difference": "only what the active tables lacked: to be added to these, not to be "
+    "loaded in their place",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class ActiveFiles:
     """Files of a format, and what a controller adds by them.
 
-    files_sha256 : digest by name
+    texts : by name; files_sha256 : digest by name
+    before : the files in whose place these are, active while that was measured which
+        these were made of; made_of : its digest, where the account tells it
     """
 
     format: str
     files_sha256: Mapping[str, str]
-    added: AddedMotion
+    texts: Mapping[str, str]
+    kind: CompensationFormat
+    machine: Machine
+    correction: Correction
+    before: ActiveFiles | None = None
+    made_of: str = ""
 
     def describe(self) -> dict[str, Any]:
         """Return which files they are, as a verification states it."""
         return {"format": self.format, "files_sha256": dict(self.files_sha256)}
+
+    def change(
+        self, place: Float64[np.ndarray, "n a"], direction: float
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return what is added beside what was added while the errors were measured."""
+        added = self.correction(place, direction)
+        return (
+            added - self.before.correction(place, direction) if self.before else added
+        )
+
+    @property
+    def added(self) -> AddedMotion:
+        """The same under conditions that say from where an axis came."""
+        return follow_approach(self.change, self.machine)
+
+    def relate(self, provenance: Mapping[str, Any]) -> ActiveFiles:
+        """Return the files as they change what a result states. Raises BadInput."""
+        if self.made_of == provenance.get("input_sha256"):
+            return self
+        if read_control_state(provenance) == ON:
+            raise BadInput(
+                f"{', '.join(self.texts)}: the result was measured while the control "
+                "compensated, and these files were not exported from it: name files "
+                "that were, with their account, or none if the tables are as they were"
+            )
+        return replace(self, before=None)
+
+
+@dataclass(frozen=True, slots=True)
+class GivenTables:
+    """What somebody says of the tables that the control had while it was measured.
+
+    data : the files by name; choices : by which they are read, where these are known
+    is_difference : files are wanted of what these lack, not of both
+    """
+
+    data: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
+    choices: Mapping[str, str] | None = None
+    is_difference: bool = False
+
+
+def find_basis(
+    provenance: Mapping[str, Any],
+    name: str,
+    machine: Machine,
+    choices: Mapping[str, str],
+    given: GivenTables,
+) -> tuple[dict[str, Any], ActiveFiles | None]:
+    """Return what files of a result hold, for their account, and what they replace.
+
+    provenance : of the result; name, choices : of the format
+
+    Raises ActiveTablesUnknown, or BadInput for tables that were not active.
+    """
+    control, active, named = read_control_state(provenance), None, None
+    stated = provenance.get("active_tables")
+    if control == MIXED:
+        raise BadInput(
+            "the Runs of this result were not measured alike: the compensation of the "
+            "control was on in some and off in others, or by other tables; export a "
+            "result of Runs that were"
+        )
+    if given.data:
+        if control == OFF or given.is_difference or "followed" in choices.values():
+            raise BadInput(
+                f"{', '.join(given.data)}: given as active tables, where the control "
+                "had none, the difference is asked for, or tables follow the tool in "
+                "use: leave them out"
+            )
+        words = given.choices or choices
+        active = make_active_files(given.data, name, machine, words)
+        if stated not in (None, active.files_sha256):
+            raise BadInput(
+                f"{', '.join(given.data)}: not the tables that the control had: the "
+                f"result states {', '.join(stated)} with other SHA-256"
+            )
+        if active.kind.composes_rotary and machine.rotary_axes:
+            raise BadInput(
+                f"{name} of a machine with rotary axes is not combined with active "
+                "tables: measure with the compensation off, or ask for the difference"
+            )
+        named = {**active.describe(), "choices": dict(words), "texts": active.texts}
+    elif control == ON and not given.is_difference:
+        raise ActiveTablesUnknown(
+            "the control compensated while this was measured, so that the result is "
+            "what its tables lack, and files of that alone would undo them: give the "
+            "tables that were active, or ask for the difference"
+        )
+    holds = "as-found" if control == OFF else "combined" if active else "as-measured"
+    if control != OFF and given.is_difference:
+        holds = "difference"
+    text = _HOLDS[holds]
+    return {"holds": holds, CONTROL: control, "text": text, "active": named}, active
+
+
+def read_given_tables(
+    files: Sequence[Path], name: str, *, is_difference: bool
+) -> GivenTables:
+    """Return the active tables in files, and how their account says to read them."""
+    data = {file.name: read_whole(file) for file in files}
+    account = _find_account(files[0].parent, name, _digest(data)) if files else {}
+    return GivenTables(data, as_object(account.get("choices")), is_difference)
 
 
 def read_active_files(
@@ -48,8 +173,8 @@ def read_active_files(
 ) -> ActiveFiles | None:
     """Return the files of a format and what they add; None where there are none.
 
-    choices : by which the files were written; None for those of the account that was
-    written beside them, where it is there
+    choices : by which the files were written; the account that was written beside them
+        goes before, where it is there
 
     Raises BadInput if the format is not named, or a file is not of it.
     """
@@ -62,44 +187,52 @@ def read_active_files(
             f"{files[0]}: say its format with --format; `formats` lists them"
         )
     data = {file.name: read_whole(file) for file in files}
-    content = {file: each.decode("utf-8", "replace") for file, each in data.items()}
-    digests = {file: hashlib.sha256(each).hexdigest() for file, each in data.items()}
-    if choices is None:
-        choices = find_choices(files[0].parent, name, digests)
-    kind = load_format(name, choices)
+    account = _find_account(files[0].parent, name, _digest(data))
+    return make_active_files(data, name, machine, choices, account)
+
+
+def make_active_files(
+    data: Mapping[str, bytes],
+    name: str,
+    machine: Machine,
+    choices: Mapping[str, str] | None = None,
+    account: Mapping[str, Any] | None = None,
+) -> ActiveFiles:
+    """Return files by name as the controller of a format reads them. Raises BadInput.
+
+    account : of just these files, whose choices go before
+    """
+    texts = {file: each.decode("utf-8", "replace") for file, each in data.items()}
+    account = account or {}
+    kind = load_format(name, as_object(account.get("choices")) or choices)
     try:
-        correction = kind.read(content, machine)
+        correction = kind.read(texts, machine)
     except (ValueError, LookupError) as error:
         raise BadInput(
-            f"{', '.join(content)}: cannot be read as files of {name} ({error}); give "
+            f"{', '.join(texts)}: cannot be read as files of {name} ({error}); give "
             "the files of one export, as it wrote them"
         ) from error
-    return ActiveFiles(name, digests, follow_approach(correction, machine))
+    made_of = str(as_object(account.get("provenance")).get("input_sha256", ""))
+    old, before = as_object(as_object(account.get("basis")).get("active")), None
+    if older := {n: str(t).encode() for n, t in as_object(old.get("texts")).items()}:
+        before = make_active_files(older, name, machine, as_object(old.get("choices")))
+    digests = _digest(data)
+    return ActiveFiles(name, digests, texts, kind, machine, correction, before, made_of)
 
 
-def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
-    """Return files that are kept with a result. Raises NotFound."""
-    account = read_account(folder.parent, folder.name)
-    files = [folder / name for name in account["files"]]
-    active = read_active_files(
-        files, account["format"], machine, account.get("choices")
-    )
-    assert active is not None  # noqa: S101 (an account names its files)
-    return active
+def _digest(data: Mapping[str, bytes]) -> dict[str, str]:
+    return {file: hashlib.sha256(each).hexdigest() for file, each in data.items()}
 
 
-def find_choices(
+def _find_account(
     folder: Path, name: str, files_sha256: Mapping[str, str]
-) -> dict[str, str]:
-    """Return the choices of the account that was written beside files of a format.
-
-    Empty, for the usual ones, where there is no account of just these files.
-    """
+) -> Mapping[str, Any]:
+    """Return the account that was written beside files of a format, empty without."""
     for place in sorted(folder.glob("*.json")):
         account = as_object(_read_json(place))
         digests = as_object(account.get("files_sha256"))
         if account.get("format") == name and digests == files_sha256:
-            return dict(as_object(account.get("choices")))
+            return account
     return {}
 
 

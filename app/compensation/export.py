@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from truepath.app.compensation.active_files import GivenTables, find_basis
 from truepath.app.compensation.effects_left import evaluate_effects
 from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.error_over_axes import measure_over_axes
@@ -53,6 +54,7 @@ _UNDIRECTED = (
 )
 _BETTER = 0.999  # of the error before: files that leave more are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
+_NOTHING_GIVEN = GivenTables()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,7 @@ def export_files(
     choices: Mapping[str, str] | None = None,
     accept_verdict: bool = False,
     at_temperature_degc: float | None = None,
+    given: GivenTables = _NOTHING_GIVEN,
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
 
@@ -86,6 +89,7 @@ def export_files(
     choices : of the format, by name
     accept_verdict : write the files of a result that is not to be used all the same
     at_temperature_degc : of a temperature model, which `result` may be as well
+    given : what the control had while the result was measured, if it compensated
 
     Raises BundleError with the place in the result, BadInput as `export_result` and
     `write_output`, NotUsable where the result is not to be used.
@@ -102,6 +106,7 @@ def export_files(
         unmeasured=unmeasured,
         choices=choices,
         temperature=model and StatedTemperature(model, at_temperature_degc or 0.0),
+        given=given,
     )
     return write_output(export.files, export.account, output, stem, source=result)
 
@@ -115,6 +120,7 @@ def export_result(
     unmeasured: Unmeasured = Unmeasured.HOLD,
     choices: Mapping[str, str] | None = None,
     temperature: StatedTemperature | None = None,
+    given: GivenTables = _NOTHING_GIVEN,
 ) -> Export:
     """Return the files of a format and their account.
 
@@ -123,20 +129,25 @@ def export_result(
     unmeasured : what tables have where an axis was not measured
     choices : of the format, by name
     temperature : where the errors are of a temperature model
+    given : what the control had while the errors were measured
 
     Raises BadInput for an unknown format or choice, where a part of the travel was not
     measured and is to be refused, or if the files, read back by the rule of the
     controller, do not make the error smaller.
     """
     kind = load_format(name, choices)
+    chosen = {k: w[0] for k, w in kind.choices.items()} | dict(choices or {})
+    provenance, machine = errors.result.provenance, errors.machine
+    basis, active = find_basis(provenance, name, machine, chosen, given)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     lengths_degc = _find_length_degc(errors, temperature)
     stamp = write_stamp(errors, kind, name, measured, temperature, lengths_degc)
-    made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature)
-    content = made.tabulate(errors)
+    stamp = (*stamp, f"holds {basis['holds']}: {basis['text']}")
+    made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature, active)
+    content, found = made.tabulate(errors), made.tabulate_found(errors)
     files = kind.write(content)
-    correction = kind.read(files, errors.machine)
-    rotary = read_rotary_files(kind, content, files)
+    correction = made.subtract(kind.read(files, errors.machine))
+    rotary = read_rotary_files(kind, found, files, active)
     over = measure_over_axes(errors, correction, rotary)
     if over is not None:
         stamp = (*stamp, describe_over_axes(over))
@@ -153,13 +164,14 @@ def export_result(
         "schema": SCHEMA,
         "format": name,
         "control": kind.control,
-        "choices": {k: w[0] for k, w in kind.choices.items()} | dict(choices or {}),
+        "choices": chosen,
+        "basis": basis,
         "files": list(files),
-        **_describe_content(tabulated, kind, content.tables, measured),
+        **_describe_content(tabulated, kind, found.tables, measured),
         "over_all_axes_um": over,
         "rotary": describe_rotary(errors, rotary),
         "volumetric_error_um": _state_error(before, after),
-        "left_um": _split_left(tabulated, kind, content.tables, after, beyond_um),
+        "left_um": _split_left(tabulated, kind, found.tables, after, beyond_um),
         "note": kind.note,
         "stamp": list(stamp),
         "temperature": temperature and _state_temperature(temperature, kind),

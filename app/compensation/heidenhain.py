@@ -4,9 +4,11 @@ Columns `AXISPOS`, `BACKLASH` and one for each axis that is corrected: [axis of 
 column] = F(axis of the file). The manual has "the compensation values measured in the
 negative direction of traverse" in BACKLASH: whether that is the value in negative
 travel or what is added to the other there is a choice, and the column is left out where
-direction plays no part. The sign is taken to be that of what is added to the command,
-and has to be tried at the machine; so have the bytes of the header, for which a file of
-that machine is the model. Source: MANUALplus 620 Technical Manual, pages 716 to 718.
+direction plays no part. The values are those of the error curve, which the control
+takes away. That has to be tried at the machine all the same; so have the bytes of the
+header, for which a file of that machine is the model. Sources: MANUALplus 620 Technical
+Manual, pages 716 to 718; of the sign TNC 407 Technical Manual, pages 152 and 153, TNC
+306, page 121, iTNC 530 HSCI, pages 680 and 684.
 """
 
 from __future__ import annotations
@@ -56,7 +58,10 @@ class Heidenhain(TableFormat):
         "lost motion across or about an axis"
     )
     directions = "each by itself"
-    sign = "the value is added to the commanded position: minus the error"
+    sign = (
+        "the value is the error, which the control takes away (earlier files of this "
+        "program had the opposite sign)"
+    )
     sign_is_verified = False
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"backlash_reading": _READINGS}
     note = (
@@ -71,7 +76,8 @@ class Heidenhain(TableFormat):
             "and the sign: enter 0.100 in every row of the axis' own column and of "
             "BACKLASH, activate, and come to one position from both sides under a dial "
             "gauge. No difference between the sides: negative-value; 0.1 mm of it: "
-            "difference. Away from where it stood without the table: the sign"
+            "difference. It stands 0.1 mm further in - direction than without the "
+            "table: the sign is right; further in +: turn the sign of every value"
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
@@ -106,8 +112,8 @@ class Heidenhain(TableFormat):
 
 
 def _write_table(name: str, table: AxisTable, reading: str) -> str:
-    values = -table.forward_mm
-    back = -table.backward_mm[:, table.own]
+    values = table.forward_mm
+    back = table.backward_mm[:, table.own]
     lost = back - values[:, table.own]
     columns = ["NR", "AXISPOS", *LINEAR]
     numbers = [table.position_mm, *values.T]
@@ -156,8 +162,8 @@ def _read_columns(
     for out, name in enumerate(LINEAR):
         value = columns[name]
         if name != axis or back is None:
-            yield InterpolatedTable(axis, out, at, value)
+            yield InterpolatedTable(axis, out, at, -value)
         elif reading == "difference":
-            yield InterpolatedTable(axis, out, at, value, value + back)
+            yield InterpolatedTable(axis, out, at, -value, -value - back)
         else:
-            yield InterpolatedTable(axis, out, at, value, back)
+            yield InterpolatedTable(axis, out, at, -value, -back)

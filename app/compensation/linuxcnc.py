@@ -34,6 +34,7 @@ from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
 from truepath.app.kinematics.symbols import LINEAR, TURNS
 
+_WIDEST_DEG = 5.0  # between rows, for the sake of further turns
 _KINEMATICS = "-kinematics.hal"
 _ABOUT_PINS = (
     "mm, in machine coordinates; conventional-directions off, tool-offset connected to",
@@ -61,7 +62,9 @@ class LinuxCnc(TableFormat):
     sign_is_verified = True
     note = (
         "name each file as COMP_FILE of its [JOINT_n], with COMP_FILE_TYPE = 0; the "
-        "tables are read when LinuxCNC starts, and replace BACKLASH. Of a C table on a "
+        "tables are read when LinuxCNC starts, and replace BACKLASH. A rotary joint "
+        "counts turns, a wrapped one too: beyond the rows of its table, which the "
+        "account states, it keeps the end value and is not corrected. Of a C table on a "
         "trunnion STEM-kinematics.hal sets where the axes are: a HALFILE after the one "
         "that loads xyzac-trt-kins or xyzbc-trt-kins; the trial is in it"
     )
@@ -132,15 +135,22 @@ def _write_rows(table: AxisTable) -> str:
 
 
 def _write_turns(table: RotaryTable) -> str:
-    """Return rows over the whole travel, as joints know no period.
+    """Return rows over the whole travel, as joints know no period: they count turns.
+
+    A wrapped axis goes on into the next turn; where there is room, its neighbours of
+    those of the travel have rows too.
 
     The mean of both directions is 0 at the axis zero, for which the locations of the
     axes are stated.
     """
-    axis = table.axis
-    count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
-    at = np.linspace(axis.low, axis.high, min(count, LinuxCnc.most_points))
-    period = 360.0 if axis.turns_fully else None
+    axis, most = table.axis, LinuxCnc.most_points
+    low, high, period = axis.low, axis.high, None
+    if axis.turns_fully:
+        room_deg = _WIDEST_DEG * (most - 1) - (high - low)
+        period, beyond = 360.0, 360.0 * max(0, room_deg // 720.0)
+        low, high = low - beyond, high + beyond
+    count = math.ceil((high - low) / table.spacing_deg - 1e-9) + 1
+    at = np.linspace(low, high, min(count, most))
     error, half = (
         np.interp(at, table.position_deg, value, period=period)
         for value in (table.error_deg, table.half_deg)

@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float64
 
 from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.format import Correction
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.kept_files import read_account
+from truepath.app.compensation.kept_files import read_kept_files
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.errors import BadInput
 from truepath.app.files.file_model import encode_json
@@ -159,13 +158,7 @@ def _read_correction(
             f"compensation {order.compensation!r} is of the state after, not of "
             f"{order.state}; ask for state=after, or leave compensation out"
         )
-    account = read_account(compensations, order.compensation)
-    place = compensations / order.compensation
-    files = {
-        name: read_whole(place / name).decode("ascii") for name in account["files"]
-    }
-    kind = load_format(account["format"], account.get("choices"))
-    return kind.read(files, errors.machine)
+    return read_kept_files(compensations / order.compensation, errors.machine).change
 
 
 def _describe(

@@ -8,6 +8,7 @@ turns beyond its command.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,12 +22,17 @@ from truepath.app.kinematics.symbols import TURNS, list_error_motions
 SPACING_DEG = 2.5
 
 
-def tabulate_rotary(errors: ErrorMap, most_points: int) -> tuple[RotaryTable, ...]:
-    """Return a table for each rotary axis whose positioning the result has."""
+def tabulate_rotary(
+    errors: ErrorMap, most_points: int, others: Collection[str] = ()
+) -> tuple[RotaryTable, ...]:
+    """Return a table for each rotary axis whose positioning the result has.
+
+    others : axes with a table all the same, of what the result has of them
+    """
     return tuple(
         _tabulate(errors, axis, most_points)
         for axis in errors.machine.rotary_axes
-        if has_positioning(errors, axis)
+        if has_positioning(errors, axis) or axis.name in others
     )
 
 

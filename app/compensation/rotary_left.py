@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import qmc
 
+from truepath.app.compensation.active_files import ActiveFiles
 from truepath.app.compensation.axis_places import find_places
 from truepath.app.compensation.error_map import ErrorMap, find_own_arm
 from truepath.app.compensation.format import CompensationFormat, CompensationTables
@@ -62,15 +63,23 @@ class RotaryFiles:
 
 
 def read_rotary_files(
-    kind: CompensationFormat, content: CompensationTables, files: Mapping[str, str]
+    kind: CompensationFormat,
+    content: CompensationTables,
+    files: Mapping[str, str],
+    active: ActiveFiles | None,
 ) -> RotaryFiles:
-    """Return what the control of a format takes from its files. Raises BadInput."""
-    return RotaryFiles(
-        content.rotary,
-        kind.read_rotary(files, content.machine),
-        kind.read_locations(files, content.machine),
-        kind.composes_rotary,
-    )
+    """Return what the control of a format takes from its files. Raises BadInput.
+
+    active : files that it had as the errors were measured, whose part is taken off
+    """
+    added = kind.read_rotary(files, content.machine)
+    located = kind.read_locations(files, content.machine)
+    if active is not None:
+        before = kind.read_rotary(active.texts, content.machine)
+        added = {a: one.subtract(before.get(a)) for a, one in added.items()}
+        known = kind.read_locations(active.texts, content.machine)
+        located = {s: value - known.get(s, 0.0) for s, value in located.items()}
+    return RotaryFiles(content.rotary, added, located, kind.composes_rotary)
 
 
 def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
@@ -83,7 +92,7 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
     rows = {table.axis.name: table for table in files.tables}
     return {
         axis.name: {
-            "table": _describe_table(rows.get(axis.name)),
+            "table": _describe_table(rows.get(axis.name), files.added.get(axis.name)),
             **dict(_measure_positioning(sample, axis, files, rows.get(axis.name))),
             **_measure_lost_motion(sample, axis, files.added.get(axis.name)),
             **dict(_measure_location(sample, axis, files.located)),
@@ -167,15 +176,19 @@ def _rms(value: Float64[np.ndarray, "n k d"]) -> Float64[np.ndarray, " d"]:
     return np.sqrt((value**2).sum(axis=1).mean(axis=0))
 
 
-def _describe_table(table: RotaryTable | None) -> dict[str, Any] | None:
+def _describe_table(
+    table: RotaryTable | None, added: RotaryAddition | None
+) -> dict[str, Any] | None:
     if table is None:
         return None
+    at = table.position_deg if added is None else added.position_deg
+    repeats = table.axis.turns_fully if added is None else added.period_deg > 0.0
     return {
-        "points": len(table.position_deg),
-        "spacing_deg": table.spacing_deg,
-        "from_deg": float(table.position_deg[0]),
-        "to_deg": float(table.position_deg[-1]),
-        "repeats_each_turn": table.axis.turns_fully,
+        "points": len(at),
+        "spacing_deg": float(at[1] - at[0]),
+        "from_deg": float(at[0]),
+        "to_deg": float(at[-1]),
+        "repeats_each_turn": repeats,
     }
 
 

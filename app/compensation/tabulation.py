@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.app.compensation.active_files import ActiveFiles
 from truepath.app.compensation.axis_places import find_places, leave_out_places
+from truepath.app.compensation.combination import combine_tables
 from truepath.app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
 from truepath.app.compensation.format import (
     AxisTable,
@@ -38,6 +40,7 @@ class Tabulation:
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
     measured : range of each axis, and what its table has beyond
     temperature : where the errors are of a temperature model
+    active : files that the control had as they were measured, and that these replace
     """
 
     kind: CompensationFormat
@@ -46,6 +49,7 @@ class Tabulation:
     spacing_mm: float
     measured: Mapping[str, MeasuredRange]
     temperature: StatedTemperature | None = None
+    active: ActiveFiles | None = None
 
     def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
         """Return the errors less what the files state as places of rotary axes."""
@@ -54,13 +58,21 @@ class Tabulation:
 
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
         """Return the content of the files."""
+        found = self.tabulate_found(errors)
+        return combine_tables(found, errors, self.active) if self.active else found
+
+    def tabulate_found(self, errors: ErrorMap) -> CompensationTables:
+        """Return the errors alone, without what active files have."""
+        active = self.active and self.kind.read_rotary(
+            self.active.texts, errors.machine
+        )
         return CompensationTables(
             self.stem,
             errors.machine,
             self._tabulate_axes(self.leave_out_places(errors)),
             self.stamp,
             self.temperature and self._tabulate_change(self.temperature),
-            tabulate_rotary(errors, self.kind.most_points)
+            tabulate_rotary(errors, self.kind.most_points, active or ())
             if self.kind.carries_rotary or self.kind.composes_rotary
             else (),
             find_places(errors),
@@ -89,8 +101,20 @@ class Tabulation:
         return self.kind.write(self.tabulate(errors))
 
     def read_back(self, errors: ErrorMap) -> Correction:
-        """Return what the controller adds once it has read the files."""
-        return self.kind.read(self.write(errors), errors.machine)
+        """Return what the controller adds once it has read the files.
+
+        Less what it added by active files as the errors were measured.
+        """
+        return self.subtract(self.kind.read(self.write(errors), errors.machine))
+
+    def subtract(self, correction: Correction) -> Correction:
+        """Return what is added beside what active files add."""
+        if self.active is None:
+            return correction
+        active = self.active.correction
+        return lambda position_mm, direction: (
+            correction(position_mm, direction) - active(position_mm, direction)
+        )
 
     def extrapolate(self, errors: ErrorMap) -> Tabulation:
         """Return the same with what the model says where nothing was measured."""

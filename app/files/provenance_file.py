@@ -7,8 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, Strict
 
-from truepath.app.files.file_model import FileModel, validate
+from truepath.app.files.file_model import FileModel, as_object, validate
 from truepath.app.files.sample_sketch import SKETCH
+
+CONTROL, ON, OFF, MIXED = "control_compensation", "on", "off", "mixed"
 
 
 class _RunBehind(FileModel):
@@ -32,3 +34,12 @@ def require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
     """Raise BundleError for what is no number where the provenance is reckoned with."""
     stated = {key: value for key, value in provenance.items() if value is not None}
     validate(_Reckoned, stated, file, key="provenance")
+
+
+def read_control_state(provenance: Mapping[str, Any]) -> str | None:
+    """Return `on`, `off` or `mixed`: whether the control compensated; None if unknown.
+
+    provenance : of a result
+    """
+    source = as_object(provenance.get("source"))
+    return provenance.get(CONTROL) or source.get(CONTROL)

@@ -209,7 +209,7 @@ class Calibrations:
             newest.job_id,
             tolerance,
             earlier[-1].job_id,
-            found.get("has_changed"),
+            None if found.get("compensation_changed") else found.get("has_changed"),
             " ".join(found["text"]),
         )
 

@@ -134,6 +134,9 @@ class DrivingSteps:
             job_id=self.job.id,
             machine_id=self.job.machine or "",
             machine_version=self.job.machine_version or 0,
+            active_tables=self.context.read_loaded_files(
+                self.job.machine or ""
+            ).files_sha256,
         )
         CellMeasurement(
             self.active,

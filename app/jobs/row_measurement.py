@@ -40,6 +40,7 @@ def measure_rows(
         job_id=job.id,
         machine_id=job.machine or "",
         machine_version=job.machine_version or 0,
+        active_tables=context.read_loaded_files(job.machine or "").files_sha256,
     )
     active.enter(State.RUNNING, Stage.MEASURING)
     try:

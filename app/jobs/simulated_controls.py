@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -41,6 +41,7 @@ class LoadedFiles:
     job_id: str | None = None
     compensation_id: str | None = None
     files: tuple[str, ...] = ()
+    files_sha256: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 class SimulatedControls:
@@ -89,7 +90,8 @@ class SimulatedControls:
                 f"not of {machine.name}; name files of a result of this machine"
             )
         places = [find_file(folder, compensation_id, n) for n in account["files"]]
-        loaded = LoadedFiles(job_id, compensation_id, tuple(account["files"]))
+        digests = account.get("files_sha256", {})
+        loaded = LoadedFiles(job_id, compensation_id, tuple(account["files"]), digests)
         self._give(control, machine_id, places, _choose_rules(account), loaded)
         return loaded
 

@@ -231,6 +231,7 @@ class Measurement:
             order.machine_id,
             order.machine_version,
             status.compensation,
+            order.active_tables,
         )
 
     def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:

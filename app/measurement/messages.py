@@ -99,6 +99,7 @@ class MeasurementOrder:
         the measurement is concluded
     job_id, machine_id, machine_version : of the job that measures and its machine, for
         the Run to name
+    active_tables : SHA-256 by name of the files that the control is known to have
     """
 
     run_name: str
@@ -113,6 +114,7 @@ class MeasurementOrder:
     job_id: str = ""
     machine_id: str = ""
     machine_version: int = 0
+    active_tables: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ import json
 import sqlite3
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -113,6 +113,7 @@ class RunHeader:
         empty without a service
     control_compensation : whether the control corrected its axes by error tables of
         its own as the Run began; None where it did not tell
+    active_tables : SHA-256 by name of the files that it had, where the service knows
     """
 
     name: str
@@ -127,6 +128,7 @@ class RunHeader:
     machine_id: str = ""
     machine_version: int = 0
     control_compensation: bool | None = None
+    active_tables: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -146,6 +148,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "channels": list(header.channels),
         "refraction": refraction_to_json(header.refraction),
         "control_compensation": header.control_compensation,
+        "active_tables": dict(header.active_tables),
         "streams": {
             TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
@@ -195,6 +198,7 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         machine_id=content.get("machine_id", ""),
         machine_version=content.get("machine_version", 0),
         control_compensation=content.get("control_compensation"),
+        active_tables=content.get("active_tables", {}),
     )
 
 

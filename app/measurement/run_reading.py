@@ -119,10 +119,14 @@ def _describe_machine(header: RunHeader) -> dict[str, str]:
 
 
 def _describe_control(header: RunHeader) -> dict[str, str]:
-    """Return whether the control corrected its axes, where it has told."""
+    """Return whether the control corrected its axes, where it has told, and by what."""
     if header.control_compensation is None:
         return {}
-    return {"control_compensation": "on" if header.control_compensation else "off"}
+    if not header.control_compensation:
+        return {"control_compensation": "off"}
+    tables = json.dumps(dict(header.active_tables))
+    known = {"active_tables": tables} if header.active_tables else {}
+    return {"control_compensation": "on", **known}
 
 
 def open_recorded(place: str | Path) -> Run:

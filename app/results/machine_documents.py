@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from truepath.app.errors import BadInput
+from truepath.app.files.provenance_file import read_control_state
 from truepath.app.results.machine_history import (
     VOLUMETRIC,
     Entry,
@@ -23,6 +24,10 @@ from truepath.app.results.machine_history import (
 HISTORY_SCHEMA, CHANGES_SCHEMA = "machine-history/1", "machine-changes/1"
 COMPARISON_SCHEMA = "machine-comparison/1"
 K = 2.0
+_OTHER_COMPENSATION = (
+    "The compensation of the control was another: what differs is no change of the "
+    "machine by itself."
+)
 _SIGN = {"um": "µm", "urad": "µrad"}
 
 
@@ -140,14 +145,24 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
         list_significant,
     )
 
-    change = find_changes(read_result(since.file), read_result(until.file))
+    before, after = read_result(since.file), read_result(until.file)
+    change = find_changes(before, after)
+    stated = [one.provenance for one in (before, after)]
+    is_other = any(
+        None not in pair and pair[0] != pair[1]
+        for pair in (
+            [read_control_state(one) for one in stated],
+            [one.get("active_tables") for one in stated],
+        )
+    )
     significant = [_entry_json(asdict(e)) for e in list_significant(change)]
     return {
         "schema": CHANGES_SCHEMA,
         "machine": until.machine,
         "since": since.describe(),
         "until": until.describe(),
-        "has_changed": change.is_significant,
+        "has_changed": change.is_significant and not is_other,
+        "compensation_changed": is_other,
         "chance": CHANCE,
         "factor": change.factor,
         "volumetric": {
@@ -157,7 +172,8 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
         "significant": significant,
         "entries": [_entry_json(asdict(e)) for e in change.entries],
         "not_compared": list(change.not_compared),
-        "text": _describe_change(asdict(change.volume), significant, change.factor),
+        "text": [_OTHER_COMPENSATION] * is_other
+        + _describe_change(asdict(change.volume), significant, change.factor),
     }
 
 

@@ -7,6 +7,7 @@ prediction needs, so that the file alone gives the map of the estimate.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from typing import Any
 
@@ -142,6 +143,7 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "input_sha256": combine_digests(provenance.runs),
         "runs": _runs_behind(provenance),
         "source": run.source,
+        **_control_json(provenance),
         "options": {"perpendicular_only": found.estimate.perpendicular_only},
         "model": provenance.model
         and {
@@ -152,6 +154,19 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "length_scale_ppm": found.length_scale_ppm,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
+    }
+
+
+def _control_json(provenance: Provenance) -> dict[str, Any]:
+    """Return whether the control compensated in all Runs alike, and by which files."""
+    keys = ("control_compensation", "active_tables")
+    told = {tuple(run.source.get(key) for key in keys) for run in provenance.runs}
+    if len(told) > 1:
+        return {"control_compensation": "mixed", "active_tables": None}
+    ((state, tables),) = told
+    return {
+        "control_compensation": state,
+        "active_tables": None if tables is None else json.loads(str(tables)),
     }
 
 

@@ -1,9 +1,10 @@
 """Heidenhain: a `.com` table an axis, activated by the `.cma` table.
 
 [axis of the column] = F(axis in whose column of the .cma the table stands). Values are
-added to the command. Whether BACKLASH holds the value in negative travel or what is
+those of the error curve and are taken away. Whether BACKLASH holds the value in negative travel or what is
 added there is an option: the manual has "the compensation values measured in the
-negative direction". Source: MANUALplus 620 Technical Manual, pages 716 to 718.
+negative direction". Sources: MANUALplus 620 Technical Manual, pages 716 to 718; TNC 407
+Technical Manual, pages 152 and 153.
 """
 
 from __future__ import annotations
@@ -51,11 +52,11 @@ def _read_table(
     for out, letter in enumerate(machine.axis_names):
         if letter not in columns:
             continue
-        value = np.array(columns[letter], float)
+        value = -np.array(columns[letter], float)
         if out != own or "BACKLASH" not in columns:
             yield Term(out, (Curve(own, at, value),))
             continue
-        back = np.array(columns["BACKLASH"], float)
+        back = -np.array(columns["BACKLASH"], float)
         if rules.backlash_reading == "difference":
             back = value + back
         yield Term(own, (Curve(own, at, value, 1),))

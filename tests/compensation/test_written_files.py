@@ -64,7 +64,7 @@ def test_golden_values_are_those_that_the_pages_ask_for():
     assert "$AN_CEC_DIRECTION[1]=-1" in cec
     assert "$AN_CEC_MULT_BY_TABLE[2]=4" in cec  # the fourth table has index 3
     row = read["heidenhain"]["round-X.com"].splitlines()[3].split()
-    assert row == ["1", "+100.0000", "+0.00100", "-0.00500", "-0.02000", "+0.00000"]
+    assert row == ["1", "+100.0000", "-0.00100", "+0.00500", "+0.02000", "+0.00000"]
     etalon = read["etalon-exchange"]["round.txt"].splitlines()
     begin = etalon.index("[EYX]")
     assert etalon[begin + 1 : begin + 3] == ["Gridpoints = {", "  0.000000 0.000000"]

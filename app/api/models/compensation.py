@@ -51,6 +51,9 @@ class FormatList(BaseModel):
     items: list[FormatOut]
 
 
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")]
+
+
 class CompensationRequest(RequestBody):
     """Which files to make of a result."""
 
@@ -77,6 +80,25 @@ class CompensationRequest(RequestBody):
     accept_verdict: bool = Field(
         False, description="Make files of a result that is not to be used."
     )
+    active_files: dict[FileName, str] = Field(
+        default_factory=dict,
+        max_length=32,
+        description="Text by name of the tables that the control had while it was "
+        "measured; not needed of a simulated control that had them from this service.",
+    )
+    difference: bool = Field(
+        False, description="Files of what the active tables lacked, not of both."
+    )
+
+
+class BasisOut(BaseModel):
+    """What the files hold: the whole correction, or what active tables lacked."""
+
+    holds: Literal["as-found", "as-measured", "combined", "difference"]
+    control_compensation: Literal["on", "off"] | None = Field(
+        description="While it was measured; null where nothing states it."
+    )
+    text: str
 
 
 class MapErrorOut(BaseModel):
@@ -243,6 +265,7 @@ class CompensationOut(BaseModel):
     choices: dict[str, str] = Field(
         default_factory=dict, description="Of the format, as they were taken."
     )
+    basis: BasisOut | None = Field(None, description="Null of earlier files.")
     files: list[str] = Field(examples=[["compensation-X.tbl", "compensation-Y.tbl"]])
     files_sha256: dict[str, str] = Field(
         default_factory=dict, description="SHA-256 by name."

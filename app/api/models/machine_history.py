@@ -97,6 +97,9 @@ class ChangesOut(BaseModel):
     since: CalibrationOut
     until: CalibrationOut
     has_changed: bool
+    compensation_changed: bool = Field(
+        False, description="The control compensated otherwise: that is no change."
+    )
     chance: float = Field(
         examples=[0.05],
         description="Of saying so of a machine that has not changed, at most.",

@@ -17,7 +17,7 @@ export function exportCard(job, { verdict, stated_um }, onFiles) {
   const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.choose") });
   const ways = h("div");
   const said = h("div", { class: "stack", "aria-live": "polite" });
-  let order = { format: null, unmeasured: "hold", choices: {} };
+  let order = { format: null, unmeasured: "hold", choices: {}, difference: false, active_files: {} };
 
   /** Have the files made and say what they leave; a later choice makes an earlier one void. */
   async function choose(change) {
@@ -25,13 +25,13 @@ export function exportCard(job, { verdict, stated_um }, onFiles) {
     order = asked;
     if (!asked.format) return;
     said.replaceChildren(h("p", { class: "quiet" }, t("export.computing")));
-    const made = await api.createCompensation(job.id, asked).then(take, refusal);
+    const made = await api.createCompensation(job.id, asked).then(take, (error) => refusal(error, choose));
     if (order === asked) said.replaceChildren(...made);
   }
 
   function take(made) {
     onFiles();
-    return account(made, order, stated_um);
+    return [...basisOf(made, order, choose), ...account(made, order, stated_um)];
   }
 
   /** Choose a format as its control usually has it, and show what else may be chosen of it. */
@@ -39,7 +39,7 @@ export function exportCard(job, { verdict, stated_um }, onFiles) {
     const usual = Object.entries(format.choices).map(([name, [first]]) => [name, first]);
     ways.replaceChildren(...Object.entries(format.choices).map(([name, words]) => wayField(name, words,
       (word) => choose({ choices: { ...order.choices, [name]: word } }))));
-    choose({ format: format.name, choices: Object.fromEntries(usual) });
+    choose({ format: format.name, choices: Object.fromEntries(usual), difference: false, active_files: {} });
   }
 
   const beyond = segments(t("export.unmeasured"),
@@ -105,7 +105,24 @@ function account(made, { choices, unmeasured }, stated_um) {
 const left = ({ mean, mean_uncertainty: u }) =>
   t("export.left", { value: quantity(mean, "gap"), u: quantity(COVERAGE * u, "gap"), k: COVERAGE });
 
-function refusal(error) {
+/** Whether the files are the whole, combined with active tables or the difference to these; which of both may be chosen. */
+function basisOf({ basis }, { difference }, choose) {
+  if (!basis) return [];
+  const ways = basis.control_compensation === "on" && segments(t("export.tables"),
+    [["combined", t("export.combined")], ["difference", t("export.difference")]], difference ? "difference" : "combined",
+    (way) => choose({ difference: way === "difference", active_files: {} }));
+  return [ways && h("div", { class: "choice-beside", "data-way": "tables" }, h("span", {}, t("export.tables")), ways),
+    notice(basis.holds === "difference" ? "held" : null, t(`export.holds.${basis.holds}`), t(`export.holds_text.${basis.holds}`))].filter(Boolean);
+}
+
+/** The problem; where active tables are wanted, a field for their files, or the difference instead. */
+function refusal(error, choose) {
   if (!(error instanceof api.Problem)) throw error;
-  return [problemNotice(error)];
+  if (error.code !== "active-tables-unknown") return [problemNotice(error)];
+  const files = h("input", { type: "file", multiple: true, "aria-label": t("export.active_files"), onchange: async () => {
+    const read = [...files.files].map(async (file) => [file.name, await file.text()]);
+    choose({ active_files: Object.fromEntries(await Promise.all(read)), difference: false });
+  } });
+  return [problemNotice(error), h("label", { class: "choice-beside" }, h("span", {}, t("export.active_files")), files),
+    h("button", { class: "button", type: "button", onclick: () => choose({ difference: true, active_files: {} }) }, t("export.difference"))];
 }
