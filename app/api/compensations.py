@@ -134,7 +134,6 @@ def download_compensation(
 
 
 def _find_folder(service: Service, job_id: str) -> FilePath:
-    """Return where files of a job are kept; there may be none yet."""
     return service.results / service.store.get(job_id).id / "compensations"
 
 

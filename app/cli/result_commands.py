@@ -213,11 +213,12 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
 
 
 def _state_rotary(one: Mapping[str, Any]) -> str:
-    """Return what tables leave of a rotary axis, and what no table has."""
     parts: list[str] = []
     if table := one["table"]:
         beyond = "each turn" if table["repeats_each_turn"] else "end values beyond"
-        parts.append(f"table {table['from_deg']:g} to {table['to_deg']:g} deg, {beyond}")
+        parts.append(
+            f"table {table['from_deg']:g} to {table['to_deg']:g} deg, {beyond}"
+        )
     if angle := one.get("positioning_urad"):
         parts.append(
             f"positioning {_state_change(angle)} µrad, at the tool "
@@ -234,7 +235,6 @@ def _state_rotary(one: Mapping[str, Any]) -> str:
 
 
 def _state_change(left: Mapping[str, float]) -> str:
-    """Return a root mean square before, and with the files."""
     return (
         f"{left['before']:.2f} to {left['after_expected']:.2f} "
         f"± {left['after_expanded_uncertainty']:.2f}"

@@ -66,10 +66,8 @@ class ActiveFiles:
         self, place: Float64[np.ndarray, "n a"], direction: float
     ) -> Float64[np.ndarray, "n 3"]:
         """Return what is added beside what was added while the errors were measured."""
-        added = self.correction(place, direction)
-        return (
-            added - self.before.correction(place, direction) if self.before else added
-        )
+        before = self.before.correction(place, direction) if self.before else 0.0
+        return self.correction(place, direction) - before
 
     @property
     def added(self) -> AddedMotion:
@@ -93,12 +91,12 @@ class ActiveFiles:
 class GivenTables:
     """What somebody says of the tables that the control had while it was measured.
 
-    data : the files by name; choices : by which they are read, where these are known
+    data : the files by name; account : of these, where it is known
     is_difference : files are wanted of what these lack, not of both
     """
 
     data: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
-    choices: Mapping[str, str] | None = None
+    account: Mapping[str, Any] = field(default_factory=dict[str, Any])
     is_difference: bool = False
 
 
@@ -119,35 +117,36 @@ def find_basis(
     stated = provenance.get("active_tables")
     if control == MIXED:
         raise BadInput(
-            "the Runs of this result were not measured alike: the compensation of the "
-            "control was on in some and off in others, or by other tables; export a "
-            "result of Runs that were"
+            "the Runs of this result were not measured alike: the control compensated "
+            "in some alone, or by other tables; export a result of Runs that were"
         )
     if given.data:
         if control == OFF or given.is_difference or "followed" in choices.values():
             raise BadInput(
-                f"{', '.join(given.data)}: given as active tables, where the control "
-                "had none, the difference is asked for, or tables follow the tool in "
-                "use: leave them out"
+                f"{', '.join(given.data)}: active tables are of no use where none were "
+                "on, for a difference, or for tools that are followed: leave them out"
             )
-        words = given.choices or choices
-        active = make_active_files(given.data, name, machine, words)
+        account = {"choices": choices, **given.account}
+        active = make_active_files(given.data, name, machine, account)
         if stated not in (None, active.files_sha256):
             raise BadInput(
-                f"{', '.join(given.data)}: not the tables that the control had: the "
-                f"result states {', '.join(stated)} with other SHA-256"
+                f"{', '.join(given.data)}: the control had other tables, by their "
+                f"SHA-256 in the result: {', '.join(stated)}"
             )
         if active.kind.composes_rotary and machine.rotary_axes:
             raise BadInput(
                 f"{name} of a machine with rotary axes is not combined with active "
                 "tables: measure with the compensation off, or ask for the difference"
             )
-        named = {**active.describe(), "choices": dict(words), "texts": active.texts}
+        named = {
+            **active.describe(),
+            "choices": account["choices"],
+            "texts": active.texts,
+        }
     elif control == ON and not given.is_difference:
         raise ActiveTablesUnknown(
-            "the control compensated while this was measured, so that the result is "
-            "what its tables lack, and files of that alone would undo them: give the "
-            "tables that were active, or ask for the difference"
+            "the control compensated while this was measured: files of what its tables "
+            "lack would undo them; give the active tables, or ask for the difference"
         )
     holds = "as-found" if control == OFF else "combined" if active else "as-measured"
     if control != OFF and given.is_difference:
@@ -161,20 +160,20 @@ def read_given_tables(
 ) -> GivenTables:
     """Return the active tables in files, and how their account says to read them."""
     data = {file.name: read_whole(file) for file in files}
-    account = _find_account(files[0].parent, name, _digest(data)) if files else {}
-    return GivenTables(data, as_object(account.get("choices")), is_difference)
+    if not files:
+        return GivenTables(is_difference=is_difference)
+    account = _find_account(files[0].parent, name, _digest(data))
+    return GivenTables(data, account, is_difference)
 
 
 def read_active_files(
     files: Sequence[Path],
     name: str | None,
     machine: Machine,
-    choices: Mapping[str, str] | None = None,
 ) -> ActiveFiles | None:
     """Return the files of a format and what they add; None where there are none.
 
-    choices : by which the files were written; the account that was written beside them
-        goes before, where it is there
+    They are read by the choices of the account beside them, where it is there.
 
     Raises BadInput if the format is not named, or a file is not of it.
     """
@@ -188,23 +187,21 @@ def read_active_files(
         )
     data = {file.name: read_whole(file) for file in files}
     account = _find_account(files[0].parent, name, _digest(data))
-    return make_active_files(data, name, machine, choices, account)
+    return make_active_files(data, name, machine, account)
 
 
 def make_active_files(
     data: Mapping[str, bytes],
     name: str,
     machine: Machine,
-    choices: Mapping[str, str] | None = None,
-    account: Mapping[str, Any] | None = None,
+    account: Mapping[str, Any],
 ) -> ActiveFiles:
     """Return files by name as the controller of a format reads them. Raises BadInput.
 
-    account : of just these files, whose choices go before
+    account : of just these files, as much of it as is known
     """
     texts = {file: each.decode("utf-8", "replace") for file, each in data.items()}
-    account = account or {}
-    kind = load_format(name, as_object(account.get("choices")) or choices)
+    kind = load_format(name, as_object(account.get("choices")))
     try:
         correction = kind.read(texts, machine)
     except (ValueError, LookupError) as error:
@@ -215,7 +212,7 @@ def make_active_files(
     made_of = str(as_object(account.get("provenance")).get("input_sha256", ""))
     old, before = as_object(as_object(account.get("basis")).get("active")), None
     if older := {n: str(t).encode() for n, t in as_object(old.get("texts")).items()}:
-        before = make_active_files(older, name, machine, as_object(old.get("choices")))
+        before = make_active_files(older, name, machine, old)
     digests = _digest(data)
     return ActiveFiles(name, digests, texts, kind, machine, correction, before, made_of)
 
@@ -237,7 +234,6 @@ def _find_account(
 
 
 def _read_json(place: Path) -> object:
-    """Return what a file holds; nothing where it is no JSON or too large."""
     try:
         return parse_json(read_whole(place), place.name)
     except BundleError:

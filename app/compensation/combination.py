@@ -83,7 +83,7 @@ def _take_larger(
 ) -> None:
     """Take the angles that a slope along a lever shows.
 
-    A control that lacked a table has half of what an angle does: the larger half.
+    A control that lacks a table does half of what an angle would: the larger half.
     """
     for out, k, other in _TURNS:
         for shown, sign, along in ((out, 1.0, other), (other, -1.0, out)):

@@ -147,7 +147,7 @@ def export_result(
     content, found = made.tabulate(errors), made.tabulate_found(errors)
     files = kind.write(content)
     correction = made.subtract(kind.read(files, errors.machine))
-    rotary = read_rotary_files(kind, found, files, active)
+    rotary = read_rotary_files(kind, found, kind.write(found) if active else files)
     over = measure_over_axes(errors, correction, rotary)
     if over is not None:
         stamp = (*stamp, describe_over_axes(over))
@@ -255,7 +255,6 @@ def _require_gain(
 def _find_length_degc(
     errors: ErrorMap, temperature: StatedTemperature | None
 ) -> tuple[float, float] | None:
-    """Return the temperatures of the machine that lengths of the files hold at."""
     if temperature:
         return temperature.at_degc, temperature.at_degc
     return find_measured_degc(errors.result.provenance)

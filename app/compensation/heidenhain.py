@@ -141,7 +141,6 @@ def _format_line(cells: Sequence[str], width: int = _WIDTH) -> str:
 
 
 def _read_rows(text: str) -> list[dict[str, str]]:
-    """Return the rows of a table by column name."""
     lines = text.splitlines()
     if len(lines) < 4 or not lines[0].startswith("BEGIN ") or lines[-1] != "[END]":
         raise BadInput("a table begins with BEGIN and ends with [END]")

@@ -83,14 +83,13 @@ def _find_given(
     source: Path, folder: Path, order: CompensationOrder
 ) -> CompensationOrder:
     """Return the order with the active tables, where the service has made them."""
-    stated = read_result(source).provenance.get("active_tables")
-    if order.given.data or order.given.is_difference or not stated:
-        return order
-    for kept in folder.parent.parent.glob(f"*/{folder.name}/*/{_ACCOUNT}"):
-        account = json.loads(kept.read_bytes())
-        if account.get("files_sha256") == stated and account["format"] == order.format:
-            data = {name: read_whole(kept.parent / name) for name in stated}
-            return replace(order, given=GivenTables(data, account["choices"]))
+    given, stated = order.given, read_result(source).provenance.get("active_tables")
+    if not (given.data or given.is_difference) and stated:
+        for kept in folder.parent.parent.glob(f"*/{folder.name}/*/{_ACCOUNT}"):
+            account = json.loads(kept.read_bytes())
+            if account.get("files_sha256") == stated:
+                data = {name: read_whole(kept.parent / name) for name in stated}
+                return replace(order, given=GivenTables(data, account))
     return order
 
 
@@ -98,7 +97,7 @@ def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
     """Return files that are kept with a result. Raises NotFound."""
     account = read_account(folder.parent, folder.name)
     data = {name: read_whole(folder / name) for name in account["files"]}
-    return make_active_files(data, account["format"], machine, account=account)
+    return make_active_files(data, account["format"], machine, account)
 
 
 def read_account(folder: Path, name: str) -> dict[str, Any]:

@@ -64,7 +64,7 @@ class LinuxCnc(TableFormat):
         "name each file as COMP_FILE of its [JOINT_n], with COMP_FILE_TYPE = 0; the "
         "tables are read when LinuxCNC starts, and replace BACKLASH. A rotary joint "
         "counts turns, a wrapped one too: beyond the rows of its table, which the "
-        "account states, it keeps the end value and is not corrected. Of a C table on a "
+        "account states, it keeps the end value, uncorrected. Of a C table on a "
         "trunnion STEM-kinematics.hal sets where the axes are: a HALFILE after the one "
         "that loads xyzac-trt-kins or xyzbc-trt-kins; the trial is in it"
     )
@@ -165,7 +165,6 @@ def _find_axis(name: str, suffix: str) -> str:
 
 
 def _read_rows(name: str, text: str) -> Float64[np.ndarray, "3 n"]:
-    """Return nominal positions, and those reached forward and in reverse."""
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()

@@ -109,7 +109,6 @@ def compute_map(
 
 
 def _make_grid(errors: ErrorMap, points: int) -> Float64[np.ndarray, "n a"]:
-    """Return a grid over the straight travel, ends included, X slowest."""
     travel = [np.linspace(axis.low, axis.high, points) for axis in errors.axes]
     places = np.meshgrid(*travel, indexing="ij")
     position = np.tile(errors.middle_mm, (places[0].size, 1))
@@ -150,7 +149,6 @@ def _expect_length_um(
 def _read_correction(
     errors: ErrorMap, order: MapOrder, compensations: Path
 ) -> Correction | None:
-    """Return what kept files add, as their controller reads them."""
     if order.compensation is None:
         return None
     if order.state != "after":

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import qmc
 
-from truepath.app.compensation.active_files import ActiveFiles
 from truepath.app.compensation.axis_places import find_places
 from truepath.app.compensation.error_map import ErrorMap, find_own_arm
 from truepath.app.compensation.format import CompensationFormat, CompensationTables
@@ -63,23 +62,15 @@ class RotaryFiles:
 
 
 def read_rotary_files(
-    kind: CompensationFormat,
-    content: CompensationTables,
-    files: Mapping[str, str],
-    active: ActiveFiles | None,
+    kind: CompensationFormat, content: CompensationTables, files: Mapping[str, str]
 ) -> RotaryFiles:
-    """Return what the control of a format takes from its files. Raises BadInput.
-
-    active : files that it had as the errors were measured, whose part is taken off
-    """
-    added = kind.read_rotary(files, content.machine)
-    located = kind.read_locations(files, content.machine)
-    if active is not None:
-        before = kind.read_rotary(active.texts, content.machine)
-        added = {a: one.subtract(before.get(a)) for a, one in added.items()}
-        known = kind.read_locations(active.texts, content.machine)
-        located = {s: value - known.get(s, 0.0) for s, value in located.items()}
-    return RotaryFiles(content.rotary, added, located, kind.composes_rotary)
+    """Return what the control of a format takes from its files. Raises BadInput."""
+    return RotaryFiles(
+        content.rotary,
+        kind.read_rotary(files, content.machine),
+        kind.read_locations(files, content.machine),
+        kind.composes_rotary,
+    )
 
 
 def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
@@ -195,7 +186,6 @@ def _describe_table(
 def _measure_positioning(
     sample: _Sample, axis: RotaryAxis, files: RotaryFiles, table: RotaryTable | None
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Yield the angle, and what it does at the tool."""
     errors = sample.errors
     if not has_positioning(errors, axis):
         return
@@ -223,7 +213,6 @@ def _measure_positioning(
 def _measure_lost_motion(
     sample: _Sample, axis: RotaryAxis, added: RotaryAddition | None
 ) -> dict[str, Any]:
-    """Return by how much both directions differ, and whether the files have it."""
     errors = sample.errors
     if axis.name not in errors.result.half_turn_urad:
         return {"lost_motion": NOT_STATED, "lost_motion_urad": None}
@@ -267,7 +256,6 @@ def _measure_location(
 
 
 def _list_unwritten(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
-    """Yield what the result states of the axis and no table of an axis can have."""
     model = errors.result.model
     own = f"E{axis.name}{axis.name}"
     known = {one.symbol for one in model.identifiable_motions} | set(model.slices)

@@ -65,17 +65,6 @@ class RotaryAddition:
             added_deg = added_deg + direction * self.half_deg
         return np.interp(at_deg, self.position_deg, added_deg)
 
-    def subtract(self, other: RotaryAddition | None) -> RotaryAddition:
-        """Return what is added beside another addition, at the rows of both."""
-        if other is None:
-            return self
-        at = self.position_deg
-        inside = (other.position_deg > at[0]) & (other.position_deg < at[-1])
-        at = np.union1d(at, other.position_deg[inside])
-        up, down = (self.read(at, s) - other.read(at, s) for s in (1.0, -1.0))
-        half = None if self.half_deg is None else 0.5 * (up - down)
-        return RotaryAddition(at, 0.5 * (up + down), self.period_deg, half)
-
 
 @dataclass(frozen=True, slots=True)
 class AxisPlace:

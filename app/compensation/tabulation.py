@@ -109,12 +109,9 @@ class Tabulation:
 
     def subtract(self, correction: Correction) -> Correction:
         """Return what is added beside what active files add."""
-        if self.active is None:
+        if (active := self.active) is None:
             return correction
-        active = self.active.correction
-        return lambda position_mm, direction: (
-            correction(position_mm, direction) - active(position_mm, direction)
-        )
+        return lambda at, side: correction(at, side) - active.correction(at, side)
 
     def extrapolate(self, errors: ErrorMap) -> Tabulation:
         """Return the same with what the model says where nothing was measured."""

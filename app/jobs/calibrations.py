@@ -240,7 +240,6 @@ def sort_by_time(
 
 
 def _find_start(one: Calibration) -> str | None:
-    """Return when the first Run of a result began, where its Runs state it."""
     runs = read_stated(one).get("runs") or ()
     stated = [run.get("source", {}).get("started") for run in runs]
     times = [
@@ -250,7 +249,6 @@ def _find_start(one: Calibration) -> str | None:
 
 
 def _list_inputs(one: Calibration) -> frozenset[str]:
-    """Return the digests of the Runs that a result comes from."""
     runs = read_stated(one).get("provenance", {}).get("runs") or ()
     return frozenset(str(run["input_sha256"]) for run in runs)
 

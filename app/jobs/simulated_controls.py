@@ -117,7 +117,6 @@ class SimulatedControls:
 
 
 def _choose_rules(account: Mapping[str, Any]) -> dict[str, str | float | int]:
-    """Return how the control has to be set for files that were made so."""
     choices, rules = account["choices"], dict[str, str | float | int]()
     if "backlash_reading" in choices:
         rules["backlash_reading"] = choices["backlash_reading"]

@@ -199,7 +199,6 @@ class Measurement:
         self._steps.run()
 
     def _check_controller(self) -> MotionStatus:
-        """Return what it shows. Raises Fault where it may not or cannot be driven."""
         if not (self._is_watched or self._settings.allow_no_watchdog):
             raise NO_WATCHDOG
         status = self._motion.status()
@@ -235,7 +234,6 @@ class Measurement:
         )
 
     def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:
-        """Say and record what is not as it should be."""
         if not self._is_watched:
             self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
         self._settle_override(status.override)

@@ -111,7 +111,6 @@ def open_run(file: str | Path) -> Run:
 
 
 def _describe_machine(header: RunHeader) -> dict[str, str]:
-    """Return which configuration of which machine was measured, where a Run knows."""
     if not header.machine_id:
         return {}
     version = str(header.machine_version)
@@ -264,6 +263,5 @@ def _make_events(missing: list[str]) -> list[RunEvent]:
 
 
 def _describe_notes(events: list[RunEvent]) -> dict[str, str]:
-    """Return what a report has to say of the way it was measured."""
     texts = {event.kind: event.text for event in reversed(events)}
     return {name: texts[kind] for kind, name in _NOTES.items() if kind in texts}

@@ -119,7 +119,6 @@ def _columns(
 def _columns_after(
     entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]]
 ) -> dict[str, list[float | None]]:
-    """Return the same of what full compensation is expected to leave."""
     columns = _columns(entries, keys)
     return {
         "expected_after": columns["value"],
@@ -184,7 +183,6 @@ def _entry_json(entry: Mapping[str, Any]) -> dict[str, Any]:
 def _describe_change(
     volume: Mapping[str, Any], significant: Sequence[Mapping[str, Any]], factor: float
 ) -> list[str]:
-    """Return the answer in sentences."""
     told: list[str] = []
     if volume["difference_um"] > volume["by_chance_um"]:
         told.append(

@@ -112,7 +112,6 @@ def _residuals_json(
     floor_mm: float,
     by_line: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return root mean squares, those by direction in the frame of the beam."""
     beam = UM_PER_MM * np.sqrt(np.mean(residual_mm**2, axis=0))
     return {
         "rms_um": UM_PER_MM * rms_mm,
@@ -171,7 +170,6 @@ def _control_json(provenance: Provenance) -> dict[str, Any]:
 
 
 def _encode_left_out(run: int, each: LeftOut) -> dict[str, Any]:
-    """Return samples that were not used; `run` counts the Runs given."""
     measured = each.samples > 0
     return {
         "run": run,
@@ -244,7 +242,6 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
 
 
 def _alignment_json(found: Findings, run: RunFindings) -> dict[str, Any]:
-    """Return where the tracker stood, and what of the commanded rows was found."""
     summary, estimate = run.summary, run.estimate
     sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
     first = 1 if summary.mode == "otf" else 0

@@ -1,10 +1,10 @@
 """Heidenhain: a `.com` table an axis, activated by the `.cma` table.
 
 [axis of the column] = F(axis in whose column of the .cma the table stands). Values are
-those of the error curve and are taken away. Whether BACKLASH holds the value in negative travel or what is
-added there is an option: the manual has "the compensation values measured in the
-negative direction". Sources: MANUALplus 620 Technical Manual, pages 716 to 718; TNC 407
-Technical Manual, pages 152 and 153.
+those of the error curve and are taken away. Whether BACKLASH holds the value in
+negative travel or what is added there is an option: "the compensation values measured
+in the negative direction". Sources: MANUALplus 620 Technical Manual, pages 716 to 718;
+TNC 407 Technical Manual, pages 152 and 153.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ from truepath.simulators.compensation.loading import LoadedTables
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
 
+pytestmark = pytest.mark.timeout(240)  # two measurements are analysed
+
 
 def export(result, name, output, *more):
     return run(["export", str(result), "--format", name, "-o", str(output), *more])
@@ -53,7 +55,8 @@ def left(record, active, tmp_path_factory):
 
 def find_left_um(truth, files, q, rigid_free):
     """What a control with these files leaves of the machine's own errors, µm."""
-    control = LoadedTables.from_paths(files).correct(parse_machine(load_machine("demo")))
+    machine = parse_machine(load_machine("demo"))
+    control = LoadedTables.from_paths(files).correct(machine)
     added = control.added(q, np.ones_like(q))
     left = rigid_free(q, truth.deviation_mm(q) + added[:, :3])
     return 1e3 * np.sqrt(np.mean(np.sum(left**2, axis=1)))

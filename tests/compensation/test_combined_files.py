@@ -37,18 +37,23 @@ def make_errors(loaded, size, lost_um):
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_combined_files_add_what_active_ones_and_the_difference_add(name, loaded):
-    found, left = make_errors(loaded, 0.6, [3.0, 5.0]), make_errors(loaded, -0.2, [-1.0, 2.0])
+    found, left = (
+        make_errors(loaded, 0.6, [3.0, 5.0]),
+        make_errors(loaded, -0.2, [-1.0, 2.0]),
+    )
     kind, machine = load_format(name), found.machine
     measured = find_measured_ranges(machine, {}, Unmeasured.HOLD)
     made = Tabulation(kind, "a", (), 10.0, measured)
     texts = made.write(found)
     data = {file: text.encode() for file, text in texts.items()}
-    active = make_active_files(data, name, machine)
+    active = make_active_files(data, name, machine, {})
     combined = replace(made, active=active)
     place, _ = sample_travel(found)
     off_um = []
     for side in (1.0, -1.0):
-        apart = combined.read_back(left)(place, side) - made.read_back(left)(place, side)
+        apart = combined.read_back(left)(place, side) - made.read_back(left)(
+            place, side
+        )
         off_um.append(1e3 * apart)
     off_um -= np.mean(off_um, axis=(0, 1))
     added_um = 1e3 * active.correction(place, 1.0)

@@ -83,8 +83,8 @@ class CompensationRequest(RequestBody):
     active_files: dict[FileName, str] = Field(
         default_factory=dict,
         max_length=32,
-        description="Text by name of the tables that the control had while it was "
-        "measured; not needed of a simulated control that had them from this service.",
+        description="Text by name of the tables that the control had meanwhile, where "
+        "the service has not loaded them itself.",
     )
     difference: bool = Field(
         False, description="Files of what the active tables lacked, not of both."
