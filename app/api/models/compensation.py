@@ -51,6 +51,7 @@ class FormatList(BaseModel):
     items: list[FormatOut]
 
 
+FileText = Annotated[str, Field(max_length=1 << 20)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")]
 
 
@@ -80,7 +81,7 @@ class CompensationRequest(RequestBody):
     accept_verdict: bool = Field(
         False, description="Make files of a result that is not to be used."
     )
-    active_files: dict[FileName, str] = Field(
+    active_files: dict[FileName, FileText] = Field(
         default_factory=dict,
         max_length=32,
         description="Text by name of the tables that the control had meanwhile, where "
