@@ -144,7 +144,7 @@ def _match(
     nominal = compute_nominal_path(machine, path)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     _require_motion(nominal, commanded)
-    require_mm(tracker_mm, nominal.place_mm)
+    require_mm(tracker_mm, nominal.place_mm, run.stream_file)
     if run.points is None:
         require_seconds(time_s, machine.tracker.rate_hz)
         stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)

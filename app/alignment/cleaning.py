@@ -225,12 +225,14 @@ _TIMES = {"ms": 1e3, "µs": 1e6, "ns": 1e9}
 
 
 def require_mm(
-    tracker_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "m 3"]
+    tracker_mm: Float64[np.ndarray, "n 3"],
+    place_mm: Float64[np.ndarray, "m 3"],
+    file: str,
 ) -> None:
     """Refuse a stream in metres or inches, by its size.
 
     place_mm : nominal target points of the path
-    Raises AlignmentError naming the columns and the unit that would fit.
+    Raises AlignmentError naming the file, the columns and the unit that would fit.
     """
     size = _size(np.percentile(tracker_mm, [1.0, 99.0], axis=0))
     ratio = size / max(
@@ -239,8 +241,9 @@ def require_mm(
     unit = _unit(ratio, _LENGTHS)
     if unit:
         raise AlignmentError(
-            f"the stream spans {size:.3g} mm, {ratio:.2g} times what the path does: "
-            f"x_mm, y_mm and z_mm look like {unit}; convert them to mm"
+            f"{file}: the stream spans {size:.3g} mm, {ratio:.2g} times what the path "
+            f"does: x_mm, y_mm and z_mm look like {unit}; convert them to mm, "
+            f"{1.0 / _LENGTHS[unit]:g} times as much"
         )
 
 

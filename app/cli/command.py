@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -52,6 +53,8 @@ def main() -> NoReturn:
     No command has imported NumPy yet, which reads the limits at its import.
     """
     os.environ.update(choose_thread_limits())
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of few letters: LANG=C
+        sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(run(sys.argv[1:]))
 
 

@@ -20,6 +20,8 @@ from truepath.app.cli.terminal import (
 from truepath.app.errors import AlignmentError, BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from truepath.app.files.run import Run
     from truepath.app.files.tracker_text.recording import Recording
 
@@ -50,7 +52,8 @@ def import_recording(
         ),
     ] = None,
     unit: Annotated[
-        Literal["", "mm", "m", "inch"], typer.Option(help="Of positions.")
+        Literal["", "mm", "m", "inch", "um", "cm", "ft"],
+        typer.Option(help="Of positions."),
     ] = "",
     time_unit: Annotated[
         Literal["", "s", "ms", "us"], typer.Option(help="Of times that are numbers.")
@@ -88,6 +91,7 @@ def import_recording(
 ) -> None:
     """A recording of any tracker's software, as a bundle for `analyse`."""
     from truepath.app.files.bundle import write_bundle
+    from truepath.app.files.commanded_file import read_point_names
     from truepath.app.files.recorded_files import MAX_STREAM_TEXT_BYTES
     from truepath.app.files.run import Run
     from truepath.app.files.tracker_text.options import TextOptions, parse_columns
@@ -109,7 +113,8 @@ def import_recording(
     )
     known, commanded, source = _read_commanded(machine, path, dialect)
     data = read_whole(recording, largest_bytes=MAX_STREAM_TEXT_BYTES)
-    read = read_recording(data, str(recording), commanded, options)
+    names = read_point_names(path) if path.suffix.lower() == _CSV else ()
+    read = read_recording(data, str(recording), commanded, options, names)
     run = Run(
         name=recording.stem,
         machine=known,
@@ -118,6 +123,7 @@ def import_recording(
         points=read.points,
         temperature=read.temperature,
         events=read.events,
+        stream_file=str(recording),
     )
     if not json:
         _print_recording(read, source)
@@ -144,25 +150,43 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
 
 
 def _check_alignment(run: Run) -> None:
-    """Refuse a recording that does not fit what was commanded; name a mirrored one."""
+    """Refuse a recording that does not fit what was commanded; say what would fit."""
     from truepath.app.alignment.align import align
 
     try:
         align(run)
     except AlignmentError as error:
-        mirrored = replace(
-            run.tracker, position_mm=run.tracker.position_mm * [1.0, -1.0, 1.0]
-        )
-        try:
-            align(replace(run, tracker=mirrored))
-        except AlignmentError:
+        for words, other in _list_others(run):
+            try:
+                align(other)
+            except AlignmentError:
+                continue
             raise BadInput(
-                f"the recording does not fit what was commanded: {error}"
+                f"the recording fits what was commanded only {words}"
             ) from error
         raise BadInput(
-            "the recording fits what was commanded only mirrored: its axes are "
-            "left-handed or two are swapped; say which by --axes (x,-y,z or y,x,z)"
+            f"the recording does not fit what was commanded: {error}"
         ) from error
+
+
+def _list_others(run: Run) -> Iterator[tuple[str, Run]]:
+    """Yield the mistakes that exports and machine files make, each put right."""
+    mirrored_mm = run.tracker.position_mm * [1.0, -1.0, 1.0]
+    yield (
+        "mirrored: its axes are left-handed or two are swapped; say which by --axes "
+        "(x,-y,z or y,x,z)",
+        replace(run, tracker=replace(run.tracker, position_mm=mirrored_mm)),
+    )
+    for column, axis in enumerate(run.commanded.axes):
+        if axis in "XYZ":
+            continue
+        position = run.commanded.position.copy()
+        position[:, column] *= -1.0
+        yield (
+            f"if {axis} is counted the other way; turn its sign in the path and the "
+            "travel in machine.json",
+            replace(run, commanded=replace(run.commanded, position=position)),
+        )
 
 
 def _print_recording(read: Recording, source: str) -> None:
@@ -195,6 +219,7 @@ def _summarise(read: Recording, source: str, files: list[Path]) -> dict[str, Any
         "columns": columns,
         **read.facts,
         "commanded": source,
+        "row_of_point": read.row_of,
         "notes": list(read.notes),
         "files": files,
     }

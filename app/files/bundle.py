@@ -111,6 +111,7 @@ def read_bundle(
             refraction=refraction,
             events=(*events, *doubted),
             reference=decode_reference(reference()) if reference else (),
+            stream_file=tracker_file,
             provenance={
                 "source": FilePath(path).name,
                 f"{tracker_file} sha256": hashlib.sha256(stream).hexdigest(),

@@ -43,6 +43,12 @@ def read_set_up(
     return machine, commanded
 
 
+def read_point_names(file: FilePath) -> tuple[str, ...]:
+    """Return the column `name` of a path or of points; nothing without it."""
+    table = read_csv(read_whole(file), str(file))
+    return tuple(table.texts("name")) if "name" in table.names else ()
+
+
 def decode_commanded(
     data: bytes, machine: Machine, file: str, *, is_path: bool
 ) -> Commanded:

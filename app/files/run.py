@@ -107,6 +107,7 @@ class Run:
     temperature, air : as sensors showed them; None where there were none
     refraction : who has corrected the ranges of the tracker for the air
     points : of a tracker that measures point by point; None where it streams
+    stream_file : the one that the user sent
     """
 
     name: str
@@ -121,6 +122,7 @@ class Run:
     reference: tuple[DirectMeasurement, ...] = ()
     events: tuple[RunEvent, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
+    stream_file: str = "tracker.parquet"
 
     @property
     def mode(self) -> str:

@@ -197,6 +197,11 @@ def plain(truth, head="t_s,x_mm,y_mm,z_mm", scale=(1.0, 1.0, 1.0), time="{:.6f}"
     return "\n".join(rows).encode()
 
 
+def missing(data):
+    lines = data.split(b"\n")
+    return b"\n".join(lines[:3010] + lines[3050:6010] + lines[6050:])
+
+
 def late(truth, day=""):
     rows = ["Time,X[mm],Y[mm],Z[mm]"]
     for t, p, _ in rows_of(truth):
@@ -213,17 +218,15 @@ def late(truth, day=""):
 
 
 AMBIGUOUS = {
-    "no unit": (lambda t: plain(t, "t_s,x,y,z"), "--unit", "--unit mm"),
+    "a unit that is not usual": (
+        lambda t: plain(t, "t_s,x,y,z", (0.1, 0.1, 0.1), d=6), "--unit", "--unit cm",
+    ),
     "wrong unit": (
         lambda t: plain(t, "t_s,x_m,y_m,z_m"), "extend over", "--unit mm",
     ),
-    "unit of time": (
-        lambda t: plain(t, "time,x_mm,y_mm,z_mm"), "ms: ", "--time-unit s",
-    ),
-    "no header": (
-        lambda t: plain(t, ""), "--column x=NUMBER",
-        "--column time=1 --column x=2 --column y=3 --column z=4 --unit mm "
-        "--time-unit s",
+    "more decimals without names than x, y, z": (
+        lambda t: plain(t, "").replace(b"\n", b",0.5\n"), "--column x=NUMBER",
+        "--column time=1 --column x=2 --column y=3 --column z=4",
     ),
     "two columns of x": (
         lambda t: plain(t, "x measured,x_mm,y_mm,z_mm"), "'x measured' (1)",
@@ -234,7 +237,7 @@ AMBIGUOUS = {
     ),
     "midnight": (late, "--across-midnight", "--across-midnight"),
     "times that are rounded": (
-        lambda t: plain(t, time="{:.1f}"), "--rate", "--rate 500",
+        lambda t: missing(plain(t, time="{:.1f}")), "--rate", "--rate 500",
     ),
     "a status nobody knows": (
         edit(spatial, (b"OK", b"4")), "--valid", "--valid 4",

@@ -1,4 +1,4 @@
-"""An exported text file to rows of cells: header, data, and what was left out."""
+"""An exported text file to columns of cells: names, data, and what was left out."""
 
 from __future__ import annotations
 
@@ -10,19 +10,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truepath.app.errors import BundleError
+from truepath.app.files.tracker_text.gsi import is_gsi, list_points
 from truepath.app.files.tracker_text.options import DELIMITERS
+from truepath.app.files.tracker_text.units import find_unit
 
-_NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eE][+-]?\d+)?$")
+NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eEdD][+-]?\d+)?$")
+CLOCK = re.compile(r"\d+:\d\d")
 _NONE = re.compile(r"^([+-]?(nan|inf|1\.#\w+)(\(\w+\))?|n/?a|#n/?a|null|none|-+|\*+)?$")
-_CLOCK = re.compile(r"\d+:\d\d")
 _COMMENT = ("#", "//", "%", "!")
 _LEAST_NUMBERS = 3
 _SHARE = 0.5  # of the lines that a delimiter must make rows of
+_SAMPLE = 2000  # lines that tell how a file is made
+_ALIKE = {"\u2019": "'", "\u2212": "-", "\u2013": "-"}
+_ALIKE |= dict.fromkeys("\u2007\u2009\u202f", "\u00a0")
+_GROUPS = re.compile(r"(?<![\d.,:])(?<!\d-)\d{1,3}(?:\u00a0\d{3})+(?!\d)")
+_BLANK_GROUPS = re.compile(_GROUPS.pattern.replace("\u00a0", "[\u00a0 ]"))
+_LABEL = re.compile(r"(?<=[A-Za-z)\]])[ \t]*[=:][ \t]*(?=[-+.\d])")
+_HALF_DAY = re.compile(r"(:\d\d\S*) ([AP]M)\b", re.IGNORECASE)
+_SECTION = re.compile(r"^[\w -]+::", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Rows of the same number of cells.
+    """Columns of the same number of cells.
 
     preamble : lines before the header; names, units : empty where the file has none
     row_of : line in the file of each data row, from 1
@@ -34,13 +44,12 @@ class Cells:
     preamble: tuple[str, ...]
     names: tuple[str, ...]
     units: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    row_of: tuple[int, ...]
+    columns: tuple[Sequence[str], ...]
+    row_of: Sequence[int]
     notes: tuple[str, ...]
 
-    def column(self, index: int) -> list[str]:
-        """Return the cells of a column."""
-        return [row[index] for row in self.rows]
+    def __len__(self) -> int:
+        return len(self.row_of)
 
     def error(self, problem: str, index: int, column: int, remedy: str) -> BundleError:
         """Return the error at a data row of a column."""
@@ -56,33 +65,52 @@ class Cells:
 
 def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     """Split a file. Raises BundleError naming the line that fits nothing."""
-    lines = _decode(data, file).splitlines()
-    name = delimiter or _find_delimiter(lines, file)
-    split = {n: _split(line, name) for n, line in enumerate(lines)}
-    data_lines = [n for n, row in split.items() if _is_data(lines[n], row)]
-    if not data_lines:
+    text = _decode(data, file)
+    lines = text.splitlines()
+    filled = [n for n, line in enumerate(lines) if line.strip()]
+    sample = [lines[n] for n in filled[:: len(filled) // _SAMPLE + 1]]
+    ahead = 0  # lines that are not of the file
+    if not delimiter and is_gsi(sample):
+        lines, ahead, delimiter = list_points(lines, file), 1, "tab"
+        sample, filled = lines[:_SAMPLE], [*range(len(lines))]
+    labelled = sum(len(_LABEL.findall(line)) >= _LEAST_NUMBERS for line in sample)
+    if labelled > _SHARE * len(sample):
+        mark = next((d for d in "\t;," if d in sample[-1]), " ")
+        lines = [_LABEL.sub(mark, line) for line in lines]
+        sample = [_LABEL.sub(mark, line) for line in sample]
+    name = delimiter or _find_delimiter(sample, file)
+    split = _split_lines(lines, name)
+    made = [split[n] for n in filled[:: len(filled) // _SAMPLE + 1]]
+    made = [row for row in made if _is_data(row)]
+    if not made:
         raise BundleError(
             f"holds no rows of numbers separated by {name}",
             file=file,
             remedy="name the separator by --delimiter",
         )
-    if all(split[n][-1] == "" for n in data_lines):  # a separator ends each line
-        split = {n: r[:-1] if r and not r[-1] else r for n, r in split.items()}
-    width = Counter(len(split[n]) for n in data_lines).most_common(1)[0][0]
+    width = Counter(map(len, made)).most_common(1)[0][0]
+    needed = Counter(len(_trim(row)) for row in made).most_common(1)[0][0]
     if name == "comma":
-        _refuse_decimal_comma(lines, split, data_lines, file)
-    first = next(n for n in data_lines if len(split[n]) == width)
-    header, units = _find_header(lines, split, first, width)
-    rows, row_of, notes = _gather(lines, split, first, width, header, file)
-    head = () if header is None else split[header]
+        _refuse_decimal_comma(lines, split, file)
+    shape = (needed, width)
+    first = next(n for n in filled if _is_data(split[n]) and _fits(split[n], shape))
+    header, units = _find_header(lines, split, first, shape)
+    rows, row_of, notes = _gather(lines, split, first, shape, header, file)
+    columns = [*zip(*rows, strict=True)]
+    head = [""] * width if header is None else _pad(split[header], width)
+    below = [""] * width if units is None else _pad(split[units], width)
+    while not head[-1] and not any(columns[-1]):  # a separator ends each line
+        columns, head, below = columns[:-1], head[:-1], below[:-1]
+    if header is None:
+        columns, head, below = _take_labels(columns, head, below)
     return Cells(
         file,
         name,
         tuple(lines[: first if header is None else header]),
-        tuple(head),
-        () if units is None else tuple(split[units]),
-        tuple(rows),
-        tuple(row_of),
+        tuple(head) if any(head) else (),
+        tuple(below) if any(below) else (),
+        tuple(columns),
+        [n - ahead for n in row_of],
         tuple(notes),
     )
 
@@ -93,60 +121,92 @@ def is_none(cell: str) -> bool:
 
 
 def _decode(data: bytes, file: str) -> str:
+    """Return the text; marks that look like an apostrophe, minus or blank are such."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", "replace")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", "replace")
+        text = data.decode("utf-16", "replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", "replace")
     if "\0" in text:
         raise BundleError("is no text", file=file, remedy="export it as text or CSV")
+    for mark, plain in _ALIKE.items():
+        text = text.replace(mark, plain)
     return text
 
 
-def _find_delimiter(lines: Sequence[str], file: str) -> str:
+def _find_delimiter(sample: Sequence[str], file: str) -> str:
     """Return the first separator, from the rarest in text, that makes rows of lines."""
-    filled = [line for line in lines if line.strip() and not _is_comment(line)]
+    filled = [line for line in sample if not _is_comment(line)]
     for name in DELIMITERS:
         if name != "blank" and not any(DELIMITERS[name] in line for line in filled):
             continue
-        rows = sum(_is_data(line, _split(line, name)) for line in filled)
+        rows = sum(map(_is_data, _split_lines(filled, name)))
         if rows and rows >= _SHARE * len(filled):
             return name
+    sections = ", ".join(dict.fromkeys(_SECTION.findall("\n".join(sample))))
+    seen = f"sections {sections[:80]}, as of an interferometer" if sections else ""
+    seen = seen or (f"lines such as {filled[-1].strip()[:60]!r}" if filled else "")
     raise BundleError(
         "holds no rows of three or more numbers separated by tab, semicolon, comma or "
-        "blank",
+        "blank" + (f", but {seen}" if seen else ""),
         file=file,
-        remedy="export it as text or CSV, or name the separator by --delimiter",
+        remedy="export x, y and z as text or CSV, or name the separator by --delimiter",
     )
 
 
-def _split(line: str, delimiter: str) -> list[str]:
-    if delimiter == "blank":
-        return line.split()
-    cells = next(csv.reader([line], delimiter=DELIMITERS[delimiter]), [])
-    return [cell.strip() for cell in cells]
+def _split_lines(lines: Sequence[str], name: str) -> list[list[str]]:
+    """Return the cells of each line, stripped, groups of thousands closed up."""
+    mark, text = DELIMITERS[name], "\n".join(lines)
+    if name in ("tab", "semicolon"):
+        text = _BLANK_GROUPS.sub(_close_up, text)
+    elif "\u00a0" in text:
+        text = _GROUPS.sub(_close_up, text)
+    if name == "blank":
+        return [line.split() for line in _HALF_DAY.sub(r"\1\2", text).split("\n")]
+    if '"' in text:
+        split = [next(csv.reader([ln], delimiter=mark), []) for ln in text.split("\n")]
+        return [[cell.strip() for cell in row] for row in split]
+    for blanks in (f"{mark} ", f" {mark}", "\n ", " \n"):
+        while blanks in text:
+            text = text.replace(blanks, blanks.strip(" "))
+    return [line.split(mark) for line in text.split("\n")]
+
+
+def _close_up(found: re.Match[str]) -> str:
+    return found[0].replace("\u00a0", "").replace(" ", "")
 
 
 def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENT)
 
 
-def _is_data(line: str, cells: Sequence[str]) -> bool:
-    numbers = sum(_NUMBER.match(cell) is not None for cell in cells)
-    return not _is_comment(line) and numbers >= _LEAST_NUMBERS
+def _is_data(cells: Sequence[str]) -> bool:
+    if not cells or cells[0].startswith(_COMMENT):
+        return False
+    return sum(NUMBER.match(cell) is not None for cell in cells) >= _LEAST_NUMBERS
+
+
+def _trim(row: list[str]) -> list[str]:
+    end = len(row)
+    while end and not row[end - 1]:
+        end -= 1
+    return row[:end]
+
+
+def _pad(row: list[str], width: int) -> list[str]:
+    return (row + [""] * width)[:width]
 
 
 def _refuse_decimal_comma(
-    lines: Sequence[str],
-    split: dict[int, list[str]],
-    data_lines: Sequence[int],
-    file: str,
+    lines: Sequence[str], split: Sequence[list[str]], file: str
 ) -> None:
     """Refuse commas that could be both: rows of whole numbers, or of many widths."""
+    data_lines = [n for n in range(min(len(split), _SAMPLE)) if _is_data(split[n])]
     quoted = any('"' in lines[n] for n in data_lines)
-    points = any(re.search(r"\d\.\d", lines[n]) for n in data_lines)
-    if points or quoted:
+    points = any(re.search(r"\d\.\d|\d[eE][+-]?\d", lines[n]) for n in data_lines)
+    if points or quoted or not data_lines:
         return
     row = data_lines[0]
     raise BundleError(
@@ -159,11 +219,18 @@ def _refuse_decimal_comma(
 
 
 def _find_header(
-    lines: Sequence[str], split: dict[int, list[str]], first: int, width: int
+    lines: Sequence[str],
+    split: Sequence[list[str]],
+    first: int,
+    shape: tuple[int, int],
 ) -> tuple[int | None, int | None]:
     """Return the lines of names and of units above the first row."""
     above = [n for n in range(first) if lines[n].strip()]
-    fitting = [n for n in above if len(split[n]) == width and not _is_comment(lines[n])]
+    fitting = [
+        n
+        for n in above
+        if shape[0] <= len(split[n]) <= shape[1] and not _is_comment(lines[n])
+    ]
     units = None
     if fitting and _is_units(split[fitting[-1]]):
         units = fitting.pop()
@@ -176,50 +243,94 @@ def _find_header(
 
 
 def _is_units(cells: Sequence[str]) -> bool:
-    known = re.compile(r"^[\[(]?(mm|m|in|inch|s|ms|us|µs|°?[CF]|hpa|%|-|)[\])]?$", re.I)
-    return any(cells) and all(known.match(cell) for cell in cells)
+    bare = [cell.strip("[]()") for cell in cells]
+    known = (not c or c in "%-" or c.lower() == "hpa" or find_unit(c) for c in bare)
+    return any(bare) and all(known)
 
 
 def _gather(
     lines: Sequence[str],
-    split: dict[int, list[str]],
+    split: Sequence[list[str]],
     first: int,
-    width: int,
+    shape: tuple[int, int],
     header: int | None,
     file: str,
-) -> tuple[list[tuple[str, ...]], list[int], list[str]]:
-    last = max(n for n, row in split.items() if _fits(lines[n], row, width))
-    rows: list[tuple[str, ...]] = []
+) -> tuple[Sequence[list[str]], list[int], list[str]]:
+    width = shape[1]
+    last = max(n for n in range(first, len(split)) if len(split[n]) == width)
+    body = split[first : last + 1]
+    if all(len(row) == width for row in body) and _are_numbers(body):
+        odd = [n for n in range(last + 1, len(lines)) if lines[n].strip()]
+        if not any(_fits(split[n], shape) for n in odd):
+            return body, list(range(first + 1, last + 2)), _note_end(lines, odd)
+    rows: list[list[str]] = []
     row_of: list[int] = []
     left = Counter[str]()
-    for n in range(first, last + 1):
+    odd: list[int] = []  # since the last row: refused if another follows
+    for n in range(first, len(split)):
         cells = split[n]
         if not lines[n].strip():
             continue
         if _is_comment(lines[n]) or (header is not None and cells == split[header]):
             left["comment" if _is_comment(lines[n]) else "header once more"] += 1
-        elif _fits(lines[n], cells, width):
-            rows.append(tuple(cells))
-            row_of.append(n + 1)
-        else:
+            continue
+        if not _fits(cells, shape):
+            odd.append(n)
+            continue
+        if odd:
             raise BundleError(
-                f"is no row of {width} cells: {lines[n].strip()[:40]!r}",
+                f"is no row of {shape[0]} cells: {lines[odd[0]].strip()[:40]!r}",
                 file=file,
-                row=n + 1,
+                row=odd[0] + 1,
                 remedy="remove the line, or export the recording again",
             )
-    footer = [line.strip() for line in lines[last + 1 :] if line.strip()]
+        rows.append(_pad(cells, width))
+        row_of.append(n + 1)
     notes = [f"{count} x {what} left out" for what, count in left.items()]
-    if footer:
-        notes.append(f"{len(footer)} lines at the end left out: {footer[0][:40]!r}")
-    return rows, row_of, notes
+    return rows, row_of, notes + _note_end(lines, odd)
 
 
-def _fits(line: str, cells: Sequence[str], width: int) -> bool:
-    """Tell whether a line is a row, with or without values."""
-    if len(cells) != width or _is_comment(line):
+def _are_numbers(rows: Sequence[list[str]]) -> bool:
+    """Tell whether three columns are all plain numbers, as in most files."""
+    columns = [*zip(*rows, strict=True)]
+    found = [column for column in columns if NUMBER.match(column[0])][:_LEAST_NUMBERS]
+    try:
+        for column in found:
+            list(map(float, "\n".join(column).replace(",", ".").split("\n")))
+    except ValueError:
         return False
-    if _is_data(line, cells):
+    return not any({cell[:1] for cell in columns[0]}.intersection("#/%!"))
+
+
+def _note_end(lines: Sequence[str], odd: list[int]) -> list[str]:
+    end = f"{len(odd)} lines at the end left out: "
+    return [end + repr(lines[odd[0]].strip()[:40])] if odd else []
+
+
+def _fits(cells: list[str], shape: tuple[int, int]) -> bool:
+    """Tell whether a line is a row, with or without values."""
+    if len(cells) < shape[0] or len(_trim(cells)) > shape[1]:
+        return False
+    if _is_data(cells):
         return True
-    values = [cell for cell in cells if _NUMBER.match(cell) or _CLOCK.search(cell)]
+    values = [cell for cell in cells if NUMBER.match(cell) or CLOCK.search(cell)]
     return bool(values) and sum(map(is_none, cells)) >= 1
+
+
+def _take_labels(
+    columns: list[tuple[str, ...]], head: list[str], below: list[str]
+) -> tuple[list[tuple[str, ...]], list[str], list[str]]:
+    """Name columns by a word that stands before the number in every row: X,12.5,Y,…"""
+    constant = [
+        NUMBER.match(column[0]) is None and column.count(column[0]) == len(column)
+        for column in columns
+    ]
+    label = [
+        same and k + 1 < len(columns) and NUMBER.match(columns[k + 1][0]) is not None
+        for k, same in enumerate(constant)
+    ]
+    if sum(label) < _LEAST_NUMBERS:
+        return columns, head, below
+    kept = [k for k in range(len(columns)) if not label[k]]
+    names = [columns[k - 1][0] if k and label[k - 1] else "" for k in kept]
+    return [columns[k] for k in kept], names, [""] * len(kept)

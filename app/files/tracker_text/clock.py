@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from datetime import date
 from itertools import pairwise
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from truepath.app.errors import BundleError
 from truepath.app.files.tracker_text.cells import Cells
-from truepath.app.files.tracker_text.columns import Column
+from truepath.app.files.tracker_text.columns import DATE, Column
 from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
 from truepath.app.files.tracker_text.options import TextOptions
 
@@ -22,19 +23,39 @@ _OF_DAY = re.compile(
     r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
     re.IGNORECASE,
 )
-_DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
+_ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?")
+_RATES_HZ = (0.9, 20_000.0)  # of a stream
+_LONGEST = 400.0  # times what the motion takes: so long a recording may go on
+_COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
+_COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
+_WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
 
 
 def read_clock(
-    cells: Cells, time: Column, date_column: Column | None, options: TextOptions
+    cells: Cells,
+    time: Column,
+    date_column: Column | None,
+    options: TextOptions,
+    decimal: str,
+    least_s: float,
 ) -> tuple[NDArray[np.float64], str]:
-    """Return seconds since the first row, and how they were read."""
-    texts = cells.column(time.index)
-    if not any(":" in text for text in texts):
-        return _read_counted(cells, time, options)
-    days = cells.column(time.index if date_column is None else date_column.index)
-    time_s = np.array([_read_of_day(cells, time, k) for k in range(len(texts))])
-    if _DATE.search(days[0]):
+    """Return seconds since the first row, and how they were read.
+
+    decimal : of the positions
+    least_s : what the commanded motion takes
+    """
+    texts = cells.columns[time.index]
+    if not any(":" in text for text in texts[:: len(texts) // 100 + 1]):
+        return _read_counted(cells, time, options, decimal, least_s)
+    if _ISO.fullmatch(texts[0]) and date_column is None:
+        try:  # all alike, as in most files
+            stamps = np.array(texts, "datetime64[ns]")
+            return 1e-9 * (stamps - stamps[0]).astype(float), "date and time"
+        except ValueError:
+            pass
+    time_s = _read_of_day(cells, time)
+    days = texts if date_column is None else cells.columns[date_column.index]
+    if DATE.search(days[0]):
         time_s += _DAY_S * _read_days(cells, days, options)
         how = "date and time"
     else:
@@ -43,39 +64,85 @@ def read_clock(
 
 
 def _read_counted(
-    cells: Cells, time: Column, options: TextOptions
+    cells: Cells, time: Column, options: TextOptions, decimal: str, least_s: float
 ) -> tuple[NDArray[np.float64], str]:
     unit = options.time_unit or time.unit
-    decimal = options.decimal or find_decimal(cells, [time.index])
-    values = read_numbers(cells, time.index, decimal)
+    decimal = options.decimal or find_decimal(cells, [time.index], decimal)
+    values, wraps = _unwrap_counter(read_numbers(cells, time.index, decimal))
     values -= values[0]
     if unit in SECONDS:
-        return SECONDS[unit] * values, unit
-    step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
-    rates = [f"{u}: {1 / (step * f):.4g} Hz" for u, f in SECONDS.items() if step > 0]
+        return SECONDS[unit] * values, unit + wraps
+    span = float(values[-1])
+    rate = (len(values) - 1) / span if span > 0 else 0.0
+    fitting = [
+        u
+        for u, f in SECONDS.items()
+        if _RATES_HZ[0] < rate / f < _RATES_HZ[1]
+        and 0.5 * least_s < f * span < _LONGEST * least_s
+    ]
+    rates = [f"{u}: {rate / f:.4g} Hz for {f * span:.4g} s" for u, f in SECONDS.items()]
+    if len(fitting) == 1:
+        told = rates[[*SECONDS].index(fitting[0])]
+        how = f"{told}, as no other unit fits what was commanded{wraps}"
+        return SECONDS[fitting[0]] * values, how
     raise BundleError(
-        "states no unit of time" + (f" ({', '.join(rates)})" if rates else ""),
+        f"states no unit of time ({', '.join(rates)}; motion: {least_s:.4g} s)",
         file=cells.file,
         column=time.name,
         remedy="say --time-unit s, ms or us",
     )
 
 
-def _read_of_day(cells: Cells, time: Column, row: int) -> float:
-    found = _OF_DAY.search(cells.rows[row][time.index])
-    if found is None or int(found[2]) > 59 or int(found[3][:2]) > 60:
-        shown = f"is {cells.rows[row][time.index][:40]!r}, no time"
-        remedy = "a time is HH:MM:SS.fff, with or without a date before it"
-        raise cells.error(shown, row, time.index, remedy)
-    hour, minute, second, half, sign, zone_hours, zone_minutes = found.groups()
-    hours = int(hour)
-    if half:
-        hours = hours % 12 + 12 * (half[0].lower() == "p")
-    second = re.sub("[,:]", ".", second)
-    ahead_s = 0.0  # of UTC; summer time may begin within a recording
-    if sign:
-        ahead_s = float(f"{sign}1") * 60.0 * (60 * int(zone_hours) + int(zone_minutes))
-    return 3600.0 * hours + 60.0 * int(minute) + float(second) - ahead_s
+def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Return times that go on where their counter begins anew, and words on it."""
+    step = np.diff(values)
+    back = np.flatnonzero(step < 0)
+    if not len(back) or not (step > 0).any():
+        return values, ""
+    usual = float(np.median(step[step > 0]))
+    reach = _WRAP_STEPS * usual
+    before, after = values[back], values[back + 1]
+    for size in _COUNTERS:
+        ends = (np.abs(before - size) < reach) | (np.abs(before - size / 2) < reach)
+        if (ends & (np.abs(after + size - before) < reach)).all():
+            turns = np.append(0.0, np.cumsum(step < 0))
+            words = f", its counter began anew at {before[0]:.6f}".rstrip("0").rstrip(
+                "."
+            )
+            return values + size * turns, words
+    return values, ""
+
+
+def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
+    texts = cells.columns[time.index]
+    found = [_OF_DAY.search(text) for text in texts]
+    read = [match.groups() for match in found if match]
+    if None in found:
+        raise _no_time(cells, time, found.index(None))
+    hour, minute, second, half, sign, zone_hours, zone_minutes = zip(*read, strict=True)
+    hours, minutes = np.array(hour, float), np.array(minute, float)
+    joined = "\n".join(second).replace(",", ".").replace(":", ".")
+    seconds = np.array(joined.split("\n"), float)
+    bad = (minutes > 59) | (seconds >= 61)
+    if bad.any():
+        raise _no_time(cells, time, int(np.argmax(bad)))
+    if any(half):
+        is_pm = np.array([(word or "a")[0].lower() == "p" for word in half])
+        hours = np.where([bool(w) for w in half], hours % 12, hours) + 12.0 * is_pm
+    time_s = 3600.0 * hours + 60.0 * minutes + seconds
+    if any(sign):  # ahead of UTC; summer time may begin within a recording
+        ahead = [
+            float(f"{s}1") * (60 * int(h) + int(m)) if s else 0.0
+            for s, h, m in zip(sign, zone_hours, zone_minutes, strict=True)
+        ]
+        time_s -= 60.0 * np.array(ahead)
+    return time_s
+
+
+def _no_time(cells: Cells, time: Column, row: int) -> BundleError:
+    shown = f"is {cells.columns[time.index][row][:40]!r}, no time"
+    remedy = "a time is HH:MM:SS.fff, with or without a date before it"
+    return cells.error(shown, row, time.index, remedy)
 
 
 def _unwrap_midnight(
@@ -84,17 +151,18 @@ def _unwrap_midnight(
     back = np.diff(time_s) < -0.5 * _DAY_S
     if back.any() and not options.across_midnight:
         row = int(np.argmax(back)) + 1
-        shown = f"goes back from {cells.rows[row - 1][time.index]}"
+        shown = f"goes back from {cells.columns[time.index][row - 1]}"
         remedy = "say --across-midnight if the recording ran into the next day"
         raise cells.error(shown, row, time.index, remedy)
     return time_s + _DAY_S * np.append(0, np.cumsum(back))
 
 
 def _read_days(
-    cells: Cells, texts: list[str], options: TextOptions
+    cells: Cells, texts: Sequence[str], options: TextOptions
 ) -> NDArray[np.float64]:
     """Return the day of each row; the order of day and month must not matter."""
-    words = list(dict.fromkeys(_shorten(text) for text in texts))
+    short = [found[0] if (found := DATE.search(text)) else text for text in texts]
+    words = list(dict.fromkeys(short))
     orders = [options.date_order] if options.date_order else ["dmy", "mdy"]
     readings = [_order_days(words, order) for order in orders]
     fitting = [days for days in readings if days is not None]
@@ -112,19 +180,13 @@ def _read_days(
             remedy="say --date-order dmy or mdy",
         )
     day_of = dict(zip(words, fitting[0], strict=True))
-    first = fitting[0][0]
-    return np.array([day_of[_shorten(text)] - first for text in texts], float)
-
-
-def _shorten(text: str) -> str:
-    found = _DATE.search(text)
-    return found.group(0) if found else text
+    return np.array([day_of[word] - fitting[0][0] for word in short], float)
 
 
 def _order_days(words: list[str], order: str) -> list[int] | None:
     days: list[int] = []
     for word in words:
-        found = _DATE.search(word)
+        found = DATE.search(word)
         if found is None:
             return None
         a, mark, b, c = found.groups()

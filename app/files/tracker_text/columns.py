@@ -5,10 +5,14 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from truepath.app.errors import BundleError
-from truepath.app.files.tracker_text.cells import Cells
+from truepath.app.files.tracker_text.cells import CLOCK, NUMBER, Cells, is_none
+from truepath.app.files.tracker_text.numbers import read_numbers
+from truepath.app.files.tracker_text.units import ANGLES, LENGTH_MM, find_unit
 
 
 def _list_words(text: str) -> set[str]:
@@ -39,26 +43,21 @@ _TIME_BESIDE = _list_words(
 )
 _HEAT = _list_words("temp temperature temperatur temperatura temperatuur t")
 _AIR = _list_words("air luft lufttemperatur ambient umgebung aire aria lucht")
-_UNITS = {
-    "mm": ("mm", "millimeter millimetre millimeters millimetres milimetros"),
-    "m": ("m", "meter metre meters metres metros metri"),
-    "inch": ("inch", "in inches zoll pouce pouces pulgada pulgadas"),
-    "s": ("s", "sec second seconds sekunden secondes segundos"),
-    "ms": ("ms", "msec milliseconds millisekunden"),
-    "us": ("us", "usec microseconds µs μs"),
-    "degC": ("degC", "°c c celsius degc"),
-    "degF": ("degF", "°f f fahrenheit degf"),
-}
-_UNIT = {
-    w: u for u, (own, words) in _UNITS.items() for w in (own.lower(), *words.split())
-}
 _BRACKET = re.compile(r"[\[(/<]\s*([^\])>]*?)\s*[\])>]?\s*$")
 _STATED = re.compile(
     r"\b(?:linear |length |distance )?(?:units?|einheit(?:en)?|unit[eé]s?|unidad(?:es)?"
     r"|unit[aà])\b[\s:;,=\t\"]*([a-zµ]+)",
     re.IGNORECASE,
 )
-LENGTH_MM = {"mm": 1.0, "m": 1e3, "inch": 25.4}
+_AXES_COMMENT = re.compile(r"AXES\s*=\s*(\w+)\s*:([^(]*)\(([^)]*)\)", re.IGNORECASE)
+_POLAR = _list_words(
+    "hz v az azimuth zenith elevation el horizontal vertical theta phi r d sd angle "
+    "distance range direction azimut zenit winkel distanz strecke richtung"
+)
+DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
+_AXES = 3
+_RISING = 0.995  # of its steps: so a time goes on, maybe with a wrap
+_KINDS = 200  # rows that tell what a column without a name holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ def recognise_columns(cells: Cells, given: Mapping[str, str]) -> list[Column]:
     given : what the user says, role to name or number
     """
     fixed = {_find(cells, role, word): role for role, word in given.items()}
-    names = cells.names or ("",) * len(cells.rows[0])
+    names = cells.names or ("",) * len(cells.columns)
     columns: list[Column] = []
     for index, name in enumerate(names):
         bare, unit = _split_unit(name, cells.units[index] if cells.units else "")
@@ -86,7 +85,18 @@ def recognise_columns(cells: Cells, given: Mapping[str, str]) -> list[Column]:
             role = ""
         columns.append(Column(index, name or f"column {index + 1}", role, unit))
     _refuse_doubles(cells, columns)
-    return columns
+    return _infer_unnamed(cells, columns)
+
+
+def describe_columns(cells: Cells, columns: list[Column]) -> str:
+    """Return what a file has in place of positions, in words."""
+    polar = [c.name for c in columns if c.unit in ANGLES or _is_polar(c.name)]
+    if len(polar) >= _AXES:
+        return f"polar coordinates ({', '.join(polar)}): export x, y and z"
+    if any(cells.names):
+        return ", ".join(column.name for column in columns)
+    first = ", ".join(column[0] for column in cells.columns)
+    return f"{len(columns)} columns without names, first {first}"
 
 
 def state_unit(cells: Cells) -> str:
@@ -95,7 +105,7 @@ def state_unit(cells: Cells) -> str:
         unit
         for line in cells.preamble
         for word in _STATED.findall(line)
-        if (unit := _UNIT.get(word.lower(), "")) in LENGTH_MM
+        if (unit := find_unit(word)) in LENGTH_MM
     }
     if len(found) > 1:
         raise BundleError(
@@ -113,9 +123,9 @@ def _find(cells: Cells, role: str, word: str) -> int:
     ]
     if len(named) == 1:
         return named[0]
-    if not named and word.isdigit() and 1 <= int(word) <= len(cells.rows[0]):
+    if not named and word.isdigit() and 1 <= int(word) <= len(cells.columns):
         return int(word) - 1
-    found = ", ".join(cells.names) or f"{len(cells.rows[0])} columns without names"
+    found = ", ".join(cells.names) or f"{len(cells.columns)} columns without names"
     problem = "names several columns" if named else "is not in the file"
     raise BundleError(
         f"--column {role}={word} {problem}",
@@ -127,12 +137,12 @@ def _find(cells: Cells, role: str, word: str) -> int:
 def _split_unit(name: str, below: str) -> tuple[str, str]:
     """Return a name without its unit, and the unit; `below` is of a line of units."""
     bracket = _BRACKET.search(name)
-    if bracket and (unit := _UNIT.get(bracket.group(1).lower())):
+    if bracket and (unit := find_unit(bracket.group(1))):
         return name[: bracket.start()], unit
     head, cut, tail = re.sub(r"\s+", "_", name.strip()).rpartition("_")
-    if cut and (unit := _UNIT.get(tail.lower())):
+    if cut and (unit := find_unit(tail)):
         return head, unit
-    return name, _UNIT.get(below.strip("[]() ").lower(), "")
+    return name, find_unit(below.strip("[]() "))
 
 
 def _name_role(bare: str, unit: str) -> str:
@@ -154,6 +164,90 @@ def _name_role(bare: str, unit: str) -> str:
         return "time"
     rest = [w for w in words if w not in _KNOWN and w not in _TIME_BESIDE]
     return roles.pop() if len(roles) == 1 and not rest else ""
+
+
+def _is_polar(name: str) -> bool:
+    words = re.findall(r"[a-z]+", name.lower())
+    return bool(words) and words[0] in _POLAR
+
+
+def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
+    """Return the columns, those without names by what they hold and by their order.
+
+    A time alone goes on; x, y and z are the three decimals beside one another; a word
+    or whole number before them names the point. A comment may state the axes. That it
+    fits what was commanded is for the alignment to find.
+    """
+    stated = next(filter(None, map(_AXES_COMMENT.search, cells.preamble)), None)
+    if stated and stated[1].upper() != "CARTESIAN":
+        raise BundleError(
+            f"states {stated[0]!r}",
+            file=cells.file,
+            remedy="export the points in Cartesian coordinates",
+        )
+    above = next(iter(cells.preamble[-1:]), "").split("//")[0]
+    named = [_name_role(*_split_unit(w, "")) for w in re.split(r"[\t;, ]+", above)]
+    if not cells.names and len({"x", "y", "z"}.intersection(named)) > 1:
+        raise BundleError(
+            f"{above.strip()[:60]!r} are not the names of {len(columns)} columns",
+            file=cells.file,
+            remedy="export it again, or remove that line and say --column x=NUMBER, …",
+        )
+    roles = {column.role for column in columns}
+    blank = [
+        c.index
+        for c in columns
+        if not c.role and not (cells.names and cells.names[c.index])
+    ]
+    kind = {k: _tell_kind(cells, k) for k in blank}
+    found: dict[int, str] = {}
+    places = [k for k in blank if kind[k] in ("decimal", "rising")]
+    has_clock = "time" in roles or "time" in kind.values()
+    if stated:
+        places = places[:_AXES]
+    elif len(places) != _AXES and not has_clock:
+        places = [k for k in places if kind[k] == "decimal"]
+    if len(places) == _AXES and places[-1] - places[0] == _AXES - 1:
+        found = dict(zip(places, "xyz", strict=True))
+        if kind.get(places[0] - 1) in ("word", "whole", "count"):
+            found[places[0] - 1] = "point"
+    clocks = [k for k in blank if kind[k] == "time"]
+    clocks = clocks or [k for k in blank if kind[k] in ("rising", "count")]
+    days = [k for k in blank if kind[k] == "date"]
+    for role, fitting in (("time", clocks), ("date", days)):
+        fitting = [k for k in fitting if found.get(k, "point") == "point"]
+        if len(fitting) == 1:
+            found[fitting[0]] = role
+    found = {k: role for k, role in found.items() if role not in roles}
+    unit = find_unit(stated[3].split(",")[0]) if stated else ""
+    return [
+        replace(
+            c, role=found[c.index], unit=unit if found[c.index] in "xyz" else c.unit
+        )
+        if c.index in found
+        else c
+        for c in columns
+    ]
+
+
+def _tell_kind(cells: Cells, index: int) -> str:
+    column = cells.columns[index]
+    some = column[:: len(column) // _KINDS + 1]
+    if any(map(CLOCK.search, some)):
+        return "time"
+    if any(map(DATE.search, some)):
+        return "date"
+    if not any(map(NUMBER.match, some)) or not all(
+        NUMBER.match(c) or is_none(c) for c in some
+    ):
+        return "word"
+    is_whole = not any(set(".,eEdD") & set(cell) for cell in some)
+    comma = any("," in cell for cell in some) and not any("." in cell for cell in some)
+    step = np.diff(read_numbers(cells, index, "comma" if comma else "point"))
+    rises = step.size and (step >= 0).mean() > _RISING and not (step == step[0]).all()
+    if is_whole:
+        return "count" if rises else "whole"
+    return "rising" if rises else "decimal"
 
 
 def _refuse_doubles(cells: Cells, columns: list[Column]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,22 +16,31 @@ from truepath.app.files.sensor_gate import gate_columns
 from truepath.app.files.tracker_text.cells import Cells, read_cells
 from truepath.app.files.tracker_text.clock import read_clock
 from truepath.app.files.tracker_text.columns import (
-    LENGTH_MM,
     Column,
+    describe_columns,
     recognise_columns,
     state_unit,
 )
+from truepath.app.files.tracker_text.even import even_out
 from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
 from truepath.app.files.tracker_text.oddities import note_oddities
 from truepath.app.files.tracker_text.options import TextOptions
+from truepath.app.files.tracker_text.point_names import STREAM_ROWS, find_points
+from truepath.app.files.tracker_text.units import LENGTH_MM
 from truepath.app.motion.configurations import Commanded, Configurations
-from truepath.drivers.interfaces.records import TemperatureSamples, TrackerSamples
+from truepath.app.motion.motion_times import travel_time_s
+from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 NOT_VALID, NO_POSITION = 1, 2  # status of samples that are not to be used
 _GOOD = frozenset(("ok", "good", "valid", "true", "yes", "locked", "gut", "gültig"))
 _BAD = frozenset(("invalid", "false", "no", "lost", "broken", "error", "ungültig"))
 _MOST_RATIO = 5.0  # of extents; an inch is 25.4 mm
-_STREAM_ROWS = 10  # a point; fewer rows are no stream
+_NEAR = 2.0  # of extents: so near only one of the usual units comes
+_USUAL_UNITS = ("mm", "m", "inch", "um")
+_AWAY = 1e-3  # of the positions: rows that lie there are no place next to the origin
+_FEW = 0.01  # of the rows: so many may have come twice
+_SHOT_S = 1e-6  # between shots that share a stamp
+_MOST_SHOWN = 12
 _AXES = re.compile(r"^([+-]?)([xyz])$")
 
 
@@ -39,6 +49,7 @@ class Recording:
     """What a file holds, and each decision of its reader in words.
 
     columns : all of the file, those without a role are left out
+    row_of : name of a point in the file to its row, from 1
     """
 
     samples: TrackerSamples
@@ -48,72 +59,135 @@ class Recording:
     first_row: tuple[str, ...]
     facts: dict[str, str]
     notes: tuple[str, ...]
+    row_of: dict[str, int]
     events: tuple[RunEvent, ...] = ()
 
 
 def read_recording(
-    data: bytes, file: str, commanded: Commanded, options: TextOptions
+    data: bytes,
+    file: str,
+    commanded: Commanded,
+    options: TextOptions,
+    names: Sequence[str] = (),
 ) -> Recording:
-    """Read an exported recording of what was commanded. Raises BundleError."""
+    """Read an exported recording of what was commanded. Raises BundleError.
+
+    names : of the commanded points, if they have any
+    """
     cells = read_cells(data, file, options.delimiter)
-    cells, repeats = _drop_repeats(cells)
     columns = recognise_columns(cells, options.columns)
     by_role = {column.role: column for column in columns if column.role}
-    axes = [_require(cells, by_role, role) for role in "xyz"]
+    axes = [_require(cells, columns, by_role, role) for role in "xyz"]
     decimal = options.decimal or find_decimal(cells, [c.index for c in axes])
     position = np.stack([read_numbers(cells, c.index, decimal) for c in axes], axis=1)
     status = _read_status(cells, by_role.get("status"), options)
     status[np.isnan(position).any(axis=1)] = NO_POSITION
-    unit = _choose_unit(cells, axes, position[status == 0], commanded, options)
+    status[lost := _find_origin(position)] = NO_POSITION
+    unit, why = _choose_unit(cells, axes, position[status == 0], commanded, options)
     position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
     _refuse_wrong_size(cells, position_mm[status == 0], commanded, unit)
-    time_s, clock = _read_times(cells, by_role, commanded, options)
-    temperature, doubted = _read_temperatures(cells, columns, time_s)
+    time_s, clock = _read_times(cells, columns, by_role, commanded, options, decimal)
+    rows, mapping = find_points(cells, columns, commanded, time_s, names)
+    kept, repeats = _leave_out_repeats(cells, time_s, rows)
+    time_s, evened = _order_times(cells, by_role, time_s, kept, rows)
+    temperature, doubted = _read_temperatures(cells, columns, time_s, kept, decimal)
     samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
-    rows = _find_points(cells, columns, commanded, time_s)
+    samples = samples.select(kept)
     points = None
     if rows is not None:
         samples, points = _average_points(
-            samples.select(status == 0), rows[status == 0]
+            samples.select(samples.status == 0), rows[status == 0]
         )
-    facts = {"separator": cells.delimiter, "decimals": decimal, "unit": unit}
+    facts = {"separator": cells.delimiter, "decimals": decimal, "unit": unit + why}
     facts |= {"time": clock, "axes": options.axes, **_count(samples, points)}
+    if mapping:
+        told = [f"{name} is {row}" for name, row in mapping.items()]
+        told = told if len(told) <= _MOST_SHOWN else [*told[:5], "…", told[-1]]
+        facts["rows of points"] = ", ".join(told)
+    zeros = f"{lost.sum()} rows of 0, 0, 0 are taken for a lost beam"
+    notes = [*cells.notes, repeats, evened, zeros * bool(lost.any())]
+    if rows is None:
+        notes += note_oddities(np.asarray(cells.row_of)[kept], samples)
     return Recording(
         samples,
         points,
         temperature,
         tuple(columns),
-        cells.rows[0],
+        tuple(column[0] for column in cells.columns),
         facts,
-        (
-            *cells.notes,
-            *repeats,
-            *(event.text for event in doubted),
-            *(note_oddities(cells, samples) if rows is None else ()),
-        ),
+        tuple(filter(None, (*notes, *(event.text for event in doubted)))),
+        mapping,
         doubted,
     )
 
 
-def _drop_repeats(cells: Cells) -> tuple[Cells, tuple[str, ...]]:
-    """Leave out rows that are the row before once more: a sample that came twice."""
-    rows = cells.rows
-    kept = [k for k in range(len(rows)) if k == 0 or rows[k] != rows[k - 1]]
-    if len(kept) == len(rows):
-        return cells, ()
-    unique = tuple(rows[k] for k in kept), tuple(cells.row_of[k] for k in kept)
-    note = f"{len(rows) - len(kept)} rows that repeat the one before left out"
-    return replace(cells, rows=unique[0], row_of=unique[1]), (note,)
+def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which rows are 0, 0, 0 while the last ones before them are elsewhere."""
+    origin = (position == 0.0).all(axis=1)
+    known = np.flatnonzero(~origin & np.isfinite(position).all(axis=1))
+    if origin.any() and len(known):
+        size = np.linalg.norm(position[known], axis=1)
+        before = np.searchsorted(known, np.flatnonzero(origin)) - 1
+        origin[origin] = size[np.maximum(before, 0)] > _AWAY * size.max()
+    return origin
 
 
-def _require(cells: Cells, by_role: dict[str, Column], role: str) -> Column:
+def _leave_out_repeats(
+    cells: Cells, time_s: NDArray[np.float64], rows: NDArray[np.int64] | None
+) -> tuple[NDArray[np.bool_], str]:
+    """Leave out rows of a stream that are the one before once more: it came twice.
+
+    Not where many rows share a stamp: then they differ in nothing else at a standstill.
+    """
+    kept = np.ones(len(cells), bool)
+    tied = np.flatnonzero(np.diff(time_s) == 0) + 1
+    if rows is not None or len(tied) > _FEW * len(kept):
+        return kept, ""
+    again = [all(c[k] == c[k - 1] for c in cells.columns) for k in tied.tolist()]
+    kept[tied[np.array(again, bool)]] = False
+    left = int((~kept).sum())
+    return kept, f"{left} rows that repeat the one before left out" if left else ""
+
+
+def _order_times(
+    cells: Cells,
+    by_role: dict[str, Column],
+    time_s: NDArray[np.float64],
+    kept: NDArray[np.bool_],
+    rows: NDArray[np.int64] | None,
+) -> tuple[NDArray[np.float64], str]:
+    """Return times that increase, and how, where stamps are rounded."""
+    words = ""
+    if rows is None:
+        time_s = time_s.copy()
+        time_s[kept], words = even_out(time_s[kept])
+    else:  # shots within one second
+        time_s = time_s + _SHOT_S * np.arange(len(time_s))
+    inside = np.flatnonzero(kept)
+    back = np.diff(time_s[inside]) <= 0
+    if back.any():
+        row, time = int(inside[int(np.argmax(back)) + 1]), by_role["time"]
+        raise cells.error(
+            f"does not increase after {cells.columns[time.index][row - 1]}, "
+            "and rows do not come evenly",
+            row,
+            time.index,
+            "export times with more digits, or say --rate HZ if no row is missing",
+        )
+    return time_s, words
+
+
+def _require(
+    cells: Cells, columns: list[Column], by_role: dict[str, Column], role: str
+) -> Column:
     if role in by_role:
         return by_role[role]
-    found = ", ".join(cells.names) or f"{len(cells.rows[0])} columns without names"
+    remedy = f"say --column {role}=NUMBER"
+    remedy += ", or --rate HZ if rows come evenly" if role == "time" else ""
     raise BundleError(
         f"has no column recognised as {role}",
         file=cells.file,
-        remedy=f"say --column {role}=NUMBER; the file has {found[:160]}",
+        remedy=f"{remedy}; the file has {describe_columns(cells, columns)[:200]}",
     )
 
 
@@ -121,8 +195,8 @@ def _read_status(
     cells: Cells, column: Column | None, options: TextOptions
 ) -> NDArray[np.int64]:
     if column is None:
-        return np.zeros(len(cells.rows), np.int64)
-    words = cells.column(column.index)
+        return np.zeros(len(cells), np.int64)
+    words = cells.columns[column.index]
     known = {word.casefold() for word in words}
     if options.valid:
         valid = {word.casefold() for word in options.valid}
@@ -152,20 +226,26 @@ def _choose_unit(
     position: NDArray[np.float64],
     commanded: Commanded,
     options: TextOptions,
-) -> str:
+) -> tuple[str, str]:
+    """Return the unit of positions, and why, if the file does not state it."""
     if options.unit:
-        return options.unit
+        return options.unit, ""
     stated = {column.unit for column in axes if column.unit}
     above = state_unit(cells)
     stated |= {above} if above else set()
     if len(stated) > 1:
         problem = f"states more than one unit of positions: {', '.join(sorted(stated))}"
     elif stated and stated <= LENGTH_MM.keys():
-        return stated.pop()
+        return stated.pop(), ""
     else:
         extent = _measure_extent(position)
-        told = ", ".join(f"{u}: {f * extent:.4g} mm" for u, f in LENGTH_MM.items())
+        usual = {u: LENGTH_MM[u] * extent for u in _USUAL_UNITS}
+        told = ", ".join(f"{u}: {size:.4g} mm" for u, size in usual.items())
         aim = _measure_extent(_linear(commanded))
+        fitting = [u for u, size in usual.items() if aim / _NEAR < size < aim * _NEAR]
+        if len(fitting) == 1:
+            size = usual[fitting[0]]
+            return fitting[0], f": {size:.4g} mm of {aim:.4g} commanded, no other fits"
         problem = (
             f"states no unit of positions; their extent is {told}, "
             f"the commanded one {aim:.4g} mm"
@@ -200,85 +280,37 @@ def _refuse_wrong_size(
         raise BundleError("holds no position", file=cells.file, remedy="record again")
     extent, aim = _measure_extent(position_mm), _measure_extent(_linear(commanded))
     if aim and not aim / _MOST_RATIO < extent < aim * _MOST_RATIO:
+        sizes = {u: extent * f / LENGTH_MM[unit] for u, f in LENGTH_MM.items()}
+        near = [u for u in _USUAL_UNITS if aim / _NEAR < sizes[u] < aim * _NEAR]
+        times = LENGTH_MM[near[0]] / LENGTH_MM[unit] if near else 0.0
+        looks = f"; {times:g} times as much fits: they look like {near[0]}"
         raise BundleError(
             f"positions extend over {extent:.4g} mm as {unit}, "
-            f"what was commanded over {aim:.4g} mm",
+            f"what was commanded over {aim:.4g} mm" + looks * bool(near),
             file=cells.file,
             remedy="correct --unit, or give the path that was driven",
         )
 
 
 def _read_times(
-    cells: Cells, by_role: dict[str, Column], commanded: Commanded, options: TextOptions
-) -> tuple[NDArray[np.float64], str]:
-    rows = len(cells.rows)
-    if options.rate_hz is not None:
-        return np.arange(rows) / options.rate_hz, f"{options.rate_hz:g} rows a second"
-    are_few = rows < _STREAM_ROWS * len(commanded)
-    if "time" not in by_role and isinstance(commanded, Configurations) and are_few:
-        return np.arange(rows, dtype=float), "none; points in order"
-    time = _require(cells, by_role, "time")
-    time_s, how = read_clock(cells, time, by_role.get("date"), options)
-    back = np.append(False, np.diff(time_s) <= 0)
-    if back.any():
-        row = int(np.argmax(back))
-        raise cells.error(
-            f"does not increase after {cells.rows[row - 1][time.index]}",
-            row,
-            time.index,
-            "export times with more digits, or say --rate HZ if no row is missing",
-        )
-    return time_s, how
-
-
-def _find_points(
     cells: Cells,
     columns: list[Column],
+    by_role: dict[str, Column],
     commanded: Commanded,
-    time_s: NDArray[np.float64],
-) -> NDArray[np.int64] | None:
-    """Return the commanded point of each row; None for a stream."""
-    if not isinstance(commanded, Configurations):
-        return None
-    rows, points = len(cells.rows), len(commanded)
-    named = [c for c in columns if c.role == "point"]
-    numbers = [n for c in named if (n := _number_points(cells, c, points)) is not None]
-    if len({tuple(n) for n in numbers}) > 1:
-        raise BundleError(
-            f"numbers points in {', '.join(c.name for c in named)}, differently",
-            file=cells.file,
-            remedy="choose one by --column point=NUMBER",
-        )
-    if numbers:
-        return numbers[0]
-    if rows == points:
-        return np.arange(points)
-    if rows >= _STREAM_ROWS * points and np.median(np.diff(time_s)) < 1.0:
-        return None
-    raise BundleError(
-        f"has {rows} rows for {points} points and no column that numbers them",
-        file=cells.file,
-        remedy="say --column point=NUMBER; names end in the row of points.csv, from 1",
-    )
-
-
-def _number_points(
-    cells: Cells, column: Column, points: int
-) -> NDArray[np.int64] | None:
-    """Return the numbers in which names end; None where they count rows or nothing."""
-    found = [re.search(r"(\d+)\D*$", text) for text in cells.column(column.index)]
-    if not all(found):
-        return None
-    number = np.array([int(match.group(1)) for match in found if match])
-    if len(number) != points and (np.diff(number) == 1).all():
-        return None
-    bad = (number < 1) | (number > points)
-    if bad.any():
-        row = int(np.argmax(bad))
-        shown = f"is {cells.rows[row][column.index]!r}, no point of {points}"
-        remedy = "names end in the row of points.csv, from 1"
-        raise cells.error(shown, row, column.index, remedy)
-    return number - 1
+    options: TextOptions,
+    decimal: str,
+) -> tuple[NDArray[np.float64], str]:
+    rows = len(cells)
+    if options.rate_hz is not None:
+        return np.arange(rows) / options.rate_hz, f"{options.rate_hz:g} rows a second"
+    are_few = rows < STREAM_ROWS * len(commanded)
+    if "time" not in by_role and isinstance(commanded, Configurations) and are_few:
+        return np.arange(rows, dtype=float), "none; points in order"
+    time = _require(cells, columns, by_role, "time")
+    is_path = isinstance(commanded, Path)
+    least_s = travel_time_s(commanded) if is_path else float(commanded.dwell_s.sum())
+    date = by_role.get("date")
+    return read_clock(cells, time, date, options, decimal, least_s)
 
 
 def _average_points(
@@ -301,7 +333,11 @@ def _average_points(
 
 
 def _read_temperatures(
-    cells: Cells, columns: list[Column], time_s: NDArray[np.float64]
+    cells: Cells,
+    columns: list[Column],
+    time_s: NDArray[np.float64],
+    kept: NDArray[np.bool_],
+    usual: str,
 ) -> tuple[TemperatureSamples | None, tuple[RunEvent, ...]]:
     """Return the rows at which a temperature changes, the first and the last.
 
@@ -310,11 +346,11 @@ def _read_temperatures(
     sensors = [column for column in columns if column.role.endswith("_degC")]
     if not sensors:
         return None, ()
-    decimal = find_decimal(cells, [column.index for column in sensors])
+    decimal = find_decimal(cells, [column.index for column in sensors], usual)
     celsius = np.stack([read_numbers(cells, c.index, decimal) for c in sensors], axis=1)
     fahrenheit = [column.unit == "degF" for column in sensors]
     celsius[:, fahrenheit] = (celsius[:, fahrenheit] - 32.0) / 1.8
-    keep = np.isfinite(celsius).all(axis=1) & np.append(True, np.diff(time_s) > 0)
+    keep = kept & np.isfinite(celsius).all(axis=1)
     time_s, celsius = time_s[keep], celsius[keep]
     if not len(time_s):
         return None, ()
