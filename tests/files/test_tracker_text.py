@@ -7,10 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from truepath.app.cli import command
 from truepath.app.errors import BundleError
 from truepath.app.files.bundle import write_bundle
+from truepath.app.files.machine_file import machine_from_json
+from truepath.app.files.run import Run
 from truepath.app.files.tracker_text.options import TextOptions
 from truepath.app.files.tracker_text.recording import read_recording
+from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.simulators import synthetic
+from truepath.simulators.machine_file import parse_machine
+from truepath.simulators.scenario import load_machine
+from truepath.simulators.turning_paths import turning_path
 
 
 @pytest.fixture(scope="module")
@@ -263,7 +271,7 @@ def gsi(seen, digits, unit, factor):
     for k, place in enumerate(seen):
         words = [f"11{k + 1:04d}+" + f"P{k + 1}".rjust(digits, "0")]
         words += [
-            f"{81 + axis}..1{unit}{'+-'[v < 0]}{abs(round(v * factor)):0{digits}d}"
+            f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{abs(round(v * factor)):0{digits}d}"
             for axis, v in enumerate(place)
         ]
         words.append("87..10+" + "0" * digits)
@@ -276,7 +284,7 @@ def gsi(seen, digits, unit, factor):
     ("digits", "unit", "factor"), [(8, 6, 10.0), (16, 8, 100.0), (16, 0, 1.0)]
 )
 def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, spots):
-    commanded, seen = spots
+    commanded, seen = spots  # noqa: E501
     got = read(gsi(seen, digits, unit, factor), commanded)
     assert got.points.row.tolist() == list(range(len(commanded)))
     assert np.abs(got.samples.position_mm - seen).max() < 0.51 / factor + 1e-6
@@ -336,6 +344,9 @@ def test_names_are_matched_whole(spots):
     assert shots.points.count.tolist() == [2, 1, 1]
 
 
+# noqa: E501
+
+
 def test_shots_within_one_second_are_shots(spots):
     commanded, seen = spots
     text = (
@@ -368,14 +379,43 @@ def test_a_name_in_points_csv_is_the_whole_name(spots, tmp_path, record):
     assert "A::b::P12-3 is 3" in " ".join(shown.stdout.replace("│", " ").split())
 
 
-def run_import(folder, truth, path, environment=None):
-    command = [
-        sys.executable, "-c", "from truepath.app.cli.command import main; main()",
+def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
+    content = load_machine("trunnion")
+    program = turning_path(parse_machine(content), 5, 16, 9000.0)
+    made = synthetic.record(content, program, 3, "otf")
+    axes = tuple(content["axes"])
+    position = program.position.copy()
+    position[:, axes.index("C")] *= -1.0
+    content["axes"]["C"] |= {"min_deg": -3600.0, "max_deg": 3600.0}
+    rows = [program.feed_mm_s * 60.0, program.dwell_s, program.target]
+    samples = [np.arange(len(made)), made.time_s, made.position_mm, made.status]
+    run = Run(
+        "turned",
+        machine_from_json(content),
+        Path(axes, position, *rows),
+        TrackerSamples(*samples),
+    )
+    write_bundle(run, tmp_path / "truth")
+    text = lines_of(
+        run, lambda k, t, x, y, z: f"{t:.6f},{x:.5f},{y:.5f},{z:.5f}", "t_s,x,y,z"
+    )
+    (tmp_path / "export.txt").write_text(text)
+    assert command.run(arguments(tmp_path, tmp_path / "truth", "path.csv")) == 2
+    assert "only if C is counted the other way" in capsys.readouterr().err
+
+
+def arguments(folder, truth, path):
+    return [
         "import", str(folder / "export.txt"), "--machine",
         str(truth / "machine.json"), "--path", str(truth / path), "-o",
         str(folder / "bundle"), "--dry-run",
     ]  # fmt: skip
-    return subprocess.run(command, capture_output=True, text=True, env=environment)
+
+
+def run_import(folder, truth, path, environment=None):
+    main = "from truepath.app.cli.command import main; main()"
+    words = [sys.executable, "-c", main, *arguments(folder, truth, path)]
+    return subprocess.run(words, capture_output=True, text=True, env=environment)
 
 
 def test_what_is_shown_survives_a_terminal_of_ascii(drive, tmp_path):

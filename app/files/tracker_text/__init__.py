@@ -3,11 +3,15 @@
 Nothing ambiguous is guessed: a BundleError names what it could be and the option that
 settles it. Order of work:
 
-    options     what the user says of the file
-    cells       bytes to header, rows of cells and what was left out
-    columns     names in several languages to what a column holds, and its unit
-    numbers     cells to numbers: decimal comma, thousands, no value
-    clock       cells to seconds: numbers, time of day, date and time
-    oddities    gaps and positions that stay, in words
-    recording   all of it: samples, points, temperatures, and what was recognised
+    options      what the user says of the file
+    units        words for units
+    gsi          Leica's blocks of words to a table
+    cells        bytes to columns of cells, names and what was left out
+    columns      names in several languages, or kinds of cells, to what a column holds
+    numbers      cells to numbers: decimal comma, thousands, no value
+    clock        cells to seconds: numbers, time of day, date and time
+    even         stamps that are rounded or in bursts to even times
+    point_names  names to rows of points.csv
+    oddities     gaps and positions that stay, in words
+    recording    all of it: samples, points, temperatures, and what was recognised
 """
