@@ -10,6 +10,7 @@ import typer
 
 from truepath.app.cli.terminal import (
     Json,
+    collect_seldom,
     list_files,
     print_files,
     print_json,
@@ -99,6 +100,7 @@ def import_recording(
     from truepath.app.files.whole_files import read_whole
 
     require_folder(output, "the bundle")
+    collect_seldom()
     options = TextOptions(
         delimiter=delimiter,
         decimal=decimal,

@@ -344,8 +344,6 @@ def test_names_are_matched_whole(spots):
     assert shots.points.count.tolist() == [2, 1, 1]
 
 
-
-
 def test_shots_within_one_second_are_shots(spots):
     commanded, seen = spots
     text = (
