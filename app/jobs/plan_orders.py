@@ -37,7 +37,7 @@ from truepath.app.jobs.measurable_rows import (
 )
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import MAX_ROWS, Row, command_rows
-from truepath.app.motion.configurations import Commanded
+from truepath.app.motion.configurations import Commanded, select_rows
 from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.app.motion.travel import check_travel
 from truepath.app.motion.workspace import moves_where_seen
@@ -201,8 +201,12 @@ def check_rows(
     return CheckedRows(len(commanded), float(row_s.sum()), stays_open)
 
 
-def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
+def check_plan_to_drive(
+    machine: Machine, kind: JobKind, plan: Json, count: int | None = None
+) -> dict[str, Any]:
     """Return the rows of a plan, checked anew for the job that is to drive them.
+
+    count : only its first rows, those of several stations one after another
 
     Raises PlanningError if it is of the other mode, was made for another state of the
     machine file, or leaves the travel.
@@ -216,6 +220,9 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
         raise PlanningError(
             "the machine file has changed since this plan was made; plan again"
         )
+    if count is not None:
+        plan = _take_beginning(machine, plan, count)
+        commanded = decode_commanded_json(plan)
     for rows in (commanded, *list_station_rows(plan)):
         check_travel(machine, rows)
     kept = {"predicted_um", *STATION_KEYS} & set(plan)
@@ -226,6 +233,39 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
         **{key: plan[key] for key in sorted(kept)},
         **({"place": place} if place["stations"] else {}),
     }
+
+
+def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
+    """Return a plan of the first rows alone. Raises PlanningError."""
+    document, left = dict(plan["document"]), count
+    whole = plan.get("stations") or [plan]
+    kept = list[Json]()
+    for part in whole:
+        rows = decode_commanded_json(part)
+        if left > 0:
+            some = select_rows(rows, slice(left))
+            require_measurable(machine, some)
+            kept.append({**part, **encode_commanded_json(some)})
+        left -= len(rows)
+    if left > 0:
+        raise PlanningError(
+            f"the plan has {count - left} rows, not {count}; a beginning of it has fewer"
+        )
+    told = [point for point in document["curve"] if point["row"] <= count][-1:]
+    last = told[0] if told else {}
+    predicted_um = last.get("volumetric_uncertainty_um")
+    plan = {**plan, **kept[0], "document": document, "predicted_um": predicted_um}
+    if len(whole) == 1:
+        return plan
+    before_s = sum(part["duration_s"] for part in kept[:-1])
+    kept[-1]["duration_s"] = round(last.get("time_s", before_s) - before_s, 3)
+    shares = document["at_stations"][: len(kept)]
+    shares[-1] = {key: last.get(key, kept[-1].get(key)) for key in shares[-1]}
+    shares[-1] |= {"duration_s": kept[-1]["duration_s"], "rows": len(some)}
+    document["at_stations"] = shares
+    if len(kept) > 1:
+        return {**plan, "stations": kept}
+    return {key: plan[key] for key in plan.keys() - set(STATION_KEYS)}
 
 
 def list_station_rows(plan: Json) -> list[Commanded]:

@@ -52,7 +52,7 @@ class RequestedJob:
     run_ids : the Runs to analyse together
     rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
-    plan_id : of a plan whose rows are driven
+    plan_id : of a plan whose rows are driven; plan_rows : how many from its first on
     model_id : of the job whose model or result Runs are held against, analysed with,
         or planned for
     discovery_id : of the job whose discovery asks for the extra lines to drive
@@ -76,6 +76,7 @@ class RequestedJob:
     target_um: float | None = None
     monte_carlo: TrialPlan | None = None
     plan_id: str | None = None
+    plan_rows: int | None = None
     model_id: str | None = None
     discovery_id: str | None = None
     continues: str | None = None
@@ -231,7 +232,7 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
             "several stations have no live estimate to notice anything; leave "
             "on_notice out"
         )
-    return check_plan_to_drive(machine, kind, plan)
+    return check_plan_to_drive(machine, kind, plan, request.plan_rows)
 
 
 def _continue_job(

@@ -37,6 +37,17 @@ def orders(service: ScriptedService) -> list:
     return [body for _, path, body in service.requests if path == "/plans"]
 
 
+def driven(service: ScriptedService) -> dict:
+    """Return what the newest job says of a plan."""
+    job = next(body for _, path, body in service.requests[::-1] if path == "/jobs")
+    return {name: job[name] for name in ("plan_id", "plan_rows") if name in job}
+
+
+def prepare(page: Page) -> None:
+    page.locator("#next button").click()
+    page.wait_for_url("**/#/check/*")
+
+
 def test_everything_follows_the_handle_by_keys_without_another_plan(panel, service):
     _, card = show(panel, service)
     handle = card.get_by_role("slider", name="Time and uncertainty")
@@ -52,7 +63,7 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
     assert [order["minutes"] for order in orders(service)] == [6]
 
 
-def test_the_handle_is_dragged_and_the_plan_is_made_for_where_it_is(panel, service):
+def test_the_handle_is_dragged_and_the_plan_up_to_it_is_what_is_driven(panel, service):
     page, card = show(panel, service)
     card.locator(".plan-curve").evaluate("e => e.scrollIntoView({block: 'center'})")
     grip = card.locator(".handle circle").last.bounding_box()
@@ -64,9 +75,9 @@ def test_the_handle_is_dragged_and_the_plan_is_made_for_where_it_is(panel, servi
     expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
     minutes = page.get_by_label("Plan lines or points for at most")
     expect(minutes).to_have_value("1")
-    page.locator("#next button").click()
-    page.wait_for_url("**/#/check/*")
-    assert orders(service)[-1]["minutes"] == 1
+    prepare(page)
+    assert [order["minutes"] for order in orders(service)] == [6]
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
 
 
 def test_an_uncertainty_is_planned_for_instead_of_a_time(panel, service):
@@ -75,11 +86,54 @@ def test_an_uncertainty_is_planned_for_instead_of_a_time(panel, service):
     card.locator(".handle").press("PageDown")
     expect(card.locator("[data-level]")).to_have_attribute("d", re.compile("^M"))
     expect(page.locator("#minutes")).to_be_hidden()
-    page.locator("#next button").click()
-    page.wait_for_url("**/#/check/*")
-    order = orders(service)[-1]
-    assert order["target_um"] == pytest.approx(POINTS[1]["volumetric_uncertainty_um"])
-    assert "minutes" not in order
+    level = card.locator(".handle").get_attribute("aria-valuenow")
+    prepare(page)
+    assert len(orders(service)) == 1
+    row = POINTS[int(level) - 1]["row"]
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": row}
+
+
+def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
+    page, card = show(panel, service)
+    expect(card).to_contain_text("1:55 min")
+    expect(page.locator("#minutes")).to_have_value("2")
+    prepare(page)
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
+
+
+def test_the_handle_follows_a_time_that_is_typed(panel, service):
+    page, card = show(panel, service)
+    page.locator("#minutes").fill("1")
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
+    expect(card.locator(".notice")).to_be_hidden()
+    prepare(page)
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
+
+
+@pytest.mark.parametrize(
+    ("minutes", "plans"), [("12", [6, 12]), ("", [6])], ids=["longer", "usual-path"]
+)
+def test_a_curve_that_is_not_driven_says_so(panel, service, minutes, plans):
+    page, card = show(panel, service)
+    page.locator("#minutes").fill(minutes)
+    expect(card.locator(".notice")).to_contain_text("not what will be driven")
+    prepare(page)
+    assert [order["minutes"] for order in orders(service)] == plans
+    assert "plan_rows" not in driven(service)
+
+
+def test_a_curve_of_other_directions_is_said_to_be_one(panel, service):
+    page, card = show(panel, service)
+    page.get_by_role("checkbox", name="Only deviations across the path").click()
+    expect(card.locator(".notice")).to_contain_text("compute it again")
+
+
+def test_nothing_of_a_curve_is_left_after_a_reload(panel, service):
+    page, _ = show(panel, service)
+    page.reload()
+    expect(page.locator("#minutes")).to_have_value("")
+    prepare(page)
+    assert driven(service) == {}
 
 
 def test_a_curve_of_other_choices_is_said_to_be_one(panel, service):

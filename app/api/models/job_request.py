@@ -34,7 +34,15 @@ from truepath.app.numerics.adaptive_trials import TrialPlan
 MAX_RUNS, MAX_REANALYSED = 50, 10_000
 ADAPTIVE_MINUTES = 10.0
 _DRIVEN = {"machine", "control_compensation"}
-_MEASURED = {*_DRIVEN, "plan_id", "target_um", "model_id", "continues", "on_notice"}
+_MEASURED = {
+    *_DRIVEN,
+    "plan_id",
+    "plan_rows",
+    "target_um",
+    "model_id",
+    "continues",
+    "on_notice",
+}
 _OF_TREND = {"at_h", "limit_um", "horizon_h", "later_h", "temperature_degC"}
 _USUAL_POINTS = ("diagonals", "random-points")
 _OF_VERIFICATION = {"result_id", "what", "seed", "tolerance_um", "compensation_id"}
@@ -243,6 +251,13 @@ class JobRequest(RequestBody):
         description="A plan whose rows are driven, in place of rows sent in; one of "
         "several stations asks for the tracker to be moved between them.",
     )
+    plan_rows: int | None = Field(
+        None,
+        ge=1,
+        le=10 * MAX_ROWS,
+        description="A beginning of the plan alone: so many rows, as the points of its "
+        "curve count them. Without it all.",
+    )
     continues: Identifier | None = Field(
         None,
         description="Job that has ended before all its stations were measured: the "
@@ -324,6 +339,8 @@ class JobRequest(RequestBody):
             raise ValueError("continues stands beside a plan; the job has its own")
         if self.plan_id is not None and any(x is not None for x in beside):
             raise ValueError("plan_id stands beside rows or a feed; the plan has them")
+        if self.plan_rows is not None and self.plan_id is None:
+            raise ValueError("plan_rows needs a plan_id")
         if len(set(runs)) < len(runs):
             raise ValueError("run_ids names a Run twice; give each once")
         return self
@@ -357,7 +374,7 @@ class JobRequest(RequestBody):
                 order["seed"] = secrets.randbelow(2**31)
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id", "continues", "machine")
-        same += ("control_compensation",)
+        same += ("control_compensation", "plan_rows")
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],

@@ -14,14 +14,37 @@ const LONGEST_MIN = ["3", "6", "12"];
 const NO_OFFSET = [0, 0, 0];
 
 /** What has been computed, kept while the operator looks elsewhere. */
-const ahead = { longest: "6", key: "", plan: null, at: 0 };
+const ahead = { longest: "6", minutes: 0, key: "", plan: null, at: 0 };
+
+/** The beginning of the computed plan that is driven: what the card shows; null where it is none of these choices.
+ *
+ * asked: a plan whatever its length, with all that it is computed from
+ */
+export function shownPart(asked, choice) {
+  const at = ahead.key === keyOf(asked) ? placeOf(choice) : null;
+  return at === null ? null : { plan_id: ahead.plan.id, plan_rows: ahead.plan.curve.points[at].row };
+}
+
+/** By which choices a curve counts: all but the time. */
+const keyOf = (asked) => JSON.stringify(asked);
+
+/** Where on the curve a choice is; null where the curve does not go there. */
+function placeOf({ by, minutes, reach_um }) {
+  const { points } = ahead.plan.curve;
+  const is = (at) => (at < 0 ? null : at);
+  if (by === "target" && reach_um !== null) return is(points.findIndex((p) => p.expanded_volumetric_uncertainty_um <= reach_um));
+  if (minutes === minutesOf(points[ahead.at])) return ahead.at;
+  return minutes === null || minutes > ahead.minutes ? null : is(points.findLastIndex((p) => p.time_s <= 60 * minutes + 0.5));
+}
+
+const minutesOf = (point) => Math.max(0.5, Math.ceil(point.time_s / 6) / 10);
 
 /** The card; `update(state)` hears of the machine, `close` ends it.
  *
- * request(minutes): the plan to ask for; foresee(request, tell): has it made
- * choice: {by, reach_um}, of what is chosen; pick({by, minutes, reach_um}): tells what was chosen
+ * asked(): what a plan is asked whatever its length, with all that it is computed from; foresee(request, tell): has one made
+ * choice: {by, minutes, reach_um}, of what is chosen; pick({by, minutes, reach_um}): tells what was chosen
  */
-export function curveCard({ request, foresee, choice, pick }) {
+export function curveCard({ asked, foresee, choice, pick }) {
   let drawn = null;
   let machine = null;
   let isBusy = false;
@@ -40,27 +63,35 @@ export function curveCard({ request, foresee, choice, pick }) {
     h("div", {}, h("h2", {}, t("curve.title")), h("p", { class: "quiet" }, t("curve.text"))), head, body);
 
   async function ask() {
-    const [order, key] = [request(Number(ahead.longest)), keyOf()];
+    const [key, minutes] = [keyOf(asked()), Number(ahead.longest)];
     isBusy = true;
     show();
-    const plan = await foresee(order, (share) => write(waiting, t("plan.planning", { percent: number(100 * (share ?? 0)) })));
+    const plan = await foresee({ ...asked().order, minutes }, (share) => write(waiting, t("plan.planning", { percent: number(100 * (share ?? 0)) })));
     isBusy = false;
     write(waiting, "");
-    if (plan) Object.assign(ahead, { key, plan, at: firstAt(plan.curve.points, choice()) });
-    if (closed) return;
-    drawn?.close();
-    drawn = null;
+    if (plan) {
+      forget();
+      Object.assign(ahead, { key, minutes, plan, at: plan.curve.points.length - 1 });
+      const at = placeOf(choice());
+      ahead.at = at ?? ahead.at;
+      const { reach_um, ...time } = choiceAt(ahead.at);
+      if (key === keyOf(asked())) pick({ reach_um, ...(at === null ? time : {}) }); // what is shown is chosen
+    }
     show();
   }
 
-  /** By which choices a curve counts: all but the time. */
-  const keyOf = () => JSON.stringify([request(Number(ahead.longest))]);
+  function forget() {
+    drawn?.close();
+    drawn = null;
+  }
 
   function show() {
     mark(compute, "disabled", isBusy || !machine);
-    if (!ahead.plan || !machine) return;
+    if (!ahead.plan || !machine || closed) return;
     drawn ??= drawAhead(body, byPlace, machine, choice, pick);
-    drawn.age(ahead.key !== keyOf());
+    const isDriven = shownPart(asked(), choice()) !== null;
+    if (isDriven) drawn.follow(placeOf(choice()));
+    drawn.age(!isDriven);
   }
 
   return {
@@ -71,24 +102,15 @@ export function curveCard({ request, foresee, choice, pick }) {
     },
     close() {
       closed = true;
-      drawn?.close();
+      forget();
     },
   };
 }
 
-/** The place on the curve that is chosen already; its end where nothing is. */
-function firstAt(points, { by, minutes, reach_um }) {
-  const last = points.length - 1;
-  if (by === "target" && reach_um !== null) return reaching(points, reach_um);
-  if (minutes === null) return last;
-  const until = points.findLastIndex((p) => p.time_s <= 60 * minutes + 0.5);
-  return until < 0 ? 0 : until;
-}
-
-/** The first place at which an expanded uncertainty is reached; the last where none is. */
-function reaching(points, reach_um) {
-  const first = points.findIndex((p) => p.expanded_volumetric_uncertainty_um <= reach_um);
-  return first < 0 ? points.length - 1 : first;
+/** What a place on the curve means. */
+function choiceAt(at) {
+  const point = ahead.plan.curve.points[at];
+  return { minutes: minutesOf(point), reach_um: point.expanded_volumetric_uncertainty_um };
 }
 
 function drawAhead(body, byPlace, machine, choice, pick) {
@@ -136,10 +158,11 @@ function drawAhead(body, byPlace, machine, choice, pick) {
     const { by: kind } = choice();
     curve.update(at, kind === "target" ? point.expanded_volumetric_uncertainty_um : null, t("curve.spoken", { minutes, u }));
     path.then((found) => found.choose(point.row));
-    if (isChosen) pick({ minutes: Math.max(0.5, Math.ceil(point.time_s / 6) / 10), reach_um: point.expanded_volumetric_uncertainty_um });
+    if (isChosen) pick(choiceAt(at));
   }
 
   return {
+    follow: (at) => (at === ahead.at ? null : put(at, false)),
     age: (isStale) => mark(stale, "hidden", !isStale),
     close() {
       curve.close();

@@ -2,12 +2,13 @@
 import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
 import { boxesOf, orderBoxes } from "../keep-out.js";
+import { modelInUse } from "../model-choice.js";
 import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { temperatureCard } from "./conditions-card.js";
-import { curveCard } from "./curve-card.js";
+import { curveCard, shownPart } from "./curve-card.js";
 import { keepOutCard, refuseBoxes } from "./keep-out-card.js";
 import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
@@ -25,6 +26,9 @@ const isAdaptive = () => choices.kind === "measure-adaptive";
 
 /** Whether the plan is for an uncertainty instead of a time. */
 const isForTarget = () => choices.by === "target" && choices.reach_um !== null && !isAdaptive() && stationCount() === 1;
+
+/** What counts of the choices: several stations share a time. */
+const effective = () => ({ ...choices, by: isForTarget() ? "target" : "time" });
 
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
 const streams = () => choices.kind !== "measure-standstill";
@@ -74,6 +78,8 @@ function orders(state) {
     ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
   const limited = streams() && most !== null;
   if (isAdaptive()) return [{ ...job, planning: { ...planOrder(state), ...(minutes === null ? {} : { minutes }) } }, null];
+  const shown = shownPart(asked(state), effective());
+  if (shown) return [{ ...job, ...shown }, null];
   if (isForTarget()) return [job, { ...planOrder(state), target_um: choices.reach_um / COVERAGE }];
   if (minutes === null) {
     return [limited ? { ...job, feed_mm_min: Math.min(most, FEED_MM_MIN.usual) } : job, null];
@@ -90,6 +96,13 @@ function planOrder({ machine, machine_id }) {
   return { mode: streams() ? "otf" : "standstill", perpendicular_only,
     ...(streams() && most !== null ? { max_feed_mm_min: most } : {}),
     ...(Object.keys(within).length ? { workspace: within } : {}), ...site };
+}
+
+/** A plan of any length, and all else that it is computed from: the machine as it is, and the model in use. */
+function asked(state) {
+  const { name, kinematic_chain, axes, targets, tool_offset_mm, motion_limits, tracker_noise } = state.machine ?? {};
+  return { order: planOrder(state), model: modelInUse(state.machine), machine_id: state.machine_id,
+    file: [name, kinematic_chain, axes, targets, tool_offset_mm, motion_limits, tracker_noise] };
 }
 
 /** Show the choices. */
@@ -116,9 +129,9 @@ export function mount(root, { store, actions }) {
   const temperatures = temperatureCard(store);
   temperatures.element.classList.add("below");
   const curve = curveCard({
-    request: (most) => ({ ...planOrder(store.get()), minutes: most }),
+    asked: () => asked(store.get()),
     foresee: actions.foresee,
-    choice: () => choices,
+    choice: effective,
     pick(picked) {
       Object.assign(choices, picked);
       if (picked.minutes !== undefined) minutes.write(picked.minutes);
@@ -129,7 +142,7 @@ export function mount(root, { store, actions }) {
     head(t("plan.title"), t("plan.text")), answered(store.get()), modelNotice(store.get().machine), temperatures.element, curve.element,
     h("div", { class: "columns" },
       h("div", { class: "stack" },
-        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place, keepOut.element),
+        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular(changed)), place, keepOut.element),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
         target.element, compensationWish(changed), policy)),
   );
@@ -240,12 +253,13 @@ function noticePolicy(changed) {
     h("p", { class: "quiet" }, t("plan.notice_help")));
 }
 
-function perpendicular() {
+function perpendicular(changed) {
   const box = h("button", { class: "choice is-box", type: "button", role: "checkbox",
     "aria-checked": String(choices.perpendicular_only),
     onclick: () => {
       choices.perpendicular_only = !choices.perpendicular_only;
       mark(box, "aria-checked", String(choices.perpendicular_only));
+      changed();
     } },
   h("strong", {}, t("plan.perpendicular")), h("span", {}, t("plan.perpendicular_note")));
   return box;
