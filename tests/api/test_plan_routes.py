@@ -105,6 +105,22 @@ def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
     assert found["tracker_mm"] == document["tracker"]["position_mm"]
 
 
+@pytest.mark.parametrize("at", [-1, 3])
+def test_a_job_drives_the_beginning_that_the_curve_shows(plan, client, until, at):
+    point = client.get(plan["links"]["curve"]).json()["points"][at]
+    order = {"kind": "measure-otf", "plan_id": plan["id"], "plan_rows": point["row"]}
+    job = until(client.post("/api/v1/jobs", json=order).json(), "ready")
+    driven = client.get(f"/api/v1/jobs/{job['id']}/plan").json()
+    assert driven["position"] == plan["commanded"]["position"][: point["row"]]
+    assert driven["predicted_um"] == point["volumetric_uncertainty_um"]
+
+
+def test_rows_of_no_plan_are_refused(client, is_problem):
+    order = {"kind": "measure-otf", "plan_rows": 9}
+    refused = is_problem(client.post("/api/v1/jobs", json=order), 422, "validation")
+    assert "plan_rows needs a plan_id" in str(refused)
+
+
 def test_a_job_that_is_no_plan_has_no_curve(client, ready, is_problem):
     is_problem(client.get(f"/api/v1/plans/{ready['id']}/curve"), 404, "not-found")
 

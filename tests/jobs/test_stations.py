@@ -32,7 +32,12 @@ ROWS = (
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
 LONG = tuple({**ROWS[row % 2], "z_mm": 10.0 + row} for row in range(11))
-ADVICE = {"tracker": {}, "stations": {"recommended": 3}, "at_stations": []}
+SHARES = [{"position_mm": place, "rows": 11, "duration_s": 9.0} for place in PLACES]
+ADVICE = {"tracker": {}, "stations": {"recommended": 3}, "at_stations": SHARES}
+CURVE = [
+    {"row": row, "time_s": float(row), "volumetric_uncertainty_um": 9.0 / row}
+    for row in (6, 15, 33)
+]
 GOOD = {"place_mm": (1.0, 2.0, 3.0)}
 BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
 
@@ -77,7 +82,11 @@ def planner(machine):
         return {
             **path,
             "predicted_um": 1.0,
-            "document": {"machine": machine_to_json(machine), **ADVICE},
+            "document": {
+                "machine": machine_to_json(machine),
+                **ADVICE,
+                "curve": CURVE,
+            },
             "stations": [{"position_mm": p, "duration_s": 9.0, **path} for p in places],
             "known_points": known,
             "specification": {},
@@ -402,3 +411,30 @@ def test_a_job_keeps_what_its_plan_says_of_places(begin, context):
 def test_a_target_is_not_for_a_plan_of_several_stations(begin, plan_id):
     with pytest.raises(PlanningError, match="leave target_um out"):
         begin(plan_id=plan_id, target_um=1.0)
+
+
+def test_a_beginning_of_a_plan_ends_at_its_last_station(begin, plan_id, context):
+    job = begin(plan_id=plan_id, plan_rows=15)
+    assert job.station.total == 2
+    plan = context.store.read_plan(job.id)
+    assert [len(part["position"]) for part in plan["stations"]] == [11, 4]
+    assert [part["duration_s"] for part in plan["stations"]] == [9.0, 6.0]
+    assert plan["predicted_um"] == pytest.approx(0.6)
+    shares = plan["place"]["at_stations"]
+    assert [(one["rows"], one["duration_s"]) for one in shares] == [(11, 9.0), (4, 6.0)]
+
+
+def test_a_beginning_within_the_first_station_needs_no_other(begin, plan_id, context):
+    job = begin(plan_id=plan_id, plan_rows=6)
+    plan = context.store.read_plan(job.id)
+    assert job.station is None
+    assert "stations" not in plan
+    assert len(plan["position"]) == 6
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"), [(34, "33 rows"), (2, "add rows"), (12, "1 place")]
+)
+def test_a_beginning_that_cannot_be_measured_is_refused(begin, plan_id, rows, why):
+    with pytest.raises(PlanningError, match=why):
+        begin(plan_id=plan_id, plan_rows=rows)
