@@ -21,7 +21,7 @@ from truepath.app.alignment.cleaning import (
     require_seconds,
 )
 from truepath.app.alignment.driving import describe_driving
-from truepath.app.alignment.left_out import LeftOut, describe_unusable
+from truepath.app.alignment.left_out import Cause, LeftOut, describe_unusable
 from truepath.app.alignment.measured_elsewhere import drop_measured_elsewhere
 from truepath.app.alignment.measured_points import (
     find_measured,
@@ -46,10 +46,13 @@ from truepath.app.alignment.stops import StopSequence, find_stops
 from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointRows, Run
+from truepath.app.kinematics.other_chains import describe_other, list_other_machines
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
 _FEWEST_POINTS = 4  # of which three tell the pose
+_FEWEST_ROWS = 3
+_CLEARLY = 0.95  # of the standstills
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
@@ -87,10 +90,11 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    nominal, stops, matching = _match(run, time_s, tracker_mm)
+    nominal, stops, matching = _match_or_explain(run, time_s, tracker_mm)
     stream = Stream(time_s, tracker_mm, matching.pose, matching.reach_mm)
     left_out = describe_unusable(run.tracker, usable)
     left_out += _list_astray(stream, stops, matching, nominal)
+    left_out += _list_beyond(time_s, stops, matching)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
@@ -129,11 +133,42 @@ def _align_points(run: Run, points: PointRows) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    nominal, _, matching = _match(run, time_s, tracker_mm)
+    nominal, stops, matching = _match_or_explain(run, time_s, tracker_mm)
     parts, left_out = reduce_points(run, points, valid, matching, nominal)
     left_out += _list_points_without_stop(run, parts)
+    left_out += _list_beyond(time_s, stops, matching)
     seen = join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     return replace(seen, offered=int(points.count.sum()))
+
+
+def _match_or_explain(
+    run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
+) -> tuple[NominalPath, StopSequence, Matching]:
+    """Match; where that fails, name another machine that the data fit."""
+    try:
+        return _match(run, time_s, tracker_mm)
+    except AlignmentError as error:
+        for other in list_other_machines(run.machine):
+            fits, of = _count_matched(replace(run, machine=other), time_s, tracker_mm)
+            if fits and fits >= _CLEARLY * of:
+                raise AlignmentError(
+                    f"the data fit {describe_other(run.machine, other)} far better "
+                    f"than the declared {run.machine.chain}: {fits} of {of} "
+                    "standstills are where it has them; correct the chain, or the "
+                    f"axis' direction, in machine.json. As declared, {error}"
+                ) from error
+        raise
+
+
+def _count_matched(
+    run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
+) -> tuple[int, int]:
+    """Return how many standstills are at their places, of how many; none if refused."""
+    try:
+        nominal, stops, matching = _match(run, time_s, tracker_mm)
+    except AlignmentError:
+        return 0, 0
+    return len(matching.stop), min(len(stops), len(nominal.first))
 
 
 def _match(
@@ -165,6 +200,22 @@ def _match(
         seated = seat_targets(machine, matching.seats)
         nominal = compute_nominal_path(seated, path, nominal.first)
     return nominal, stops, matching
+
+
+def _list_beyond(
+    time_s: Float64[np.ndarray, " n"], stops: StopSequence, matching: Matching
+) -> list[LeftOut]:
+    """Return how often the target stands still before the path and after it."""
+    found: list[LeftOut] = []
+    sides: tuple[tuple[Cause, int, int], ...] = (
+        ("before", 0, int(matching.stop[0])),
+        ("after", int(matching.stop[-1]) + 1, len(stops)),
+    )
+    for cause, first, end in sides:
+        if end - first >= FEWEST_ASTRAY:
+            begin_s, end_s = time_s[[stops.first[first], stops.last[end - 1] - 1]]
+            found.append(LeftOut(cause, -1, begin_s, end_s, end - first, 0.0))
+    return found
 
 
 def _list_astray(
@@ -227,7 +278,13 @@ def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:
     """Refuse what moves no target: the rotary axes turn about it, or on other sides."""
-    if len(nominal.first) < 3:
+    rows = len(nominal.end_mm)
+    if rows < _FEWEST_ROWS:
+        raise AlignmentError(
+            f"{commanded} has {rows} rows, and at least {_FEWEST_ROWS} tell where the "
+            "tracker stands: it is cut short; give all that was driven"
+        )
+    if len(nominal.first) < _FEWEST_ROWS:
         raise AlignmentError(
             f"{commanded} hardly moves the target where the tracker stands: it is on "
             "the axis that turns, or not carried by the axes that move; measure a "

@@ -28,6 +28,8 @@ Cause = Literal[
     "no-pass",
     "no-stop",
     "astray",
+    "before",
+    "after",
 ]
 _LONGEST_SPIKE = 3  # samples; more in a row are a burst
 _MOSTLY = 0.5  # of the samples repeat the one before: frozen
@@ -43,7 +45,8 @@ class LeftOut:
         their neighbours), `cells` (stretches far from their neighbours, or from what
         the machine does on all other lines), `line` (all of a line), `no-pass` (a line
         without a stretch at constant feed), `no-stop` (a point without a standstill),
-        `astray` (a part whose standstills are those of no place, from this row on)
+        `astray` (a part whose standstills are those of no place, from this row on),
+        `before`, `after` (what is beside the path, `samples` counting its standstills)
     row : of the commanded path or points; −1 where it is no one's
     begin_s, end_s : on the tracker's clock; NaN where there is no data
     off_mm : how far off, at the most

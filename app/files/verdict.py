@@ -80,6 +80,16 @@ SENTENCES: Mapping[str, Sentence] = {
         "The recording shows lines {first} to {last} of the {lines} lines of the path.",
         "Let the program run to its end, and record from before its start until after.",
     ),
+    "path-cut-short": Sentence(
+        "The target stands still {before} times before the first row of the path and "
+        "{after} times after its last: rows are missing there, or more was recorded.",
+        "Give the whole path where the file was cut short; only its rows are used.",
+    ),
+    "chain-other": Sentence(
+        "The data fit {other} {times_ratio} times better than the declared {declared}: "
+        "the tables are those of a machine that is not this one.",
+        "Correct kinematic_chain in the machine file, and analyse again.",
+    ),
     "other-feed": Sentence(
         "Lines {lines} were driven at {lowest_percent} to {highest_percent} of the "
         "feed of the path.",

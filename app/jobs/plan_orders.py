@@ -239,17 +239,16 @@ def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
     """Return a plan of the first rows alone. Raises PlanningError."""
     document, left = dict(plan["document"]), count
     whole = plan.get("stations") or [plan]
-    kept = list[Json]()
+    kept = list[dict[str, Any]]()
     for part in whole:
-        rows = decode_commanded_json(part)
-        if left > 0:
-            some = select_rows(rows, slice(left))
-            require_measurable(machine, some)
-            kept.append({**part, **encode_commanded_json(some)})
-        left -= len(rows)
+        rows = select_rows(decode_commanded_json(part), slice(max(left, 0)))
+        if len(rows):
+            require_measurable(machine, rows)
+            kept.append({**part, **encode_commanded_json(rows)})
+        left -= len(part["position"])
     if left > 0:
         raise PlanningError(
-            f"the plan has {count - left} rows, not {count}; a beginning of it has fewer"
+            f"the plan has {count - left} rows, not {count}; give fewer"
         )
     told = [point for point in document["curve"] if point["row"] <= count][-1:]
     last = told[0] if told else {}
@@ -258,11 +257,12 @@ def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
     if len(whole) == 1:
         return plan
     before_s = sum(part["duration_s"] for part in kept[:-1])
-    kept[-1]["duration_s"] = round(last.get("time_s", before_s) - before_s, 3)
-    shares = document["at_stations"][: len(kept)]
-    shares[-1] = {key: last.get(key, kept[-1].get(key)) for key in shares[-1]}
-    shares[-1] |= {"duration_s": kept[-1]["duration_s"], "rows": len(some)}
-    document["at_stations"] = shares
+    took_s = round(last.get("time_s", before_s) - before_s, 3)
+    kept[-1]["duration_s"] = took_s
+    *shares, share = document["at_stations"][: len(kept)]
+    now = {"duration_s": took_s, "rows": len(kept[-1]["position"])}
+    share = {key: last.get(key, value) for key, value in share.items()} | now
+    document["at_stations"] = [*shares, share]
     if len(kept) > 1:
         return {**plan, "stations": kept}
     return {key: plan[key] for key in plan.keys() - set(STATION_KEYS)}

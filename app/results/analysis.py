@@ -35,6 +35,7 @@ from truepath.app.results.findings import Findings, Provenance, state_checked_fi
 from truepath.app.results.trial_results import run_trials
 from truepath.app.results.verdict import (
     judge_air,
+    judge_chain,
     judge_driving,
     judge_range,
     judge_sensors,
@@ -96,12 +97,16 @@ def analyse(
     brought = find_contributions(estimated, checked.given)
     budget = split_uncertainty(estimated)
     ranges = judge_range(_score_ranges(checked.estimate), checked.given, names)
+    fit = checked.estimate.fit
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     driven = judge_driving([each.driving for each in observed], names)
     air = judge_air([run.refraction for run in runs], names)
-    around = [air, judge_sensors(summaries)]
-    verdict = Verdict.merge([found.verdict, ranges, driven, *around])
+    verdict = Verdict.merge([found.verdict, ranges])
+    if verdict.state != "usable" and fit is not None:
+        chain = judge_chain(fit)  # it bends the volume as a wrong home distance does
+        verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
+    verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
 
 

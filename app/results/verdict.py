@@ -16,6 +16,8 @@ import numpy as np
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.observations import Driving
+from truepath.app.estimation.chain_order import find_better_order
+from truepath.app.estimation.direction import Fit
 from truepath.app.estimation.disturbances import CheckedEstimate
 from truepath.app.estimation.misfit import Misfit
 from truepath.app.estimation.prior_model import PriorModel
@@ -42,7 +44,9 @@ _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
+_OTHER_CHAIN = 2.0, 4.0  # times χ² of the best order
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
+_BESIDE = ("before", "after")  # of the path
 _LINES = 0.1, 0.5  # of the lines without data
 _GAIN = 0.35, 1.0  # expected to be left, of the mean error found
 
@@ -152,6 +156,20 @@ def judge_range(
     )
 
 
+def judge_chain(fit: Fit) -> Verdict:
+    """Return whether the data contradict the order of the linear axes.
+
+    fit : whose result is contradicted
+    """
+    other, times = find_better_order(fit)
+    if times < _OTHER_CHAIN[0]:
+        return Verdict()
+    declared = fit.model.machine.chain
+    values: dict[str, Value] = {"other": other, "declared": declared}
+    state = _grade(times, _OTHER_CHAIN)
+    return Verdict((Reason("chain-other", state, values | {"times_ratio": times}),))
+
+
 def judge_gain(volumetric: VolumetricError) -> Verdict:
     """Return whether a compensation is expected to make the machine better."""
     left_um, found_um = volumetric.after.mean.value_um, volumetric.before.mean.value_um
@@ -215,7 +233,7 @@ def _judge_left_out(
 
     measured : lines with data; used : samples
     """
-    silent = ("spikes", "astray", *_WITHOUT_DATA)
+    silent = ("spikes", "astray", *_BESIDE, *_WITHOUT_DATA)
     lost = [each for each in left_out if each.cause not in silent]
     worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
     for each in sorted(worst, key=lambda each: each.begin_s):
@@ -236,6 +254,9 @@ def _judge_left_out(
                 "distance_um": UM_PER_MM * each.off_mm,
             }
             yield Reason("stream-astray", "doubtful", values)
+    beside = {each.cause: each.samples for each in left_out if each.cause in _BESIDE}
+    if beside:
+        yield Reason("path-cut-short", "usable", dict.fromkeys(_BESIDE, 0) | beside)
     spikes = [each for each in left_out if each.cause == "spikes"]
     few = [each for each in lost if each not in worst] + spikes
     if few:
@@ -250,7 +271,9 @@ def _judge_left_out(
             state = _grade(len(rows) / (measured + len(rows)), _LINES)
             yield Reason(kind, state, {kind.split("-")[0]: _list_lines(rows)})
     # What is astray is judged by the lines that it leaves without data.
-    share = sum(each.samples for each in left_out if each.cause != "astray")
+    share = sum(
+        each.samples for each in left_out if each.cause not in ("astray", *_BESIDE)
+    )
     share /= max(share + used, 1)
     if share > _LEFT_OUT[0]:
         yield Reason(
