@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from truepath.app.errors import MeasurementFailed
-from truepath.app.measurement.faults import classify_fault
+from truepath.app.measurement.faults import Fault, classify_fault, make_late_fault
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
@@ -20,6 +20,7 @@ class ControllerMonitor:
     """Reads a controller that may be out of reach for a moment.
 
     position : where the axes were at the last reading
+    late : why the last valid status is too old, None where it is not
     """
 
     def __init__(
@@ -31,19 +32,25 @@ class ControllerMonitor:
         self._motion, self._recorder, self._settings = motion, recorder, settings
         self._out_of_reach = Stopwatch(settings.clock)
         self._rows: list[tuple[float, ...]] = []
+        self._valid_s = settings.clock()
         self.position: tuple[float, ...] = ()
+        self.late: Fault | None = None
 
     def poll(self) -> MotionStatus | None:
-        """Feed the watchdog and read the controller; None if it did not answer.
+        """Read the controller, then feed its watchdog; None if it did not answer.
 
-        Raises Fault once it has been out of reach for too long.
+        Requests may arrive whose replies do not: who is not seen is not fed. Raises
+        Fault once it has been out of reach for too long.
         """
         try:
-            self._motion.send_heartbeat()
             status = self._motion.status()
+            self._valid_s, self.late = self._settings.clock(), None
+            self._motion.send_heartbeat()
         except (ConnectionLost, DeviceTimeout) as error:
             if self._out_of_reach.measure_s() > self._settings.link_s:
                 raise classify_fault(error) from error
+            if self._settings.clock() - self._valid_s > self._settings.stale_s:
+                self.late = make_late_fault(error)
             return None
         self._out_of_reach.reset()
         self.position = status.position

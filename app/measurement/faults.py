@@ -9,6 +9,7 @@ from truepath.app.measurement.messages import FaultReported
 from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
+    DeviceBusy,
     DeviceError,
     DeviceTimeout,
     MotionFault,
@@ -47,6 +48,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
     (BeamLost, "beam-lost", "lock the beam on the reflector, then go on", True),
     (MotionFault, "motion-alarm", "clear the alarm at the machine", True),
     (ConnectionLost, "link-lost", "check cable and power, then connect again", True),
+    (DeviceBusy, "control-busy", "see what keeps it busy, then connect again", True),
     (DeviceTimeout, "no-answer", "check cable and power, then connect again", True),
     (DeviceError, "device", "look at the device, then connect again", True),
 )
@@ -227,11 +229,27 @@ def make_target_fault(name: str, misfit_mm: float) -> Fault:
     )
 
 
-def make_held_fault(reason: str) -> Fault:
-    """Return the fault of a machine that is held without a request of ours."""
+def make_late_fault(error: DeviceError) -> Fault:
+    """Return the fault of a controller whose last valid status is too old."""
+    busy = isinstance(error, DeviceBusy)
+    what = "says that it is busy" if busy else "has sent no valid status in time"
     return Fault(
-        "held-at-machine",
-        f"the feed is held at the machine: {reason}",
+        "control-busy" if busy else "control-late",
+        f"the controller {what}; the feed is held: {error}",
+        "nothing: it goes on by itself when the controller answers within seconds",
+        latched=False,
+    )
+
+
+def make_held_fault(reason: str, late: Fault | None = None) -> Fault:
+    """Return the fault of a machine that is held without a request of ours.
+
+    late : why its watchdog got no beats
+    """
+    text = f"the feed is held at the machine: {reason}"
+    return Fault(
+        late.code if late else "held-at-machine",
+        f"{text}; {late.text}" if late else text,
         "look why, then release it there or press Resume",
         latched=False,
     )

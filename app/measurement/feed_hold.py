@@ -15,6 +15,8 @@ from truepath.app.measurement.timing import EngineSettings, Stopwatch
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import MotionState, MotionStatus
 
+_EVENTS = {HoldReason.DISK: "storage", HoldReason.CONTROL: "control"}
+
 
 class FeedHold:
     """The feed of one measurement: held for reasons, released when none is left."""
@@ -30,6 +32,7 @@ class FeedHold:
         self._motion, self._machine = motion, machine
         self._state, self._events, self._settings = state, events, settings
         self._is_machine_hold_reported = False
+        self._late: Fault | None = None  # what the last silence of the control was
         self._unconfirmed_hold = Stopwatch(settings.clock)
         self._unconfirmed_resume = Stopwatch(settings.clock)
 
@@ -39,9 +42,16 @@ class FeedHold:
             self._events.report_fault(fault)
             self._machine.command(self._motion.hold)
 
+    def hold_blindly(self) -> None:
+        """Send a hold to a controller that does not answer, again and again."""
+        if (late := self._machine.late) is not None:
+            self._late = late
+            self.hold(HoldReason.CONTROL, late)
+            self._machine.command(self._motion.hold)
+
     def release(self, reason: HoldReason, text: str) -> None:
         """Give up a reason to hold; others may be left."""
-        self._events.record("storage" if reason is HoldReason.DISK else "stream", text)
+        self._events.record(_EVENTS.get(reason, "stream"), text)
         self._is_machine_hold_reported = False  # it may be the only reason left
         self._state.release(reason, text=text)
 
@@ -50,6 +60,10 @@ class FeedHold:
 
         The state has observed this status. Raises Fault if the machine moves on.
         """
+        if HoldReason.CONTROL in self._state.holds:
+            self.release(HoldReason.CONTROL, "the controller answers again")
+        elif not self._state.holds:
+            self._late = None
         self._report_machine_hold(status.hold_reason)
         if self._state.wants_hold and status.state is MotionState.RUNNING:
             self._insist_on_hold()
@@ -61,7 +75,8 @@ class FeedHold:
         """Report once that somebody has to release the machine itself."""
         waits = HoldReason.MACHINE in self._state.holds
         if waits and not self._is_machine_hold_reported:
-            self._events.report_fault(make_held_fault(hold_reason))
+            late = self._late if hold_reason == "watchdog" else None
+            self._events.report_fault(make_held_fault(hold_reason, late))
         self._is_machine_hold_reported = waits
 
     def _insist_on_hold(self) -> None:

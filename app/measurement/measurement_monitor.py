@@ -121,7 +121,9 @@ class MeasurementMonitor:
         self._report_tracker_events()
         self.stream.check(may_lose_beam=self._is_task_under_way)
         here, status = self._machine.position, self._machine.poll()
-        if status is not None:
+        if status is None:
+            self.feed.hold_blindly()
+        else:
             self._apply_status(status)
             if self._recovery is not None:
                 stands = status.position == here

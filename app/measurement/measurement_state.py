@@ -34,6 +34,7 @@ class HoldReason(StrEnum):
     TARGET = "target"
     DISK = "disk"
     DISK_STAYED_SLOW = "disk-stayed-slow"  # for a person to release
+    CONTROL = "control"  # it does not answer, or that it is busy
     SERVICE = "service"  # nobody could stop the machine by it
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
 

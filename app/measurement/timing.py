@@ -16,6 +16,7 @@ class EngineSettings:
     """Times of the host in seconds where nothing else is said.
 
     confirm_s : a hold, a cycle start or a resume is confirmed by then
+    stale_s : a controller whose last valid status is older is not fed, and is held
     link_s : the controller may be out of reach for so long
     stuck_s : a machine that runs moves, beyond the longest planned row
     lead_s : stream before the first and after the last motion, tracker's clock
@@ -29,6 +30,7 @@ class EngineSettings:
 
     poll_s: float = 0.1
     confirm_s: float = 5.0
+    stale_s: float = 0.5
     link_s: float = 2.0
     stuck_s: float = 10.0
     first_sample_s: float = 5.0

@@ -15,6 +15,10 @@ class DeviceTimeout(DeviceError):
     """The device did not answer in its time."""
 
 
+class DeviceBusy(DeviceTimeout):
+    """The device answers that it has no time now."""
+
+
 class WrongDevice(DeviceError):
     """Something else answers on the port."""
 

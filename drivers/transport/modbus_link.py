@@ -12,6 +12,7 @@ from pymodbus.pdu import ModbusPDU
 
 from truepath.drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceBusy,
     DeviceError,
     DeviceTimeout,
     MotionFault,
@@ -33,10 +34,6 @@ _CONFIGURATION = {
 }
 _WAIT = (5, 6)
 _GATEWAY = (10, 11)
-
-
-class DeviceBusy(DeviceTimeout):
-    """The device asks for patience (exceptions 5 and 6)."""
 
 
 @dataclass(frozen=True, slots=True)

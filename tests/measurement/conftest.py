@@ -55,6 +55,7 @@ def calm() -> EngineSettings:
     return EngineSettings(
         poll_s=0.02,
         confirm_s=30.0,
+        stale_s=30.0,
         link_s=30.0,
         first_sample_s=30.0,
         progress_s=0.0,

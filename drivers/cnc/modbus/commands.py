@@ -20,6 +20,7 @@ from truepath.drivers.cnc.modbus.register_values import decode_text, encode
 from truepath.drivers.cnc.priority_lock import PriorityLock
 from truepath.drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceBusy,
     DeviceError,
     DeviceTimeout,
     MotionFault,
@@ -29,12 +30,13 @@ from truepath.drivers.interfaces.errors import (
 )
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 from truepath.drivers.transport.back_off import BackOff
-from truepath.drivers.transport.modbus_link import TIMEOUT_S, DeviceBusy, ModbusLink
+from truepath.drivers.transport.modbus_link import TIMEOUT_S, ModbusLink
 
 log = logging.getLogger(__name__)
 
 _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
+_BUSY_S = 0.2  # that a look or a beat waits: by 0.5 s without a look the feed is held
 _SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
 _URGENT_S = 0.45  # by then a hold that does not reach the controller says so
 _REASONS: dict[int, str] = {
@@ -72,6 +74,7 @@ class CommandChannel:
         self._sequence = 0
         self._beats = 0
         self._is_urgent = False  # what goes on now
+        self._answers = True  # as far as the last read has shown
         self._back_off = BackOff()
 
     @property
@@ -111,7 +114,7 @@ class CommandChannel:
     def status(self) -> ControllerStatus:
         """Read the status, with the text of an alarm."""
         with self._lock.hold():
-            status = self._read_status()
+            status = self._read_status(_BUSY_S)
             if status.motion.state is not MotionState.ALARM:
                 return status
             alarm = self._alarm(status.motion)
@@ -123,7 +126,7 @@ class CommandChannel:
             self._beats = (self._beats + 1) & 0xFFFF
             words = encode("heartbeat", self._beats)
             address = r.BY_NAME["heartbeat"].address
-            self._patiently(lambda: self._link.write(address, words))
+            self._patiently(lambda: self._link.write(address, words), _BUSY_S)
 
     def limit_override(self, largest: float) -> bool:
         """Have the override lowered where it is above; tell whether it is not now."""
@@ -223,7 +226,7 @@ class CommandChannel:
         acknowledged = 0
         if not self._is_urgent:
             acknowledged = self._insist(self._read_status, deadline_s).acknowledged
-        elif time.monotonic() + 2 * TIMEOUT_S < deadline_s:
+        elif self._answers and time.monotonic() + 2 * TIMEOUT_S < deadline_s:
             with suppress(ConnectionLost, DeviceTimeout):
                 acknowledged = self._read_status().acknowledged
         self._sequence = _following(self._sequence)
@@ -291,11 +294,11 @@ class CommandChannel:
                 reason = _REASONS.get(code, f"result {code}")
                 raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
 
-    def _read_status(self) -> ControllerStatus:
+    def _read_status(self, patience_s: float | None = None) -> ControllerStatus:
         controller = self._controller
         block = controller.status_block if controller else r.STATUS
         features = controller.features if controller else 0
-        status = parse_status(self._read(block), features=features)
+        status = parse_status(self._read(block, patience_s), features=features)
         axes = len(controller.axes) if controller else r.MAX_AXES
         position = status.motion.position[:axes]
         return replace(status, motion=replace(status.motion, position=position))
@@ -304,16 +307,22 @@ class CommandChannel:
         words = self._read(r.ALARM_TEXT)
         return decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
 
-    def _read(self, block: r.Block) -> list[int]:
-        return self._patiently(lambda: self._link.read(block.address, block.count))
+    def _read(self, block: r.Block, patience_s: float | None = None) -> list[int]:
+        self._answers = False
+        words = self._patiently(
+            lambda: self._link.read(block.address, block.count), patience_s
+        )
+        self._answers = True
+        return words
 
-    def _patiently(self, request: Callable[[], T]) -> T:
+    def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
         """Repeat a harmless request: once, longer while the device says it is busy.
 
         Nothing is repeated where somebody waits to hold the feed, or a gateway says
         that it does not reach the device.
         """
-        deadline_s = time.monotonic() + self._timeout_s
+        patience_s = self._timeout_s if limit_s is None else limit_s
+        deadline_s = time.monotonic() + patience_s
         has_failed = False
         while True:
             try:
