@@ -32,7 +32,7 @@ GoesOn = Callable[
 def find_valid_samples(
     samples: TrackerSamples, targets: Sequence[str] = ()
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which samples are measurements: status 0, finite, on a way that goes on.
+    """Tell which samples are measurements: status 0, on a way that goes on.
 
     Not a lone spike, nor a burst that jumps aside and back, nor what is repeated, nor
     what is stamped in a heap.
@@ -40,7 +40,7 @@ def find_valid_samples(
     targets : of the rows; from one to another it jumps as well, and maybe back
     """
     longest_s = _BRIEF_S if len(set(targets)) > 1 else np.inf
-    valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
+    valid = samples.status == 0
     kept = np.flatnonzero(valid)
     valid[kept[_frozen(samples.position_mm[kept])]] = False
     kept = np.flatnonzero(valid)

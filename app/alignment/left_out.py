@@ -64,7 +64,7 @@ def describe_unusable(
     samples: TrackerSamples, usable: Bool[np.ndarray, " n"]
 ) -> list[LeftOut]:
     """Return what the cleaning of a stream left out of its valid samples."""
-    valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
+    valid = samples.status == 0
     lost = np.flatnonzero(valid & ~usable)
     kept = np.flatnonzero(usable)
     if not len(lost) or len(kept) < 2:

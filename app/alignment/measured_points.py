@@ -21,9 +21,8 @@ from truepath.drivers.interfaces.records import TrackerSamples
 
 
 def find_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
-    """Return which samples are measurements: status 0 and finite."""
-    finite = np.isfinite(samples.position_mm).all(axis=1)
-    return np.flatnonzero((samples.status == 0) & finite)
+    """Return which samples are measurements."""
+    return np.flatnonzero(samples.status == 0)
 
 
 def list_as_stops(tracker_mm: Float64[np.ndarray, "n 3"]) -> StopSequence:

@@ -27,9 +27,11 @@ from truepath.app.files.run import DirectMeasurement, PointRows, RunEvent
 from truepath.app.files.sensor_gate import find_pressures, gate_columns
 from truepath.app.files.tables import Table, encode_csv, read_csv, read_parquet
 from truepath.drivers.interfaces.records import (
+    LOST,
     AirSamples,
     TemperatureSamples,
     TrackerSamples,
+    is_seen,
 )
 
 _POSITION = ("x_mm", "y_mm", "z_mm")
@@ -74,6 +76,7 @@ def decode_tracker(
         raise BundleError("holds no samples", file=file, remedy=remedy)
     status = _read_status(table)
     position_mm = _read_positions(table, status)
+    status[(status == 0) & ~is_seen(position_mm)] = LOST
     repeats = _find_repeats(table.numbers("t_s"), position_mm)
     time_s = _read_clock(table, repeats)[~repeats]
     if (status != 0).all():
@@ -270,8 +273,8 @@ def _find_repeats(
 def _read_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:
     position_mm = np.empty((len(table), 3))
     for column, key in enumerate(_POSITION):
-        position_mm[:, column] = table.numbers(key, nan=True)
-        bad = np.isnan(position_mm[:, column]) & (status == 0)
+        position_mm[:, column] = table.numbers(key, nan=True, infinite=True)
+        bad = table.find_empty(key) & (status == 0)
         remedy = "a sample without a position needs a status other than 0"
         table.refuse(bad, key, lambda _: "is empty or NaN", remedy)
     return position_mm

@@ -86,15 +86,22 @@ class Table:
         if not len(self):
             raise BundleError("has no rows", file=self.file, remedy=remedy)
 
-    def numbers(self, name: str, *, nan: bool = False) -> NDArray[np.float64]:
+    def numbers(
+        self, name: str, *, nan: bool = False, infinite: bool = False
+    ) -> NDArray[np.float64]:
         """Return a column as float64; empty cells are NaN, refused unless `nan`."""
         self.require(name)
         value = _convert_column(self, name)
-        self.refuse(np.isinf(value), name, lambda _: "is infinite")
+        if not infinite:
+            self.refuse(np.isinf(value), name, lambda _: "is infinite")
         if not nan:
             empty, remedy = np.isnan(value), "every row needs a number"
             self.refuse(empty, name, lambda _: "is empty or NaN", remedy)
         return value
+
+    def find_empty(self, name: str) -> NDArray[np.bool_]:
+        """Tell which cells of a column hold nothing, not even NaN."""
+        return np.array(self.data[name].is_null())
 
     def cells(self, name: str) -> list[str]:
         """Return a column as it stands in the file, empty cells as empty texts."""
@@ -155,6 +162,7 @@ def read_csv(data: bytes, file: str) -> Table:
             convert_options=pacsv.ConvertOptions(
                 column_types={name: pa.string() for name in names},
                 strings_can_be_null=True,
+                null_values=_EMPTY,
             ),
         )
     except pa.ArrowInvalid as error:
@@ -170,6 +178,13 @@ def read_csv(data: bytes, file: str) -> Table:
             remedy="columns are separated by commas",
         ) from error
     return Table(file, table, lambda index: _find_line(data, index))
+
+
+_EMPTY = [  # NaN is a value: of a beam that was lost
+    text
+    for text in pacsv.ConvertOptions().null_values
+    if text.lower().lstrip("-") != "nan"
+]
 
 
 def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from truepath.app.errors import MeasurementFailed
-from truepath.app.measurement.faults import Fault, classify_fault, make_late_fault
+from truepath.app.measurement.faults import (
+    Fault,
+    classify_fault,
+    make_late_fault,
+    make_position_fault,
+)
+from truepath.app.measurement.plausibility import PositionGate
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
@@ -19,7 +26,9 @@ from truepath.drivers.interfaces.records import AxisSamples, MotionStatus
 class ControllerMonitor:
     """Reads a controller that may be out of reach for a moment.
 
-    position : where the axes were at the last reading
+    tracker_s : the tracker's clock
+    position : where the axes were at the last reading that is believed
+    doubt : why the last one is not, empty where it is; doubts : how many in a row
     late : why the last valid status is too old, None where it is not
     """
 
@@ -28,7 +37,10 @@ class ControllerMonitor:
         motion: MotionController,
         recorder: Recorder,
         settings: EngineSettings,
+        tracker_s: Callable[[], float | None] = lambda: None,
     ) -> None:
+        self.gate = PositionGate(motion, tracker_s)
+        self.doubt, self.doubts = "", 0
         self._motion, self._recorder, self._settings = motion, recorder, settings
         self._out_of_reach = Stopwatch(settings.clock)
         self._rows: list[tuple[float, ...]] = []
@@ -40,8 +52,10 @@ class ControllerMonitor:
         """Read the controller, then feed its watchdog; None if it did not answer.
 
         Requests may arrive whose replies do not: who is not seen is not fed. Raises
-        Fault once it has been out of reach for too long.
+        Fault once it has been out of reach for too long. A status whose position is
+        not believed bears the last one that is.
         """
+        asked_s = self._settings.clock()
         try:
             status = self._motion.status()
             self._valid_s, self.late = self._settings.clock(), None
@@ -53,8 +67,15 @@ class ControllerMonitor:
                 self.late = make_late_fault(error)
             return None
         self._out_of_reach.reset()
-        self.position = status.position
-        self._rows.append((self._settings.clock(), *status.position))
+        now_s = self._settings.clock()
+        self.doubt = self.gate.judge(status, asked_s, now_s)
+        if self.doubt:
+            if not self.position:
+                raise make_position_fault(self.doubt)
+            self.doubts += 1
+            return replace(status, position=self.position)
+        self.position, self.doubts = status.position, 0
+        self._rows.append((now_s, *status.position))
         if len(self._rows) >= self._settings.axes_rows:
             self._write()
         return status

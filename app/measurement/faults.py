@@ -302,3 +302,36 @@ def make_silence_fault(after_s: float) -> Fault:
         "check the tracker and its cable, then measure again",
         latched=True,
     )
+
+
+def make_position_fault(doubt: str, *, latched: bool = False) -> Fault:
+    """Return the fault of a controller whose positions are not to be believed."""
+    return Fault(
+        "position-implausible",
+        f"the controller's positions are not to be believed: {doubt}",
+        "look at the control, its link and its position display, then press Resume",
+        latched=latched,
+    )
+
+
+def make_frozen(moved_mm: float) -> Fault:
+    """Return the fault of a tracker that shows one place while its target moves."""
+    return Fault(
+        "tracker-frozen",
+        f"the tracker shows the same place, to the last digit, while the target has "
+        f"moved {moved_mm:.1f} mm",
+        "look at the tracker and its software, then press Resume",
+        latched=False,
+    )
+
+
+def make_disagreement_fault(by_tracker_mm: float, by_axes_mm: float) -> Fault:
+    """Return the fault of distances that differ between tracker and controller."""
+    return Fault(
+        "tracker-disagrees",
+        f"the target has gone {by_tracker_mm:.0f} mm by the tracker and "
+        f"{by_axes_mm:.0f} mm by the controller",
+        "look which reflector the tracker follows, and where the axes are, then press "
+        "Resume",
+        latched=False,
+    )

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
 
+import numpy as np
+
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.refraction import choose_refraction, guess_scale, lacks_air
 from truepath.app.kinematics.machine import Machine
@@ -27,6 +29,7 @@ from truepath.app.measurement.faults import (
     Fault,
     classify_fault,
     make_override_fault,
+    make_position_fault,
     make_unable_fault,
 )
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
@@ -42,6 +45,7 @@ from truepath.app.measurement.messages import (
     StateChanged,
 )
 from truepath.app.measurement.path_steps import PathSteps
+from truepath.app.measurement.plausibility import PlaceCheck, find_impossible
 from truepath.app.measurement.point_steps import PointSteps
 from truepath.app.measurement.progress import LiveView, schedule_rows
 from truepath.app.measurement.recorder import Recorder
@@ -190,6 +194,9 @@ class Measurement:
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
             search,
+            PlaceCheck(
+                order.machine, has_one_target=len(set(order.commanded.target)) <= 1
+            ),
         )
         targets = TargetCheck(order.machine) if len(order.machine.targets) > 1 else None
         tracker = TrackerControl(self._tracker, self._monitor, targets, search)
@@ -209,6 +216,13 @@ class Measurement:
             raise make_unable_fault(unhomed, latched=False)
         if status.is_busy:
             raise MOTION_BUSY
+        here, again = status.position, self._motion.status().position
+        doubt = find_impossible(self._motion, here)
+        away = np.abs(np.subtract(here, again)).max()
+        if not doubt and away > self._settings.arrival:
+            doubt = f"they go from {here} to {again}, and nothing moves"
+        if doubt:
+            raise make_position_fault(doubt)
         return status
 
     @property

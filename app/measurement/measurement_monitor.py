@@ -19,13 +19,15 @@ from truepath.app.measurement.event_log import EventLog
 from truepath.app.measurement.faults import (
     Aborted,
     Fault,
+    make_position_fault,
     make_silence_fault,
     make_unable_fault,
 )
 from truepath.app.measurement.feed_hold import FeedHold
-from truepath.app.measurement.measurement_state import MeasurementState
+from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.app.measurement.messages import CellState, ReportEvent
 from truepath.app.measurement.motion_check import MotionCheck
+from truepath.app.measurement.plausibility import IN_A_ROW, PlaceCheck
 from truepath.app.measurement.progress import LiveView, ProgressEstimator, RowSchedule
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.rows_to_repeat import RowsToRepeat
@@ -35,7 +37,7 @@ from truepath.app.measurement.target_search import TargetSearch
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.drivers.interfaces.motion import MotionController
-from truepath.drivers.interfaces.records import UNABLE, MotionStatus
+from truepath.drivers.interfaces.records import UNABLE, MotionStatus, Path
 from truepath.drivers.interfaces.tracker import (
     AnyTracker,
     EventSource,
@@ -64,6 +66,7 @@ class MeasurementMonitor:
         schedule: RowSchedule,
         settings: EngineSettings,
         search: TargetSearch | None = None,
+        places: PlaceCheck | None = None,
     ) -> None:
         self.settings, self.clock = settings, settings.clock
         self.motion, self.recorder, self.state = motion, recorder, state
@@ -71,7 +74,10 @@ class MeasurementMonitor:
         self._tracker, self._view = tracker, view
         self.progress = ProgressEstimator(schedule, settings.progress_s, settings.clock)
         self.events = EventLog(recorder, report)
-        self._machine = ControllerMonitor(motion, recorder, settings)
+        self._machine = ControllerMonitor(
+            motion, recorder, settings, lambda: self.stream.device_time_s
+        )
+        self.places = places
         self.feed = FeedHold(motion, self._machine, state, self.events, settings)
         self._disk = DiskMonitor(self.feed, state, recorder, settings)
         self._motion_check = MotionCheck(self.events, settings)
@@ -109,6 +115,10 @@ class MeasurementMonitor:
         away = np.abs(np.subtract(self._machine.position, position))
         return bool((away <= self.settings.arrival).all())
 
+    def expect(self, path: Path) -> None:
+        """Take note of what the controller is about to drive, in its axes."""
+        self._machine.gate.expect(path, self._machine.position)
+
     def tick(self) -> MotionStatus | None:
         """Wait a tenth of a second, then check everything.
 
@@ -128,8 +138,26 @@ class MeasurementMonitor:
             if self._recovery is not None:
                 stands = status.position == here
                 self._recovery.follow(self.position_by_axis, stands=stands)
+            self._judge_positions()
         self._report_progress()
         return status
+
+    def _judge_positions(self) -> None:
+        """Hold the feed where axes or stream show what cannot be."""
+        if self._machine.doubt:
+            if self._machine.doubts >= IN_A_ROW:
+                fault = make_position_fault(self._machine.doubt)
+                self.feed.hold(HoldReason.POSITION, fault)
+            return
+        if self.places is None or isinstance(self._tracker, PolledTracker):
+            return
+        may_jump = self._is_task_under_way or self.state.must_stand
+        seen = None if may_jump else self.stream.find_seen()
+        axes, name = self.position_by_axis, self.progress.target
+        fault = self.places.follow(axes, name, seen, self.clock())
+        if fault is not None:
+            self.feed.hold(HoldReason.PLACE, fault)
+            self.rows.note_damage()
 
     def wait_for_tracker(
         self, verb: Callable[[], None], limit_s: float

@@ -31,6 +31,8 @@ class HoldReason(StrEnum):
     SILENCE = "silence"
     DAMAGE = "damage"
     BEAM = "beam"
+    POSITION = "position"  # of the axes: not to be believed
+    PLACE = "place"  # of the target, likewise
     TARGET = "target"
     DISK = "disk"
     DISK_STAYED_SLOW = "disk-stayed-slow"  # for a person to release

@@ -93,8 +93,10 @@ class MeasurementSteps(ABC):
         target : that the tracker is to measure there; it changes to it on the way
         """
         self.checkpoint()
-        begin = self._monitor.position
-        self.motion.move_to(tuple(map(float, position)), self._order.feed_mm_min)
+        begin, feed = self._monitor.position, self._order.feed_mm_min
+        goal = Path(self.motion.axes, position[None], np.array([feed]), np.zeros(1))
+        self._monitor.expect(goal)
+        self.motion.move_to(tuple(map(float, position)), feed)
         self._choose_target(target)
         self.wait_motion(position, LastLine(0, np.array(begin), position))
 

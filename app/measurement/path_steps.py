@@ -148,6 +148,7 @@ class PathSteps(MeasurementSteps):
         self.checkpoint()
         self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
+        self._monitor.expect(path)
         self.motion.start()
         places, rows = find_reach(path)
         around = np.vstack([path.position[-2:], places[rows == len(path) - 1]])

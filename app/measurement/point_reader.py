@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import threading
 
+from truepath.drivers.interfaces.errors import BeamLost
+from truepath.drivers.interfaces.records import is_seen
 from truepath.drivers.interfaces.tracker import ByteLink, PolledTracker
 from truepath.drivers.interfaces.tracker_records import PointMeasurement
 
@@ -52,6 +54,9 @@ class PointReader:
     def _run(self) -> None:
         """Body of the thread."""
         try:
-            self._point = self._tracker.measure(self._dwell_s)
+            point = self._tracker.measure(self._dwell_s)
+            if not is_seen(point.position_mm).all():
+                raise BeamLost("the tracker shows a place that no beam reaches")
+            self._point = point
         except Exception as error:
             self.failure = error

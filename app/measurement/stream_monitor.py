@@ -16,6 +16,7 @@ from truepath.app.measurement.faults import (
 )
 from truepath.app.measurement.feed_hold import FeedHold
 from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
+from truepath.app.measurement.plausibility import SeenPlace
 from truepath.app.measurement.rows_to_repeat import RowsToRepeat
 from truepath.app.measurement.stream_reader import StreamReader, StreamState
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
@@ -78,6 +79,10 @@ class StreamMonitor:
         if stream is None or stream.assess() is not StreamState.GOOD:
             return None
         return stream.place_mm if stream.is_seen else None
+
+    def find_seen(self) -> SeenPlace | None:
+        """Return where it had the target last, None where the stream is not good."""
+        return self._stream.seen if self._stream is not None and self.is_good else None
 
     def check(self, *, may_lose_beam: bool) -> None:
         """Hold the feed while the stream is not good. Raises Fault if it stays so.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from truepath.app.errors import MeasurementFailed
 from truepath.app.measurement.messages import StreamTimeouts
+from truepath.app.measurement.plausibility import SeenPlace
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.stream_damage import StreamDamage
 from truepath.app.measurement.timing import RunningClock
@@ -48,6 +49,7 @@ class StreamReader:
     failure : what ended the thread before it was stopped
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
+    seen : the newest valid sample, among others of it
     place_mm : of the newest valid sample; is_seen : it is the newest of all
     """
 
@@ -72,6 +74,7 @@ class StreamReader:
         self.device_time_s: float | None = None
         self.has_valid = self.is_seen = False
         self.place_mm: NDArray[np.float64] | None = None
+        self.seen: SeenPlace | None = None
         self._seen_s: float | None = None  # device time of the newest valid sample
         self._gap_s = 0.0
 
@@ -132,6 +135,8 @@ class StreamReader:
         end_s = time.monotonic() + BATCH_S
         while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
             block = self._tracker.read(left_s)
+            if not (timed := np.isfinite(block.device_time_s)).all():
+                block = block.select(timed)  # its place in the stream is not known
             self._note_arrival(block)
             blocks.append(block)
             self._stopping.wait(READ_S)
@@ -151,6 +156,12 @@ class StreamReader:
             self.is_seen = bool(block.status[-1] == 0)
             if len(valid):
                 self._valid_s, self.has_valid = now_s, True
+                changes = 0
+                if self.seen is not None:
+                    same = block.position_mm[valid] == self.seen.place_mm
+                    changes = self.seen.changes + (not same.all())
+                newest = block.position_mm[valid[-1]]
+                self.seen = SeenPlace(self.device_time_s, newest, changes)
                 self.place_mm = block.position_mm[valid[-1]]
                 self._note_gaps(block.device_time_s[valid])
 

@@ -29,6 +29,17 @@ class Identity:
     drives_arcs: bool = False
 
 
+FARTHEST_MM = 1e7
+"""No beam reaches farther."""
+LOST = 0x0080
+"""The status of a sample that was called valid and is nowhere."""
+
+
+def is_seen(position_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell of each place whether it is one: finite, and within a beam's reach."""
+    return np.all(np.abs(position_mm) < FARTHEST_MM, axis=-1)
+
+
 @dataclass(frozen=True, slots=True)
 class TrackerSamples:
     """A block of tracker samples in the tracker's own frame and clock.
@@ -46,6 +57,15 @@ class TrackerSamples:
     position_mm: NDArray[np.float64]
     status: NDArray[np.int64]
     quality: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        """Call lost what is nowhere, whatever its status says."""
+        seen = is_seen(self.position_mm)
+        if not seen.all():
+            position_mm = np.where(seen[:, None], self.position_mm, np.nan)
+            status = np.where(seen | (self.status != 0), self.status, LOST)
+            object.__setattr__(self, "position_mm", position_mm)
+            object.__setattr__(self, "status", status)
 
     def __len__(self) -> int:
         return len(self.sequence)

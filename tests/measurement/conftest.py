@@ -86,6 +86,10 @@ class FakeTracker(Tracker, ByteLink):
         self.silent = False
         self.damaged = False  # of twenty samples one arrives
         self.beam = True
+        self.follows: FakeMotion | None = None  # its machine; else it moves by itself
+        self.frozen = False  # it repeats the last place
+        self.place = (1.0, 2.0, 3.0)  # of the target before the machine moved
+        self._last = np.array(self.place)
         self.error: Exception | None = None
         self.refusal: Exception | None = None
         self.restarted = False
@@ -145,10 +149,20 @@ class FakeTracker(Tracker, ByteLink):
         samples = TrackerSamples(
             sequence,
             100.0 + np.arange(first, count) / self._rate_hz,
-            np.tile([1.0, 2.0, 3.0], (count - first, 1)),
+            self._see(count - first),
             np.full(count - first, 0 if self.beam else 4, np.int64),
         )
         return samples.select(sequence % 20 == 0) if self.damaged else samples
+
+    def _see(self, count: int) -> np.ndarray:
+        """Return the place of the target `count` times; none of it is bit for bit."""
+        if self.follows is not None and not self.frozen:
+            self._last = self.follows.here + self.place
+        places = np.tile(self._last, (count, 1))
+        if not self.frozen:
+            places[:, 0] += 1e-6 * np.random.default_rng(self._sent).random(count)
+            self._last = places[-1]
+        return places
 
 
 class FakeMotion(MotionController):
@@ -331,13 +345,15 @@ class FakeMotion(MotionController):
 
 
 @pytest.fixture
-def tracker() -> FakeTracker:
-    return FakeTracker()
+def motion() -> FakeMotion:
+    return FakeMotion()
 
 
 @pytest.fixture
-def motion() -> FakeMotion:
-    return FakeMotion()
+def tracker(motion: FakeMotion) -> FakeTracker:
+    fake = FakeTracker()
+    fake.follows = motion
+    return fake
 
 
 class Journal:

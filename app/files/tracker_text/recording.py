@@ -81,7 +81,7 @@ def read_recording(
     decimal = options.decimal or find_decimal(cells, [c.index for c in axes])
     position = np.stack([read_numbers(cells, c.index, decimal) for c in axes], axis=1)
     status = _read_status(cells, by_role.get("status"), options)
-    status[np.isnan(position).any(axis=1)] = NO_POSITION
+    status[~np.isfinite(position).all(axis=1)] = NO_POSITION
     status[lost := _find_origin(position)] = NO_POSITION
     unit, why = _choose_unit(cells, axes, position[status == 0], commanded, options)
     position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
@@ -357,8 +357,8 @@ def _read_temperatures(
     change = np.append(True, (np.diff(celsius, axis=0) != 0).any(axis=1))
     change[-1] = True
     columns_degc = {c.role: v for c, v in zip(sensors, celsius[change].T, strict=True)}
-    kept, doubted = gate_columns(time_s[change], columns_degc, None)
-    return split_columns(time_s[change], kept)[0], doubted
+    believed, doubted = gate_columns(time_s[change], columns_degc, None)
+    return split_columns(time_s[change], believed)[0], doubted
 
 
 def _count(samples: TrackerSamples, points: PointRows | None) -> dict[str, str]:
