@@ -74,6 +74,7 @@ class CncRegisters(Registers):
         self._staged = np.zeros((regmap.MAX_WAYPOINTS, regmap.ROW_WORDS), np.uint16)
         self._arcs: dict[int, np.ndarray] = {}
         self._path_crc = 0
+        self._scale, self._off_mm = 1.0, 0.0
         self._last_beat_s = clocks.wall_s()
         self._watchdog_ms = round(1000 * regmap.DEFAULT_WATCHDOG_S)
         self._describe(serial)
@@ -114,6 +115,10 @@ class CncRegisters(Registers):
         """Answer like another device."""
         self._put("magic", 0)
         self._put("model", "Pump drive")
+
+    def lie_about_position(self, scale: float, off_mm: float) -> None:
+        """Show so much of every position, and so much more."""
+        self._scale, self._off_mm = scale, off_mm
 
     def _check(self, address: int, count: int, allowed: frozenset[int]) -> None:
         if not allowed.issuperset(range(address, address + count)):
@@ -165,8 +170,8 @@ class CncRegisters(Registers):
         self._put("override", override)
         feed = round(controller.feed_mm_min(now_s) * regmap.FEED_COUNTS)
         self._put("feed", feed)
-        position = controller.position(now_s).tolist()
-        self._put("position", position_counts(position))
+        shown = self._scale * controller.position(now_s) + self._off_mm
+        self._put("position", position_counts(shown.tolist()))
         self._put("alarm_text", controller.alarm_text)
         referenced = regmap.IS_REFERENCED if controller.is_referenced else 0
         compensates = regmap.IS_COMPENSATING if controller.is_compensating else 0

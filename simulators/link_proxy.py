@@ -36,6 +36,7 @@ class Harm:
     pause_s : between any two bytes, which then come one by one
     most_bytes : passed on at once; 0 as they came
     flip, drop, double, swap : one bit, the whole piece, twice, after the next piece
+    halve, renumber : every piece loses its second half, has another first byte
     noise, noise_bytes : share of pieces with so many random bytes before them
     is_hole : nothing comes through
     """
@@ -48,6 +49,8 @@ class Harm:
     drop: float = 0.0
     double: float = 0.0
     swap: float = 0.0
+    halve: bool = False
+    renumber: bool = False
     noise: float = 0.0
     noise_bytes: int = 0
     is_hole: bool = False
@@ -69,6 +72,10 @@ class _Direction:
         self.harmed += int(hit.any() or harm.is_hole)
         if harm.is_hole or hit[1]:
             return
+        if harm.halve:
+            piece = piece[: len(piece) // 2]
+        if harm.renumber:
+            piece = bytes([piece[0] ^ 1]) + piece[1:]
         if hit[0]:
             piece = self._flip_bit(piece)
         if hit[2]:

@@ -51,6 +51,7 @@ class TrackerSight:
             parts.truth.machine, remembers=bool(parts.hidden)
         )
         self._timeline: Timeline | None = None
+        self._last = np.full(3, np.nan)  # read, of a tracker that freezes
         self.verbs = TrackerVerbs(
             [target.name for target in parts.truth.machine.reflectors],
             self._locate_direction,
@@ -93,6 +94,10 @@ class TrackerSight:
         polar = measure_polar(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
             polar[mask, 0] += fault.amount
+        for _, mask in self._faults.struck("frozen", moments_s, number):
+            begin = int(np.argmax(mask))
+            polar[mask] = polar[begin - 1] if begin else self._last
+        self._last = polar[-1]
         status = np.zeros(len(moments_s), np.int64)
         status[self.verbs.list_targets(moments_s) == None] |= (  # noqa: E711
             StatusBit.BEAM_BROKEN

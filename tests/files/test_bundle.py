@@ -308,3 +308,26 @@ def test_an_encrypted_archive_is_refused(run, tmp_path):
 def test_a_place_that_is_not_there_is_named(tmp_path):
     with pytest.raises(BundleError, match=r"nowhere: no such folder or file"):
         read_bundle(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("odd", ["nan", "inf", "-1e300"])
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_sample_that_is_nowhere_is_lost_whatever_its_status(bundle, kind, odd):
+    file = bundle / "tracker.parquet"
+    table = pq.read_table(file)
+    x_mm = table["x_mm"].to_numpy().copy()
+    x_mm[100:103] = float(odd)
+    column = table.column_names.index("x_mm")
+    table = table.set_column(column, "x_mm", pa.array(x_mm))
+    if kind == "csv":
+        file.unlink()
+        rows = zip(*(c.to_pylist() for c in table.columns), strict=True)
+        lines = [",".join(map(repr, row)) for row in rows]
+        (bundle / "tracker.csv").write_text(
+            "\n".join([",".join(table.column_names), *lines]) + "\n"
+        )
+    else:
+        pq.write_table(table, file)
+    samples = read_bundle(bundle).tracker
+    assert (samples.status[100:103] != 0).all()
+    assert (samples.status == 0).sum() == (table["status"].to_numpy() == 0).sum() - 3

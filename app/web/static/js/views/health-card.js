@@ -10,7 +10,7 @@ import { decimalsOf, quantity, unitOf } from "../units.js";
 const SPACING_S = 0.1; // of the points of an event
 const SILENT_MS = 1500;
 const UNDER_WAY_MS = 1000; // points from before a loss may come so much later
-const OF_CONTROL = /^(motion-|held-at-machine|feed-override|not-moving|hold-|stop-|resume-|ended-early|runs-on)/;
+const OF_CONTROL = /^(motion-|control-|position-|held-at-machine|feed-override|not-moving|hold-|stop-|resume-|ended-early|runs-on)/;
 
 /** What the tracker's link counts: its key in the job's health, and whether any is too many. */
 const COUNTS = [["samples", "run.samples", false], ["lost_samples", "run.lost", true],
