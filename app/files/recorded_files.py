@@ -273,7 +273,8 @@ def _find_repeats(
 def _read_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:
     position_mm = np.empty((len(table), 3))
     for column, key in enumerate(_POSITION):
-        position_mm[:, column] = table.numbers(key, nan=True, infinite=True)
+        value = table.numbers(key, nan=True, infinite=True)
+        position_mm[:, column] = np.where(np.isinf(value), np.nan, value)
         bad = table.find_empty(key) & (status == 0)
         remedy = "a sample without a position needs a status other than 0"
         table.refuse(bad, key, lambda _: "is empty or NaN", remedy)

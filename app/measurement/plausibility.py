@@ -63,6 +63,7 @@ class PositionGate:
         self._asked_s = math.nan  # when the last good reading was asked for
         self._here = np.empty(0)
         self._running_s: float | None = None
+        self._is_doubted = False  # a jog is no way back to what is believed
         self._clocks: tuple[float, float] | None = None  # at the first sample
         self._feed_mm_s = math.inf
         self._places, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
@@ -89,6 +90,7 @@ class PositionGate:
             or self._find_jump(here, status, now_s)
             or self._find_astray(here, status, now_s)
         )
+        self._is_doubted = bool(doubt)
         if not doubt:
             self._here, self._asked_s = here, asked_s
         return doubt
@@ -122,7 +124,8 @@ class PositionGate:
         return max((tracker_s - self._clocks[1]) / passed_s, 1.0)
 
     def _find_astray(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
-        if self._running_s is None or now_s - self._running_s < _BEGUN_S:
+        ran_s = 0.0 if self._running_s is None else now_s - self._running_s
+        if ran_s < _BEGUN_S and not self._is_doubted:
             return ""
         near = np.flatnonzero(np.abs(self._rows - status.line) <= _ROWS_NEAR)
         if not len(near):

@@ -384,12 +384,6 @@ TABLE: list[tuple[str, Edit, str]] = [
     ("words", column("x_mm", ["a"] * 400), "row 1, column x_mm: is 'a', not a number"),
     ("truths", column("x_mm", [True] * 400), "column x_mm: holds bool, not numbers"),
     (
-        "NaN sample",
-        sample("z_mm", 7, np.nan),
-        "tracker.parquet, row 8, column z_mm: is e",
-    ),
-    ("infinite sample", sample("x_mm", 51, np.inf), "row 52, column x_mm: is infinite"),
-    (
         "NaN time",
         sample("t_s", 9, np.nan),
         "tracker.parquet, row 10, column t_s: is empty",
