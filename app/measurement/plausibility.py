@@ -33,6 +33,7 @@ _ASIDE = 2.0  # mm or deg off the rows: following errors are less
 _ROWS_NEAR = 5  # line and position may be read one after the other
 _BEGUN_S = 1.0  # until then a controller may show an earlier program
 _PACE_S = 0.5  # that tells how the tracker's clock goes against the host's
+_HASTENED = 1.5
 _MOVED_MM = 2.0  # much more than any tracker resolves
 _FROZEN_S = _LAG_S = 0.5  # stream and controller may be apart by so much
 _TIMES, _APART_MM = 3.0, 20.0  # of two distances that do not disagree
@@ -112,7 +113,10 @@ class PositionGate:
         return ""
 
     def _measure_pace(self, now_s: float) -> float | None:
-        """Return how much faster than the host's clock the machine may live."""
+        """Return how the tracker's clock goes against the host's; None if not known.
+
+        None as well in a simulation that is hastened: its steps say too little.
+        """
         tracker_s = self._tracker_s()
         if tracker_s is None:
             return None
@@ -121,7 +125,8 @@ class PositionGate:
         passed_s = now_s - self._clocks[0]
         if passed_s < _PACE_S:
             return None
-        return max((tracker_s - self._clocks[1]) / passed_s, 1.0)
+        pace = (tracker_s - self._clocks[1]) / passed_s
+        return None if pace > _HASTENED else max(pace, 1.0)
 
     def _find_astray(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
         ran_s = 0.0 if self._running_s is None else now_s - self._running_s
