@@ -94,7 +94,7 @@ def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(
             here = onlooker.status().position
         assert onlooker.status().position == here
     assert (closed.outcome, closed.lost_samples) == ("faulted", 0)
-    assert measuring.faults <= {"no-answer", "link-lost"}
+    assert measuring.faults <= {"control-late", "no-answer", "link-lost"}
     assert (np.diff(open_run(closed.run_file).tracker.sequence) == 1).all()
 
 

@@ -21,6 +21,7 @@ from truepath.app.measurement.messages import (
 )
 from truepath.app.measurement.run_file import LINK_STREAM
 from truepath.app.measurement.timing import EngineSettings
+from truepath.drivers.interfaces.arcs import trace
 from truepath.drivers.interfaces.errors import DeviceTimeout
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import (
@@ -188,6 +189,7 @@ class FakeMotion(MotionController):
         self._is_fed = False
         self._state, self._reason = MotionState.IDLE, ""
         self._rows: list[np.ndarray] = []
+        self._owners: list[int] = []
         self._feed = 6000.0
         self._done_s = 0.0
         self._since_s = time.monotonic()
@@ -217,6 +219,7 @@ class FakeMotion(MotionController):
             line = self._advance()
             if self.stale_looks and len(self._rows) > 2:
                 self.stale_looks, line = self.stale_looks - 1, len(self._rows) - 2
+            line = self._owners[line] if self._owners else line
             if self._state is MotionState.RUNNING:
                 self.looks += 1
                 self.beats += self._is_fed
@@ -252,7 +255,9 @@ class FakeMotion(MotionController):
         self._reach()
         self.calls.append("start")
         assert self.loaded is not None
-        self._run(list(self.loaded.position), float(self.loaded.feed_mm_min[0]))
+        places, owners = trace(self.loaded)
+        self._run(list(places), float(self.loaded.feed_mm_min[0]))
+        self._owners = owners.tolist()  # rows, where an arc is driven in chords
 
     def wait(self, timeout_s: float) -> MotionStatus:
         raise NotImplementedError
@@ -314,6 +319,7 @@ class FakeMotion(MotionController):
     def _run(self, rows: list[np.ndarray], feed_mm_min: float) -> None:
         with self._lock:
             self._rows = [self.here.copy(), *rows]
+            self._owners = list(range(len(rows)))
             self._feed, self._done_s = feed_mm_min, 0.0
             self.go_on()
 
