@@ -27,7 +27,7 @@ from truepath.app.thread_limits import choose_thread_limits
 
 BACKGROUND_NICENESS = 10
 """Of processes that compute: the reader of the tracker's port goes first."""
-_END_S = 5.0
+_END_S, _LAST_S = 5.0, 3.0
 _LONGEST_NAME = 15  # that Linux keeps
 _SPAWN = get_context("spawn")
 _ENVIRONMENT = threading.Lock()
@@ -90,7 +90,7 @@ class ChildProcess:
         self._log.start()
         self._child_link.close()
         self._child_records.close()
-        self._at_exit = Finalize(None, self._process.terminate, exitpriority=10)
+        self._exit = Finalize(None, self._end_at_exit, exitpriority=10)
 
     def join(self, timeout_s: float | None = None) -> None:
         """Wait for the end of the process."""
@@ -106,6 +106,12 @@ class ChildProcess:
         if self.alive:
             self._process.kill()
 
+    def _end_at_exit(self) -> None:
+        """End it, however it resists: nobody would end it afterwards."""
+        self.terminate()
+        self._process.join(_LAST_S)
+        self.kill()
+
     def close(self) -> None:
         """Release the process, ended by force where it still lives. Idempotent."""
         if self._is_closed:
@@ -114,7 +120,7 @@ class ChildProcess:
             self.kill()
             self._process.join(_END_S)
             self._log.join(_END_S)
-            self._at_exit.cancel()
+            self._exit.cancel()
         else:
             self._records.close()
         self._is_closed = True

@@ -14,8 +14,12 @@ from typing import Any, get_type_hints
 
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
+from truepath.app.driver_border import guard
 from truepath.app.errors import BadInput
-from truepath.app.plugins import load
+from truepath.app.plugins import find_point, guarding, load, load_point
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.thermometers import Thermometers
+from truepath.drivers.interfaces.tracker import PolledTracker, Tracker
 
 REQUIRED = inspect.Parameter.empty
 DEVICES = {
@@ -24,6 +28,11 @@ DEVICES = {
     "thermometer": "truepath.thermometers",
 }
 """Entry-point groups of drivers, by the word that their settings begin with."""
+_INTERFACES: Mapping[str, tuple[type, ...]] = {
+    "tracker": (Tracker, PolledTracker),
+    "motion": (MotionController,),
+    "thermometer": (Thermometers,),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +54,37 @@ class DriverOption:
 
 def list_options(group: str, name: str) -> tuple[DriverOption, ...]:
     """Return the options of a driver. Raises BadInput if it is not installed."""
+    return read_options(name, load(group, name))
+
+
+def read_options(_name: str, factory: Any) -> tuple[DriverOption, ...]:
+    """Return the options that the factory of a driver takes."""
     return tuple(
         DriverOption(one.name, _name_kind(one.annotation), one.default)
-        for one in _parameters(load(group, name))
+        for one in _parameters(factory)
         if one.kind is not inspect.Parameter.VAR_KEYWORD
     )
 
 
-def make_device(word: str, name: str, options: Mapping[str, Any]) -> Any:
+def make_device(
+    word: str,
+    name: str,
+    options: Mapping[str, Any],
+    limits_s: Mapping[str, float] | None = None,
+) -> Any:
     """Return a device of a driver, its options held against what the driver takes.
 
-    word : `tracker`, `motion` or `thermometer`
+    word : `tracker`, `motion` or `thermometer`; limits_s : as `guard` takes them
 
     Raises BadInput naming setting, value and remedy for an unknown driver or option,
-    one that is missing, and one of the wrong type.
+    one that is missing, and one of the wrong type; PluginFailed if it makes none.
     """
-    factory = load(DEVICES[word], name)
+    point = find_point(DEVICES[word], name)
+    factory = load_point(point)
     place = f"{word}_options of driver {name}"
-    parameters = {one.name: one for one in _parameters(factory)}
-    hints = _read_hints(factory)
+    with guarding(point, "being asked for its options"):
+        parameters = {one.name: one for one in _parameters(factory)}
+        hints = _read_hints(factory)
     takes_any = any(one.kind is one.VAR_KEYWORD for one in parameters.values())
     for key in options:
         if key not in parameters and not takes_any:
@@ -80,10 +101,14 @@ def make_device(word: str, name: str, options: Mapping[str, Any]) -> Any:
         key: _validate(value, hints[key], f"{place}: {key}") if key in hints else value
         for key, value in options.items()
     }
-    try:
-        return factory(**kept)
-    except ValueError as error:
-        raise BadInput(f"{place}: {error}") from error
+    with guarding(point, "being made"):
+        try:
+            device = factory(**kept)
+        except ValueError as error:
+            raise BadInput(f"{place}: {error}") from error
+        if not isinstance(device, _INTERFACES[word]):
+            raise TypeError(f"{type(device).__name__} is no {word}")
+    return guard(device, point, limits_s)
 
 
 def _parameters(factory: Any) -> list[inspect.Parameter]:

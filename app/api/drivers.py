@@ -8,8 +8,8 @@ from typing import Any
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
-from truepath.app.device_options import DEVICES, DriverOption, list_options
-from truepath.app.plugins import find_plugins
+from truepath.app.device_options import DEVICES, DriverOption, read_options
+from truepath.app.plugins import gather
 
 router = APIRouter(prefix="/drivers", tags=["machines"])
 
@@ -44,15 +44,16 @@ class DriverList(BaseModel):
 @router.get("")
 def list_drivers() -> DriverList:
     """List the installed drivers and the options of each."""
-    items = [
-        DriverOut(device=device, name=name, options=_describe(group, name))
-        for device, group in DEVICES.items()
-        for name in sorted(find_plugins(group))
-    ]
-    return DriverList(items=items)
+    return DriverList(
+        items=[
+            DriverOut(device=device, name=name, options=options)
+            for device, group in DEVICES.items()
+            for name, options in gather(group, _describe).items()
+        ]
+    )
 
 
-def _describe(group: str, name: str) -> list[DriverOptionOut]:
+def _describe(name: str, factory: Any) -> list[DriverOptionOut]:
     return [
         DriverOptionOut(
             name=one.name,
@@ -60,7 +61,7 @@ def _describe(group: str, name: str) -> list[DriverOptionOut]:
             is_required=one.is_required,
             default=_to_json(one),
         )
-        for one in list_options(group, name)
+        for one in read_options(name, factory)
     ]
 
 
@@ -68,4 +69,4 @@ def _to_json(option: DriverOption) -> Any:
     """Return the default as JSON has it; what JSON cannot have as its text."""
     if option.is_required:
         return None
-    return json.loads(json.dumps(option.default, default=str))
+    return json.loads(json.dumps(option.default, default=str), parse_constant=str)

@@ -30,8 +30,7 @@ from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.nc_programs.programs import (
-    list_dialects,
-    name_control,
+    name_controls,
     name_file,
     write_program,
 )
@@ -180,8 +179,8 @@ def get_plan_grade(
 @of_jobs.get("/nc-dialects")
 def list_nc_dialects() -> DialectList:
     """List the controls that NC programs can be written for."""
-    items = [DialectOut(name=n, control=name_control(n)) for n in list_dialects()]
-    return DialectList(items=items)
+    named = name_controls().items()
+    return DialectList(items=[DialectOut(name=n, control=c) for n, c in named])
 
 
 @of_jobs.get(

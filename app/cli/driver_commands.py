@@ -12,13 +12,10 @@ if TYPE_CHECKING:
 
 def drivers(json: Json = False) -> None:
     """The installed drivers, and the options that settings may give each."""
-    from truepath.app.device_options import DEVICES, list_options
-    from truepath.app.plugins import find_plugins
+    from truepath.app.device_options import DEVICES, read_options
+    from truepath.app.plugins import gather
 
-    found = {
-        word: {name: list_options(group, name) for name in sorted(find_plugins(group))}
-        for word, group in DEVICES.items()
-    }
+    found = {word: gather(group, read_options) for word, group in DEVICES.items()}
     if json:
         print_json(
             {

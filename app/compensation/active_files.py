@@ -25,6 +25,7 @@ from truepath.app.files.provenance_file import (
 from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
+from truepath.app.plugins import PluginFailed
 
 AddedMotion = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
 """What a controller adds, mm, under conditions that say from where an axis came."""
@@ -204,7 +205,7 @@ def make_active_files(
     kind = load_format(name, as_object(account.get("choices")))
     try:
         correction = kind.read(texts, machine)
-    except (ValueError, LookupError) as error:
+    except (ValueError, LookupError, PluginFailed) as error:
         raise BadInput(
             f"{', '.join(texts)}: cannot be read as files of {name} ({error}); give "
             "the files of one export, as it wrote them"

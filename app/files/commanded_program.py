@@ -10,6 +10,7 @@ from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.nc_programs.programmed_motion import ProgrammedMotion
 from truepath.app.motion.nc_programs.programs import list_dialects, read_program
 from truepath.app.motion.travel import check_travel
+from truepath.app.plugins import PluginFailed
 from truepath.drivers.interfaces.records import Path
 
 
@@ -53,7 +54,7 @@ def _read_by(
     for name in dialects:
         try:
             motion = read_program(text, name)
-        except PlanningError as error:
+        except (PlanningError, PluginFailed) as error:
             refusals.append(f"{name}: {error}")
         else:
             if len(motion) > 1:

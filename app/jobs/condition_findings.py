@@ -143,10 +143,11 @@ def _find_override(status: MotionStatus | None) -> Finding:
 def _find_watchdog(seen: Observed) -> Finding:
     if not seen.cell.connected:
         return UNTOLD
-    if seen.cell.devices.get("motion", {}).get("has_watchdog"):
+    motion = seen.cell.devices.get("motion", {})
+    if motion.get("has_watchdog"):
         return YES
     text = "the controller has no watchdog: it would move on if the service died"
-    if seen.allow_no_watchdog:
+    if seen.allow_no_watchdog and motion.get("stops_unasked"):
         return Finding(Level.TRUE, "allowed-without", f"{text}; that is allowed")
     return Finding(Level.FALSE, "no-watchdog", f"{text}; give it one")
 

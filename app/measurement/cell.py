@@ -7,13 +7,14 @@ One thread uses a handle, whichever.
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from typing import TypeVar
 
 from truepath.app.child_process import ChildProcess
 from truepath.app.errors import MeasurementFailed, TruepathError
 from truepath.app.kinematics.machine import Machine
-from truepath.app.measurement.cell_process import run_cell
+from truepath.app.measurement.cell_process import STALLED_S, run_cell
 from truepath.app.measurement.messages import (
     CellCommand,
     CellConfig,
@@ -54,6 +55,7 @@ class Cell:
     def __init__(self, config: CellConfig) -> None:
         # The cell itself ends with its parent, for it has to hold the feed first.
         self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
+        self._drivers = f"{config.tracker_driver}, {config.motion_driver}"
         self._events: list[CellEvent] = []
         self._machine: Machine | None = None  # of the order under way
         self._is_death_reported = self._closed = False
@@ -174,6 +176,11 @@ class Cell:
             return []
         self._is_death_reported = True
         text = f"the cell process has died (exit code {self._process.exit_code})"
+        if self._process.exit_code == -signal.SIGALRM:
+            text = (
+                f"one of the drivers {self._drivers} let nothing else run for "
+                f"{STALLED_S} s; the cell process was ended"
+            )
         action = "the machine's watchdog holds the feed; look at it, then start again"
         return [
             FaultReported("cell-died", text, action),

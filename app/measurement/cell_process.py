@@ -15,10 +15,12 @@ import time
 from collections.abc import Callable
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any
 
 from truepath.app.device_options import make_device
+from truepath.app.driver_border import find_stuck
 from truepath.app.errors import TruepathError
 from truepath.app.files.refraction import choose_refraction
 from truepath.app.files.sensor_gate import ChannelGate
@@ -58,13 +60,38 @@ CONTROLLER_S, AWAY_S = 1.0, 5.0  # between two readings at rest, and where it is
 THERMOMETERS_S, THERMOMETERS_AWAY_S = 10.0, 60.0
 SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
+_SOONER_S = 1.0  # than the engine, the border names the driver
+STALLED_S = 10  # in which no thread of the process has run
+ORPHAN_S, LEAVE_S = 1.5, 5.0  # for the rest, after the end of the parent or of all
 
 
 def run_cell(config: CellConfig, link: Connection) -> None:
     """Run a cell until it is told to close or its parent is gone."""
     signal.signal(signal.SIGTERM, _leave)
     parent = parent_process()
-    serve(link, config, () if parent is None else (parent.sentinel,))
+    if parent is not None:
+        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+    try:
+        serve(link, config, () if parent is None else (parent.sentinel,))
+    finally:
+        _leave_within(LEAVE_S)  # a thread of a driver may not end
+
+
+def _watch(parent: BaseProcess) -> None:
+    """End the process if its parent has ended, or a driver lets no thread run.
+
+    Body of a thread. Without a thread that runs, the kernel does it.
+    """
+    while parent.is_alive():
+        signal.alarm(STALLED_S)
+        parent.join(1.0)
+    _leave_within(ORPHAN_S)
+
+
+def _leave_within(limit_s: float) -> None:
+    timer = threading.Timer(limit_s, os._exit, (1,))
+    timer.daemon = True
+    timer.start()
 
 
 def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> None:
@@ -80,6 +107,9 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
             if link not in ready:
                 cell.look_for_service()
             elif not cell.obey(link.recv()):
+                return
+            if cell.is_spoilt:
+                log.error("a call of a driver does not end; the process ends for it")
                 return
             cell.look_at_controller()
             cell.look_at_thermometers()
@@ -109,6 +139,16 @@ class _CellServer:
         self._controller_s = 0.0  # when it is read again
         self._thermometers_s = 0.0  # likewise
         self._judges: dict[str, ChannelJudge] = {}
+        self._has_tried = False  # to connect or to measure, of late
+
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether another process has to begin anew: a call of a driver does not end.
+
+        Who connects or measures has been told so.
+        """
+        tried = self._has_tried and not self._measuring
+        return tried and bool(find_stuck(self._tracker, self._motion))
 
     def look_at_controller(self) -> None:
         """Read the controller once in a while, unless a measurement does so anyway."""
@@ -202,6 +242,7 @@ class _CellServer:
         return self._thread is not None and self._thread.is_alive()
 
     def _answer_connect(self) -> None:
+        self._has_tried = True
         try:
             if not self._measuring:
                 self._connect()
@@ -225,8 +266,9 @@ class _CellServer:
         self._identities = {}
         config, tracker, motion = self._config, self._tracker, self._motion
         if tracker is None or motion is None:
+            limits_s = {"measure": config.timeouts.point_s - _SOONER_S}
             tracker = make_device(
-                "tracker", config.tracker_driver, config.tracker_options
+                "tracker", config.tracker_driver, config.tracker_options, limits_s
             )
             motion = make_device("motion", config.motion_driver, config.motion_options)
             if config.thermometer_driver:
@@ -260,25 +302,33 @@ class _CellServer:
             self._fault("busy", text, "wait for its end, or abort it")
         elif self._tracker is None or self._motion is None or not self._identities:
             text = "tracker and controller are not connected"
-            self._fault("not-connected", text, "connect first")
-            self._state(CellState.FAILED, text)
-            self._outbox.report(RunClosed("", CellState.FAILED))
+            self._refuse(FaultReported("not-connected", text, "connect first"))
         else:
-            self._measurement = Measurement(
-                order,
-                self._tracker,
-                self._motion,
-                self._identities,
-                self._outbox.report,
-                EngineSettings(
-                    timeouts=self._config.timeouts,
-                    allow_no_watchdog=self._config.allow_no_watchdog,
-                    light=self._config.light,
-                ),
-                self._thermometers,
-            )
+            self._has_tried = True
+            try:
+                self._measurement = Measurement(
+                    order,
+                    self._tracker,
+                    self._motion,
+                    self._identities,
+                    self._outbox.report,
+                    EngineSettings(
+                        timeouts=self._config.timeouts,
+                        allow_no_watchdog=self._config.allow_no_watchdog,
+                        light=self._config.light,
+                    ),
+                    self._thermometers,
+                )
+            except DeviceError as error:
+                self._refuse(classify_fault(error).event)
+                return
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
+
+    def _refuse(self, fault: FaultReported) -> None:
+        self._outbox.report(fault)
+        self._state(CellState.FAILED, fault.text)
+        self._outbox.report(RunClosed("", CellState.FAILED))
 
     def _pass_on(self, command: MeasurementCommand, measurement: Measurement) -> None:
         self._carry_out(lambda: measurement.obey(command), str(command))

@@ -149,8 +149,8 @@ class EnvironmentReader:
                 self._on_notice(Fault(IMPLAUSIBLE, text, "", latched=False))
 
     def _run(self, group: Thermometers) -> None:
-        period_s = max(group.period_s, _FASTEST_S)
         try:
+            period_s = max(group.period_s, _FASTEST_S)
             while not self._stopping.is_set():
                 self._record(_read(group))
                 self._stopping.wait(period_s)

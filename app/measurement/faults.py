@@ -12,6 +12,7 @@ from truepath.drivers.interfaces.errors import (
     DeviceBusy,
     DeviceError,
     DeviceTimeout,
+    DriverFault,
     MotionFault,
     OutOfTravel,
     Refused,
@@ -50,6 +51,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
     (ConnectionLost, "link-lost", "check cable and power, then connect again", True),
     (DeviceBusy, "control-busy", "see what keeps it busy, then connect again", True),
     (DeviceTimeout, "no-answer", "check cable and power, then connect again", True),
+    (DriverFault, "driver", "connect again; if it comes back, replace it", True),
     (DeviceError, "device", "look at the device, then connect again", True),
 )
 
@@ -170,7 +172,8 @@ AIR_UNKNOWN = Fault(
 NO_WATCHDOG = Fault(
     "no-watchdog",
     "the controller has no watchdog: it would move on if the service died",
-    "give it one, or set allow_no_watchdog and stay at its emergency stop",
+    "give it one; allow_no_watchdog is for a driver that says of itself that it stops "
+    "where it is not asked",
     latched=False,
 )
 MOTION_BUSY = Fault(

@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from truepath.app.driver_border import find_stuck
 from truepath.app.errors import MeasurementFailed
 from truepath.app.files.refraction import choose_refraction, guess_scale, lacks_air
 from truepath.app.kinematics.machine import Machine
@@ -206,7 +207,8 @@ class Measurement:
         self._steps.run()
 
     def _check_controller(self) -> MotionStatus:
-        if not (self._is_watched or self._settings.allow_no_watchdog):
+        may_go = self._settings.allow_no_watchdog
+        if not (self._is_watched or (may_go and self._devices["motion"].stops_unasked)):
             raise NO_WATCHDOG
         status = self._motion.status()
         if status.state in UNABLE:
@@ -276,11 +278,12 @@ class Measurement:
         """Stop the machine if it moves by our order; say whether it is known to stand.
 
         Nothing beats for its watchdog meanwhile: one that does not listen holds then.
+        Where a call of its driver hangs, nobody can say; the process ends soon.
         """
         if self._steps is None:
             return True
         deadline_s = time.monotonic() + STOP_S
-        while time.monotonic() < deadline_s:
+        while time.monotonic() < deadline_s and not find_stuck(self._motion):
             with contextlib.suppress(DeviceError):
                 verb()
                 if self._motion.status().state is not MotionState.RUNNING:

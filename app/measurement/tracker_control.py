@@ -23,10 +23,10 @@ from truepath.app.measurement.faults import (
 )
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_state import HoldReason
-from truepath.app.measurement.point_reader import PointReader
 from truepath.app.measurement.stream_reader import StreamReader
 from truepath.app.measurement.target_check import BOUND_MM, TargetCheck
 from truepath.app.measurement.target_search import TargetSearch
+from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -34,15 +34,18 @@ from truepath.drivers.interfaces.errors import (
     NotHomed,
     NotOffered,
 )
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.drivers.interfaces.records import MotionState, MotionStatus, is_seen
 from truepath.drivers.interfaces.tracker import (
     AnyTracker,
+    ByteLink,
     PolledTracker,
     TargetChoice,
     TargetFinder,
     Tracker,
 )
-from truepath.drivers.interfaces.tracker_records import Clock
+from truepath.drivers.interfaces.tracker_records import Clock, PointMeasurement
+
+_JOIN_S = 5.0
 
 
 class TrackerControl:
@@ -178,19 +181,21 @@ class TrackerControl:
         Tells whether it was; else the machine moved, the feed is held, or the tracker
         was out of reach. Raises Fault once that was so too often.
         """
-        if not isinstance(self._tracker, PolledTracker):
+        tracker = self._tracker
+        if not isinstance(tracker, PolledTracker):
             raise POINTS_ONLY
         late_s = self._clock() + dwell_s + self._settings.timeouts.point_s
         self._monitor.tick()
         here, stood = self._monitor.position, True
-        reader = PointReader(self._tracker, dwell_s)
+        reader = TrackerTask(lambda: tracker.measure(dwell_s))
         try:
             while stood and not reader.is_over:
                 stood = self._stands(self._monitor.tick(), here)
                 if self._clock() > late_s:
                     raise make_silence_fault(dwell_s + self._settings.timeouts.point_s)
         finally:
-            reader.stop()
+            tracker.stop()
+            reader.wait(_JOIN_S)
         if not stood or not self._stands(self._monitor.tick(), here):
             text = f"row {row + 1}: moved while it was measured"
             self._monitor.events.record("point", text)
@@ -203,13 +208,16 @@ class TrackerControl:
         return not is_running and self._monitor.is_at(here)
 
     def _record_point(
-        self, reader: PointReader, row: int, here: tuple[float, ...], target: str
+        self, reader: TrackerTask, row: int, here: tuple[float, ...], target: str
     ) -> bool:
         """Record the point if there is one, and it is of its target."""
         if reader.failure is not None:
             self._bear(reader.failure)
             return False
-        point = reader.point
+        point: PointMeasurement = reader.answer
+        if not is_seen(point.position_mm).all():
+            self._bear(BeamLost("the tracker shows a place that no beam reaches"))
+            return False
         if not self.holds_target(target, point.position_mm):
             return False
         axes = dict(zip(self._monitor.motion.axes, here, strict=True))
@@ -217,7 +225,9 @@ class TrackerControl:
             return False
         if self._search is not None:
             self._search.remember(axes, target, point.position_mm, stands=True)
-        self._monitor.recorder.put_point(row, point, reader.take_link_bytes())
+        tracker = self._tracker
+        data = tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
+        self._monitor.recorder.put_point(row, point, data)
         self._failures, self._point_s = 0, point.time_s
         return True
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import grp
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -130,7 +131,8 @@ def ask_device(
     except DeviceError as error:
         return Finding(word, Grade.WRONG, f"{name}: {error}", _LINK)
     finally:
-        device.close()
+        with suppress(DeviceError):
+            device.close()
         if tries is not None:
             tries += getattr(device, "tries", ())
     text = f"{who.maker} {who.model}, serial {who.serial_number}, {who.firmware}"

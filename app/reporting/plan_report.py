@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -21,6 +22,7 @@ from truepath.app.motion.nc_programs.programs import (
     write_program,
 )
 from truepath.app.planning.plan import Plan
+from truepath.app.plugins import PluginFailed
 from truepath.app.reporting.chart import Scale
 from truepath.app.reporting.svg import (
     NUMBER,
@@ -150,6 +152,8 @@ def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
     files = {rows: encode_commanded(commanded)}
     feed = plan.order.feeds(machine)[0]
     for control in controls or list_dialects():
-        text = write_program(commanded, machine, control, feed_mm_min=feed)
-        files[f"{control}/{name_file(text, control)}"] = text.encode()
+        # One that was not asked for is left out where it fails.
+        with nullcontext() if controls else suppress(PluginFailed):
+            text = write_program(commanded, machine, control, feed_mm_min=feed)
+            files[f"{control}/{name_file(text, control)}"] = text.encode()
     return files

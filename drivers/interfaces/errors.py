@@ -49,3 +49,7 @@ class NotHomed(Refused):
 
 class NotOffered(Refused):
     """The device does not have this verb at all."""
+
+
+class DriverFault(DeviceError):
+    """The driver itself did not answer in time, failed, or answered nonsense."""

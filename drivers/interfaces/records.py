@@ -19,6 +19,8 @@ class Identity:
     has_watchdog : a motion controller that holds the feed by itself when heartbeats
         stay away; a driver claims it only where it has seen a sign of it at `connect`
     drives_arcs : a motion controller whose paths may have arcs
+    stops_unasked : a motion controller without a watchdog whose driver feeds it the
+        motion piece by piece, and no further where nobody has asked for a second
     """
 
     maker: str
@@ -27,6 +29,7 @@ class Identity:
     firmware: str
     has_watchdog: bool = False
     drives_arcs: bool = False
+    stops_unasked: bool = False
 
 
 FARTHEST_MM = 1e7

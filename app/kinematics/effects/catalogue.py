@@ -23,7 +23,7 @@ from truepath.app.kinematics.effects.base import Effect, Role
 from truepath.app.kinematics.effects.keys import Key
 from truepath.app.kinematics.machine import Axis, Machine
 from truepath.app.numerics.value_equality import ValueEquality
-from truepath.app.plugins import find_plugins, load
+from truepath.app.plugins import find_point, gather, guarding, load_point
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 LANGUAGES = ("en", "de")
@@ -258,13 +258,41 @@ class Family(ABC):
 def list_families() -> tuple[Family, ...]:
     """Return one of each installed family, in the order of their names."""
     # One search for all: each reads the metadata of every installed distribution.
-    installed = find_plugins(GROUP)
-    return tuple(_make_family(installed[name].load()) for name in sorted(installed))
+    return tuple(gather(GROUP, _ask).values())
+
+
+def _ask(_name: str, factory: type[Family]) -> Family:
+    """Return a family that can be listed. Raises anything."""
+    family = _make_family(factory)
+    "".join([family.name, *(words.title for words in family.words.values())])
+    return family
+
+
+def leave_out_failing(
+    families: Iterable[Family], at: Sequence[Conditions]
+) -> list[Family]:
+    """Return the families less those of somebody else that fail in these conditions."""
+    ours = [f for f in families if type(f).__module__.startswith("truepath.")]
+    others = {f.name: f for f in families if f not in ours}
+
+    def ask(name: str, _factory: type[Family]) -> Family | None:
+        for conditions in at if name in others else ():
+            for candidate in others[name].propose(conditions):
+                moved = candidate.effect.jacobian(conditions)
+                if moved.shape[1:] != (3, len(candidate.usual)):
+                    raise ValueError(f"its effect has the shape {moved.shape}")
+                if not np.isfinite(moved).all():
+                    raise ValueError("its effect is not finite")
+        return others.get(name)
+
+    return ours + [f for f in gather(GROUP, ask).values() if f] if others else ours
 
 
 def find_family(name: str) -> Family:
     """Return the family of a name. Raises BadInput, telling what is installed."""
-    return _make_family(load(GROUP, name))
+    point = find_point(GROUP, name)
+    with guarding(point, "being made"):
+        return _make_family(load_point(point))
 
 
 @cache

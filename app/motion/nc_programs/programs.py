@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from textwrap import wrap
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float64
@@ -22,7 +23,15 @@ from truepath.app.motion.nc_programs.programmed_motion import (
     compute_checksum,
 )
 from truepath.app.motion.travel import check_travel
-from truepath.app.plugins import find_plugins, load
+from truepath.app.plugins import (
+    Guarded,
+    PluginFailed,
+    find_point,
+    gather,
+    guarding,
+    is_ours,
+    load_point,
+)
 from truepath.drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
@@ -31,17 +40,24 @@ _LEAST_FEED = 0.1  # mm/min
 LARGEST_FEED_MM_MIN = 99_999.0  # that controls of all kinds read
 _NAME_LENGTH = 16  # every control here takes as many
 # What comments of all controls may hold; a bracket or a quote would end them.
+_PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 
 def list_dialects() -> tuple[str, ...]:
     """Return the controls that programs can be written for."""
-    return tuple(sorted(find_plugins(GROUP)))
+    return tuple(name_controls())
 
 
-def name_control(dialect: str) -> str:
-    """Return the name of a control for people."""
-    return _load_dialect(dialect).control
+def name_controls() -> dict[str, str]:
+    """Return the names of the controls for people, by dialect."""
+    return gather(GROUP, lambda _, make: _require_text(make().control))
+
+
+def _require_text(text: Any) -> str:
+    if not isinstance(text, str):
+        raise TypeError(f"{type(text).__name__} in place of a text")
+    return text
 
 
 def write_program(
@@ -86,11 +102,21 @@ def read_program(text: str, dialect: str) -> ProgrammedMotion:
 def name_file(text: str, dialect: str) -> str:
     """Return the file name of a program on its control."""
     kind = _load_dialect(dialect)
-    return f"{kind.read(text).name}{kind.suffix}"
+    name = f"{kind.read(text).name}{kind.suffix}"
+    if _PLAIN_NAME.fullmatch(name) is None:
+        raise PluginFailed(f"the dialect {dialect}: {name!r} is no plain file name")
+    return name
 
 
 def _load_dialect(name: str) -> Dialect:
-    return load(GROUP, name)()
+    point = find_point(GROUP, name)
+    with guarding(point, "being made"):
+        made = load_point(point)()
+    return made if is_ours(point) else cast(Dialect, Guarded(made, point, _check))
+
+
+def _check(call: str, answer: Any) -> Any:
+    return _require_text(answer) if call == "write" else answer
 
 
 def _convert_to_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:

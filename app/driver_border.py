@@ -1,0 +1,293 @@
+"""The border of the service to a driver: what comes of it in time and as it was agreed.
+
+Each call is made in a thread of the border, and whoever calls waits no longer than the
+service allows, whatever the driver promises. What a driver raises beside device errors,
+and what it must not answer, is one DriverFault that names it.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib.metadata import EntryPoint
+from typing import Any, Self, TypeVar, cast
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from truepath.app.plugins import REMEDY, describe_plugin, word_error
+from truepath.drivers.interfaces import errors
+from truepath.drivers.interfaces.device import Device
+from truepath.drivers.interfaces.errors import DeviceError, DriverFault
+from truepath.drivers.interfaces.motion import MotionController
+from truepath.drivers.interfaces.records import (
+    Identity,
+    LinkHealth,
+    MotionStatus,
+    TrackerSamples,
+)
+from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath.drivers.interfaces.tracker_records import (
+    Air,
+    PointMeasurement,
+    TrackerCapabilities,
+    TrackerEvent,
+)
+
+D = TypeVar("D", bound=Device)
+
+QUICK_S = 3.0  # for what is asked for while a machine moves, or must stop
+_LIMITS_S = {"connect": 15.0, "start": 10.0, "stop": 5.0, "close": 5.0}
+_LOAD_S, _LOAD_ROW_S = 30.0, 0.5
+_POINT_S = 19.0  # beyond its dwell
+_LONGEST_S = 300.0  # that an instrument may turn
+_TURNS = frozenset({"home", "aim", "search", "select_target"})
+_STOPS = frozenset({"stop", "hold", "abort", "close"})  # tried whatever else hangs
+_PROPERTIES = frozenset(
+    {"axes", "travel", "health", "capabilities", "channels", "period_s", "verb_limit_s"}
+)
+_SLICE_S = 0.25
+_KINDS: Mapping[str, Any] = {
+    "connect": Identity,
+    "status": MotionStatus,
+    "wait": MotionStatus,
+    "axis_positions": tuple[float, ...],
+    "axes": tuple[str, ...],
+    "travel": tuple[tuple[float, float], ...],
+    "health": LinkHealth,
+    "capabilities": TrackerCapabilities,
+    "channels": tuple[Channel, ...],
+    "period_s": float,
+    "verb_limit_s": float,
+    "take_link_bytes": bytes,
+    "take_events": tuple[TrackerEvent, ...],
+    "read_air": Air,
+}
+_BLOCKS: Mapping[type, Mapping[str, tuple[str, tuple[int, ...]]]] = {
+    TrackerSamples: {
+        "sequence": ("iu", (-1,)),
+        "device_time_s": ("fiu", (-1,)),
+        "position_mm": ("fiu", (-1, 3)),
+        "status": ("iu", (-1,)),
+        "quality": ("f", (-1,)),
+    },
+    PointMeasurement: {"position_mm": ("fiu", (3,)), "covariance_mm2": ("fiu", (3, 3))},
+}
+"""Kinds and shapes of the arrays of a record; -1 is the number of its first."""
+
+
+class _Nonsense(Exception):
+    """An answer that was not agreed."""
+
+
+class _Lane:
+    """A thread that makes calls one at a time; left alone with one that hangs."""
+
+    def __init__(self) -> None:
+        self.calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
+        self.answers: queue.SimpleQueue[tuple[Any, BaseException | None]]
+        self.answers = queue.SimpleQueue()
+        threading.Thread(target=self._run, name="driver", daemon=True).start()
+
+    def _run(self) -> None:
+        """Body of the thread."""
+        while (call := self.calls.get()) is not None:
+            try:
+                self.answers.put((call(), None))
+            except BaseException as error:
+                self.answers.put((None, error))
+
+
+def guard(
+    device: D, point: EntryPoint, limits_s: Mapping[str, float] | None = None
+) -> D:
+    """Return a device behind the border. It can still be asked with `isinstance`.
+
+    limits_s : of calls that may take another time, beyond what they are asked to take
+    """
+    return cast(D, _Border(device, point, limits_s or {}))
+
+
+def find_stuck(*devices: object) -> str:
+    """Return the first call of guarded devices that has not ended in its time."""
+    borders = (one for one in devices if type(one) is _Border)
+    return next(filter(None, (one.find_stuck() for one in borders)), "")
+
+
+class _Border:
+    """A device whose calls are watched. As the device, for any thread."""
+
+    def __init__(
+        self, device: Device, point: EntryPoint, limits_s: Mapping[str, float]
+    ) -> None:
+        self._device, self._who = device, describe_plugin(point)
+        self._limits_s = _LIMITS_S | dict(limits_s)
+        self._idle: deque[_Lane] = deque()
+        self._overdue: dict[str, _Lane] = {}
+
+    @property
+    def __class__(self) -> type:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return type(self._device)
+
+    def __enter__(self) -> Self:
+        self.__getattr__("connect")()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.__getattr__("close")()
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _PROPERTIES:
+            return self._call(name, lambda: getattr(self._device, name))
+        value = getattr(self._device, name)
+        if name.startswith("_") or not callable(value):
+            return value
+        return lambda *given, **named: self._call(
+            name, lambda: value(*given, **named), *given, *named.values()
+        )
+
+    def find_stuck(self) -> str:
+        """Return the first call that is overdue and has not ended since."""
+        late = (c for c, lane in self._overdue.copy().items() if lane.answers.empty())
+        return next(late, "")
+
+    def _call(self, name: str, verb: Callable[[], Any], *given: Any) -> Any:
+        stuck = self.find_stuck()
+        if stuck and (name not in _STOPS or self._is_stuck(name)):
+            raise self._fault(f"still has not returned from {stuck}()")
+        limit_s = self._find_limit_s(name, given)
+        try:
+            lane = self._idle.pop()
+        except IndexError:
+            lane = _Lane()
+        lane.calls.put(lambda: self._check(name, verb()))
+        answer, error = self._wait(lane, name, limit_s)
+        self._idle.append(lane)
+        if name == "close":
+            while self._idle:
+                self._idle.pop().calls.put(None)
+        if error is not None:
+            raise self._translate(error, name) from error
+        return answer
+
+    def _is_stuck(self, name: str) -> bool:
+        return name in self._overdue and self._overdue[name].answers.empty()
+
+    def _wait(
+        self, lane: _Lane, name: str, limit_s: float
+    ) -> tuple[Any, BaseException | None]:
+        left_s = limit_s
+        while left_s > 0.0:
+            begin_s = time.monotonic()
+            try:
+                return lane.answers.get(timeout=min(left_s, _SLICE_S))
+            except queue.Empty:
+                # A process that did not run has not let the driver run either.
+                left_s -= min(time.monotonic() - begin_s, 2.0 * _SLICE_S)
+        self._overdue[name] = lane
+        lane.calls.put(None)  # it ends, should the call ever return
+        raise self._fault(f"has not returned from {name}() in {limit_s:g} s")
+
+    def _find_limit_s(self, name: str, given: tuple[Any, ...]) -> float:
+        if name == "load":
+            return _LOAD_S + _LOAD_ROW_S * len(given[0])
+        if name in _TURNS and not isinstance(self._device, MotionController):
+            return 0.5 + self.__getattr__("verb_limit_s")
+        if name == "measure":
+            return given[0] + self._limits_s.get(name, _POINT_S)
+        asked_s = given[0] if given and name in ("read", "wait", "home") else 0.0
+        return asked_s + self._limits_s.get(name, QUICK_S)
+
+    def _fault(self, text: str) -> DriverFault:
+        return DriverFault(f"{self._who} {text}; {REMEDY}")
+
+    def _translate(self, error: BaseException, name: str) -> DeviceError:
+        """Return the device error that an error of a driver amounts to."""
+        if isinstance(error, _Nonsense):
+            return self._fault(f"has answered {name}() with nonsense: {error}")
+        if not isinstance(error, DeviceError):
+            return self._fault(f"has failed in {name}() ({word_error(error)})")
+        if vars(errors).get(type(error).__name__) is type(error) and str(error):
+            return error
+        # Other processes do not know a class of the driver's own.
+        family = next(c for c in type(error).__mro__ if c.__module__ == errors.__name__)
+        return family(f"{self._who}: {word_error(error)}")
+
+    def _check(self, name: str, answer: Any) -> Any:
+        """Return an answer as records of the interfaces have it. Raises _Nonsense."""
+        try:
+            if name == "read" and isinstance(self._device, Thermometers):
+                return self._check_readings(answer)
+            if name in ("read", "measure"):
+                return _check_arrays(
+                    answer, TrackerSamples if name == "read" else PointMeasurement
+                )
+            checked: Any = _rebuild(_KINDS[name], answer) if name in _KINDS else answer
+        except (AttributeError, TypeError, ValueError) as error:
+            raise _Nonsense(_shorten(error)) from error
+        if isinstance(checked, MotionStatus):
+            axes = self._device.axes  # pyright: ignore[reportAttributeAccessIssue]
+            if len(checked.position) != len(axes):
+                text = f"{len(checked.position)} positions of {len(axes)} axes"
+                raise _Nonsense(text)
+        if name in ("period_s", "verb_limit_s") and not 0.0 <= checked <= _LONGEST_S:
+            raise _Nonsense(f"{checked:g} s")
+        return checked
+
+    def _check_readings(self, answer: Any) -> tuple[Reading, ...]:
+        readings = tuple(_rebuild(Reading, one) for one in answer)
+        known = {c.name for c in self._device.channels}  # pyright: ignore[reportAttributeAccessIssue]
+        for one in readings:
+            if one.channel not in known:
+                raise _Nonsense(f"a reading of {one.channel!r}, which is no channel")
+        return readings
+
+
+@cache
+def _adapt(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _rebuild(kind: Any, value: Any) -> Any:
+    """Return a value as its kind has it; a record as one of that very class."""
+    if is_dataclass(kind):
+        if not isinstance(value, cast(type, kind)):
+            name = getattr(kind, "__name__", str(kind))
+            raise TypeError(f"{type(value).__name__} in place of {name}")
+        value = {f.name: getattr(value, f.name) for f in fields(kind)}
+    return _adapt(kind).validate_python(value)
+
+
+def _check_arrays(value: Any, kind: type) -> Any:
+    """Return a record of arrays as one of that very class. Raises TypeError."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{type(value).__name__} in place of {kind.__name__}")
+    parts = {f.name: getattr(value, f.name) for f in fields(cast(Any, kind))}
+    for name, (kinds, shape) in _BLOCKS[kind].items():
+        part = parts[name]
+        if part is None and name == "quality":
+            continue
+        count = len(parts["sequence"]) if shape[0] < 0 else 0
+        wanted = tuple(count if n < 0 else n for n in shape)
+        array = np.asarray(part)
+        if not isinstance(part, np.ndarray) or array.dtype.kind not in kinds:
+            raise TypeError(f"{name} is {type(part).__name__} of {array.dtype}")
+        if array.shape != wanted:
+            raise ValueError(f"{name} has the shape {array.shape}, not {wanted}")
+    if kind is PointMeasurement:
+        for name, number in (("time_s", float), ("quality", float), ("count", int)):
+            parts[name] = _rebuild(number, parts[name])
+    return kind(**parts)
+
+
+def _shorten(error: Exception) -> str:
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"]))
+    return f"{place} is {first['input']!r}: {first['msg'].lower()}"

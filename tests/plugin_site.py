@@ -1,0 +1,28 @@
+"""Distributions of somebody else, installed for one test into a folder of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import dedent
+
+NAME = "hostile-plugins 1.2"
+
+
+def install(
+    site: Path, entry_points: Mapping[str, Mapping[str, str]], **modules: str
+) -> Path:
+    """Install NAME with modules of this source; return its folder, for `sys.path`."""
+    info = site / "hostile_plugins-1.2.dist-info"
+    info.mkdir(parents=True)
+    name, version = NAME.split()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    )
+    lines: list[str] = []
+    for group, points in entry_points.items():
+        lines += [f"[truepath.{group}]", *(f"{n} = {v}" for n, v in points.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    for module, source in modules.items():
+        (site / f"{module}.py").write_text(dedent(source))
+    return site
