@@ -190,6 +190,9 @@ def test_a_controller_without_a_watchdog_needs_leave():
     bare = replace(CONNECTED, devices={"motion": {"has_watchdog": False}})
     kind, _ = only_false(replace(GOOD, cell=bare))
     assert kind is ConditionType.WATCHDOG_THERE
+    only_false(replace(GOOD, cell=bare, allow_no_watchdog=True))
+    devices = {"motion": {"has_watchdog": False, "stops_unasked": True}}
+    bare = replace(bare, devices=devices)
     seen = replace(GOOD, cell=bare, allow_no_watchdog=True)
     assert levels(seen)[ConditionType.WATCHDOG_THERE] is Level.TRUE
 

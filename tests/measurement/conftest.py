@@ -174,6 +174,7 @@ class FakeMotion(MotionController):
         self.calls: list[str] = []
         self.out_of_reach = False
         self.has_watchdog = True
+        self.stops_unasked = False
         self.override: float | None = None
         self.referenced: bool | None = None
         self.compensation: bool | None = None
@@ -204,7 +205,14 @@ class FakeMotion(MotionController):
         return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
 
     def connect(self) -> Identity:
-        return Identity("Us", "fake controller", "C1", "0", self.has_watchdog)
+        return Identity(
+            "Us",
+            "fake controller",
+            "C1",
+            "0",
+            self.has_watchdog,
+            stops_unasked=self.stops_unasked,
+        )
 
     def close(self) -> None:
         self.abort()

@@ -1,4 +1,4 @@
-"""Drivers that hang, lie or break: at one call, from the moment that a file is there."""
+"""Drivers that hang, lie or break: at one call, from when on a file is there."""
 
 from __future__ import annotations
 

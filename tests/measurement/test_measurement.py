@@ -1152,7 +1152,7 @@ def test_a_machine_without_a_watchdog_is_not_moved(begin, order, motion, journal
 def test_a_machine_without_a_watchdog_is_moved_if_allowed_and_the_run_says_so(
     begin, order, motion, calm
 ):
-    motion.has_watchdog = False
+    motion.has_watchdog, motion.stops_unasked = False, True
     running = begin(order, settings=replace(calm, allow_no_watchdog=True))
     running.finished()
     assert "no-watchdog" in [event.kind for event in running.run.events]

@@ -1,0 +1,177 @@
+"""One broken plug-in costs nobody else anything, and is named where it is asked for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.plugin_site import NAME, install
+from truepath.app import plugins
+from truepath.app.cli.command import run
+from truepath.app.errors import BadInput
+from truepath.app.kinematics.effects.catalogue import list_families
+from truepath.app.motion.nc_programs.programs import list_dialects, write_program
+from truepath.app.planning.default_path import default_path
+from truepath.app.web.pages import catalogue
+
+pytestmark = pytest.mark.fault_row(49)
+
+BROKEN = """
+    raise RuntimeError("the licence has run out")
+"""
+LEAVING = """
+    import sys
+    sys.exit("this computer is not known")
+"""
+FORMATS = """
+    import math
+    from truepath.app.compensation.generic import GenericCsv
+    from truepath.app.compensation.linuxcnc import LinuxCnc
+
+    class Climbing(LinuxCnc):
+        def write(self, content):
+            return {"../" + name: text for name, text in super().write(content).items()}
+
+    class Hollow(GenericCsv):
+        def write(self, content):
+            files = super().write(content)
+            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
+
+    class Raising(GenericCsv):
+        def write(self, content):
+            raise ZeroDivisionError("no axis")
+
+    class Nothing(GenericCsv):
+        def write(self, content):
+            return None
+
+    class Blind(GenericCsv):
+        def read(self, files, machine):
+            return lambda position, direction: math.nan * position[:, :3]
+
+    class Unread(GenericCsv):
+        def read(self, files, machine):
+            raise KeyError("X")
+
+    class Mute(GenericCsv):
+        carries = None
+"""
+OTHERS = """
+    from truepath.app.kinematics.effects.backlash import BacklashFamily
+    from truepath.app.motion.nc_programs.linuxcnc import LinuxCnc
+
+    class Effect(BacklashFamily):
+        name = "hostile"
+
+        def propose(self, at):
+            raise RuntimeError("no machine like this")
+
+    class Wordless(BacklashFamily):
+        words = None
+
+    class Dialect(LinuxCnc):
+        def write(self, content):
+            raise RuntimeError("no control like this")
+"""
+POINTS = {
+    group: {"broken": "broken:X", "leaving": "leaving:X", "absent": "not_there:X"}
+    for group in (
+        "trackers",
+        "motion_controllers",
+        "thermometers",
+        "effects",
+        "nc_dialects",
+        "compensation_formats",
+    )
+}
+POINTS["trackers"] |= {"streaming": "broken:X", "../up": "broken:X"}
+POINTS["compensation_formats"] |= {
+    name.lower(): f"formats_here:{name}"
+    for name in ("Climbing", "Hollow", "Raising", "Nothing", "Blind", "Unread", "Mute")
+}
+POINTS["effects"] |= {"hostile": "others:Effect", "wordless": "others:Wordless"}
+POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
+
+
+@pytest.fixture(autouse=True)
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "left_out", set(), raising=False)
+    site = install(
+        tmp_path / "site",
+        POINTS,
+        broken=BROKEN,
+        leaving=LEAVING,
+        formats_here=FORMATS,
+        others=OTHERS,
+    )
+    monkeypatch.syspath_prepend(site)
+
+
+def test_lists_go_on_with_the_others(capsys):
+    assert run(["drivers", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"streaming", "geocom"} <= set(found["tracker"])
+    assert {"broken", "leaving", "../up"}.isdisjoint(found["tracker"])
+    assert run(["formats", "--json"]) == 0
+    found = [one["name"] for one in json.loads(capsys.readouterr().out)["formats"]]
+    assert {"linuxcnc", "csv"} <= set(found)
+    assert {"broken", "leaving", "mute"}.isdisjoint(found)
+    assert {"siemens-840d", "linuxcnc"} <= set(list_dialects())
+    assert "backlash" in {family.name for family in list_families()}
+    assert "effect.backlash" in catalogue("de")
+
+
+def test_the_doctor_names_each_with_its_distribution_and_reason(capsys, tmp_path):
+    run(["doctor", "--json", "--data-dir", str(tmp_path / "data")])
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    told = [one for one in findings if one["subject"] == "plug-ins"]
+    for group, points in POINTS.items():
+        for name in {"broken", "leaving", "absent"} & set(points):
+            said = [t for t in told if f"{group} plug-in {name!r}" in t["text"]]
+            assert len(said) == 1, (group, name)
+            assert NAME in said[0]["text"]
+            assert said[0]["remedy"]
+    assert any("the licence has run out" in one["text"] for one in told)
+
+
+def test_a_list_of_plug_ins_that_is_broken_hides_nobody_elses(tmp_path, capsys):
+    info = tmp_path / "site" / "hostile_plugins-1.2.dist-info" / "entry_points.txt"
+    info.write_text("[truepath.trackers]\nno equals sign\n")
+    assert run(["drivers", "--json"]) == 0
+    assert "streaming" in json.loads(capsys.readouterr().out)["tracker"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("climbing", "no plain file name"),
+        ("hollow", "nan"),
+        ("raising", "no axis"),
+        ("nothing", "write()"),
+        ("blind", "finite"),
+        ("unread", "read()"),
+    ],
+)
+def test_a_format_that_breaks_writes_nothing_and_is_named(
+    analysed, tmp_path, capsys, name, said
+):
+    before = set(tmp_path.rglob("*"))
+    result, output = str(analysed / "result.json"), tmp_path / "deep" / "out" / "c"
+    assert run(["export", result, "--format", name, "-o", str(output)]) == 2
+    told = capsys.readouterr().err
+    assert NAME in told
+    assert name in told
+    assert said in told
+    assert set(tmp_path.rglob("*")) == before
+
+
+def test_a_dialect_that_breaks_is_named_where_it_is_asked_for(mill):
+    path = default_path(mill, lines=4)
+    with pytest.raises(BadInput, match=rf"{NAME}.*write\(\).*no control like this"):
+        write_program(path, mill, "hostile")
+
+
+def test_a_discovery_goes_on_without_an_effect_that_breaks(recorded, tmp_path):
+    assert run(["discover", str(recorded), "-o", str(tmp_path / "found")]) == 0
