@@ -46,7 +46,8 @@ class DeviceConfiguration(BaseModel):
     thermometer_options: Options = Field(default_factory=dict)
     """What the driver needs: its list of registers."""
     allow_no_watchdog: bool = False
-    """Move a machine that does not hold the feed by itself when the service dies."""
+    """Move a machine that does not hold the feed by itself when the service dies, if
+    its driver says that it stops where it is not asked."""
 
     @field_validator("tracker_patience_s")
     @classmethod
