@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import EntryPoint
-from typing import Any, Self, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -68,17 +68,11 @@ _KINDS: Mapping[str, Any] = {
     "take_events": tuple[TrackerEvent, ...],
     "read_air": Air,
 }
-_BLOCKS: Mapping[type, Mapping[str, tuple[str, tuple[int, ...]]]] = {
-    TrackerSamples: {
-        "sequence": ("iu", (-1,)),
-        "device_time_s": ("fiu", (-1,)),
-        "position_mm": ("fiu", (-1, 3)),
-        "status": ("iu", (-1,)),
-        "quality": ("f", (-1,)),
-    },
-    PointMeasurement: {"position_mm": ("fiu", (3,)), "covariance_mm2": ("fiu", (3, 3))},
+_SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
+    TrackerSamples: {"sequence": (), "device_time_s": (), "position_mm": (3,)}
+    | {"status": (), "quality": ()},  # of each sample
+    PointMeasurement: {"position_mm": (3,), "covariance_mm2": (3, 3)},
 }
-"""Kinds and shapes of the arrays of a record; -1 is the number of its first."""
 
 
 class _Nonsense(Exception):
@@ -135,12 +129,7 @@ class _Border:
     def __class__(self) -> type:  # pyright: ignore[reportIncompatibleMethodOverride]
         return type(self._device)
 
-    def __enter__(self) -> Self:
-        self.__getattr__("connect")()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.__getattr__("close")()
+    __enter__, __exit__ = Device.__enter__, Device.__exit__
 
     def __getattr__(self, name: str) -> Any:
         if name in _PROPERTIES:
@@ -161,7 +150,8 @@ class _Border:
         stuck = self.find_stuck()
         if stuck and name in self._known:
             return self._known[name]
-        if stuck and (name not in _STOPS or self._is_stuck(name)):
+        is_late = name in self._overdue and self._overdue[name].answers.empty()
+        if stuck and (name not in _STOPS or is_late):
             raise self._fault(f"still has not returned from {stuck}()")
         limit_s = self._find_limit_s(name, given)
         try:
@@ -179,9 +169,6 @@ class _Border:
         if name in _PROPERTIES:
             self._known[name] = answer
         return answer
-
-    def _is_stuck(self, name: str) -> bool:
-        return name in self._overdue and self._overdue[name].answers.empty()
 
     def _wait(
         self, lane: _Lane, name: str, limit_s: float
@@ -240,7 +227,10 @@ class _Border:
             if len(checked.position) != len(axes):
                 text = f"{len(checked.position)} positions of {len(axes)} axes"
                 raise _Nonsense(text)
-        if name in ("period_s", "verb_limit_s") and not 0.0 <= checked <= _LONGEST_S:
+        if (
+            name in ("period_s", "verb_limit_s")
+            and not 0.0 <= cast(float, checked) <= _LONGEST_S
+        ):
             raise _Nonsense(f"{checked:g} s")
         return checked
 
@@ -260,30 +250,28 @@ def _adapt(kind: Any) -> TypeAdapter[Any]:
 
 def _rebuild(kind: Any, value: Any) -> Any:
     """Return a value as its kind has it; a record as one of that very class."""
-    if is_dataclass(kind):
-        if not isinstance(value, cast(type, kind)):
-            name = getattr(kind, "__name__", str(kind))
-            raise TypeError(f"{type(value).__name__} in place of {name}")
-        value = {f.name: getattr(value, f.name) for f in fields(kind)}
-    return _adapt(kind).validate_python(value)
+    parts = _take_apart(kind, value) if is_dataclass(kind) else value
+    return _adapt(kind).validate_python(parts)
+
+
+def _take_apart(kind: Any, value: Any) -> dict[str, Any]:
+    if not isinstance(value, kind):
+        raise TypeError(f"{type(value).__name__} in place of {kind.__name__}")
+    return {f.name: getattr(value, f.name) for f in fields(kind)}
 
 
 def _check_arrays(value: Any, kind: type) -> Any:
-    """Return a record of arrays as one of that very class. Raises TypeError."""
-    if not isinstance(value, kind):
-        raise TypeError(f"{type(value).__name__} in place of {kind.__name__}")
-    parts = {f.name: getattr(value, f.name) for f in fields(cast(Any, kind))}
-    for name, (kinds, shape) in _BLOCKS[kind].items():
+    """Return a record of arrays as one of that very class."""
+    parts = _take_apart(kind, value)
+    each = (len(parts["sequence"]),) if kind is TrackerSamples else ()
+    for name, shape in _SHAPES[kind].items():
         part = parts[name]
         if part is None and name == "quality":
             continue
-        count = len(parts["sequence"]) if shape[0] < 0 else 0
-        wanted = tuple(count if n < 0 else n for n in shape)
-        array = np.asarray(part)
-        if not isinstance(part, np.ndarray) or array.dtype.kind not in kinds:
-            raise TypeError(f"{name} is {type(part).__name__} of {array.dtype}")
-        if array.shape != wanted:
-            raise ValueError(f"{name} has the shape {array.shape}, not {wanted}")
+        if not isinstance(part, np.ndarray) or part.dtype.kind not in "fiu":
+            raise TypeError(f"{name} is no array of numbers")
+        if part.shape != each + shape:
+            raise ValueError(f"{name} has the shape {part.shape}, not {each + shape}")
     if kind is PointMeasurement:
         for name, number in (("time_s", float), ("quality", float), ("count", int)):
             parts[name] = _rebuild(number, parts[name])

@@ -26,34 +26,7 @@ LEAVING = """
     sys.exit("this computer is not known")
 """
 FORMATS = """
-    import math
     from truepath.app.compensation.generic import GenericCsv
-    from truepath.app.compensation.linuxcnc import LinuxCnc
-
-    class Climbing(LinuxCnc):
-        def write(self, content):
-            return {"../" + name: text for name, text in super().write(content).items()}
-
-    class Hollow(GenericCsv):
-        def write(self, content):
-            files = super().write(content)
-            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
-
-    class Raising(GenericCsv):
-        def write(self, content):
-            raise ZeroDivisionError("no axis")
-
-    class Nothing(GenericCsv):
-        def write(self, content):
-            return None
-
-    class Blind(GenericCsv):
-        def read(self, files, machine):
-            return lambda position, direction: math.nan * position[:, :3]
-
-    class Unread(GenericCsv):
-        def read(self, files, machine):
-            raise KeyError("X")
 
     class Mute(GenericCsv):
         carries = None
@@ -87,10 +60,7 @@ POINTS = {
     )
 }
 POINTS["trackers"] |= {"streaming": "broken:X", "../up": "broken:X"}
-POINTS["compensation_formats"] |= {
-    name.lower(): f"formats_here:{name}"
-    for name in ("Climbing", "Hollow", "Raising", "Nothing", "Blind", "Unread", "Mute")
-}
+POINTS["compensation_formats"] |= {"mute": "formats_here:Mute"}
 POINTS["effects"] |= {"hostile": "others:Effect", "wordless": "others:Wordless"}
 POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
 
@@ -143,35 +113,12 @@ def test_a_list_of_plug_ins_that_is_broken_hides_nobody_elses(tmp_path, capsys):
     assert "streaming" in json.loads(capsys.readouterr().out)["tracker"]
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("climbing", "no plain file name"),
-        ("hollow", "nan"),
-        ("raising", "no axis"),
-        ("nothing", "write()"),
-        ("blind", "finite"),
-        ("unread", "read()"),
-    ],
-)
-def test_a_format_that_breaks_writes_nothing_and_is_named(
-    analysed, tmp_path, capsys, name, said
-):
-    before = set(tmp_path.rglob("*"))
-    result, output = str(analysed / "result.json"), tmp_path / "deep" / "out" / "c"
-    assert run(["export", result, "--format", name, "-o", str(output)]) == 2
-    told = capsys.readouterr().err
-    assert NAME in told
-    assert name in told
-    assert said in told
-    assert set(tmp_path.rglob("*")) == before
-
-
 def test_a_dialect_that_breaks_is_named_where_it_is_asked_for(mill):
     path = default_path(mill, lines=4)
     with pytest.raises(BadInput, match=rf"{NAME}.*write\(\).*no control like this"):
         write_program(path, mill, "hostile")
 
 
+@pytest.mark.long
 def test_a_discovery_goes_on_without_an_effect_that_breaks(recorded, tmp_path):
     assert run(["discover", str(recorded), "-o", str(tmp_path / "found")]) == 0
