@@ -94,7 +94,10 @@ def serve(
         address = format_address(listener, is_encrypted=tls is not None)
         _print_addresses(settings, address)
         app = create_application(
-            service, trusted_hosts=settings.trusted_hosts, pages=pages.router
+            service,
+            trusted_hosts=settings.trusted_hosts,
+            trusted_proxies=settings.trusted_proxies,
+            pages=pages.router,
         )
         app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
         server = Server(app, service, address, listening, tls=tls)

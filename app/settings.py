@@ -74,6 +74,9 @@ class Settings(DeviceConfiguration, BaseSettings):
     """Its private key (PEM). Both or neither."""
     trusted_hosts: tuple[str, ...] = ()
     """Names browsers may call this computer by, beside localhost and IP addresses."""
+    trusted_proxies: tuple[str, ...] = ()
+    """Addresses or networks of the proxies whose `X-Forwarded-…` headers are believed;
+    those of anybody else are not."""
 
     data_dir: Path = Field(
         default_factory=lambda: platformdirs.user_data_path("truepath", appauthor=False)
@@ -163,6 +166,19 @@ class Settings(DeviceConfiguration, BaseSettings):
                 "them), or accept the risk with --allow-plain-http"
             )
         return self
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _require_networks(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        for one in given:
+            try:
+                ipaddress.ip_network(one)
+            except ValueError as error:
+                raise ValueError(
+                    f"{error}; give addresses or networks, such as 127.0.0.1 or "
+                    "10.0.0.0/8"
+                ) from error
+        return given
 
     @field_validator("machines")
     @classmethod

@@ -30,6 +30,7 @@ from truepath.app.api.route_roles import (
     find_least_role,
     find_route,
 )
+from truepath.app.api.trusted_proxies import find_peer, find_source
 from truepath.app.errors import TruepathError
 from truepath.app.jobs.deletion import Deleted
 from truepath.app.jobs.errors import StorageUnavailable
@@ -189,7 +190,7 @@ class _AuditedAnswer:
         return Entry(
             who=actor.name if actor else "",
             role=actor.role if actor else "",
-            source=find_source(scope),
+            source=_describe_source(scope),
             request_id=state.get("request_id", ""),
             what=f"{scope['method']} {scope['path']}"[:400],
             outcome=str(message["status"]),
@@ -198,10 +199,9 @@ class _AuditedAnswer:
         )
 
 
-def find_source(scope: Scope) -> str:
-    """Return the address of the computer that a request comes from."""
-    client = scope.get("client")
-    return client[0][:64] if client else ""
+def _describe_source(scope: Scope) -> str:
+    source, peer = find_source(scope), find_peer(scope)
+    return (source if peer == source else f"{source} via {peer}")[:64]
 
 
 def _pick(**found: str | None) -> dict[str, str] | None:

@@ -50,6 +50,7 @@ from truepath.app.api.document import complete_document
 from truepath.app.api.models.base import PREFIX
 from truepath.app.api.security import Guard
 from truepath.app.api.service import Service
+from truepath.app.api.trusted_proxies import ForwardedHeaders
 
 MAX_BODY_BYTES = 1 << 20
 _FORM_BYTES = 1 << 20
@@ -100,11 +101,13 @@ def create_application(
     service: Service | None = None,
     *,
     trusted_hosts: Collection[str] = (),
+    trusted_proxies: Collection[str] = (),
     pages: APIRouter | None = None,
 ) -> FastAPI:
     """Return the application.
 
     service : None only to describe the interface
+    trusted_proxies : addresses and networks whose forwarded headers are believed
     pages : routes of the operator page
     """
     max_upload_bytes = service.max_upload_bytes if service else 0
@@ -124,6 +127,7 @@ def create_application(
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)
     app.state.metrics = metrics.ServiceMetrics(service)
     app.add_middleware(metrics.RequestTimer, metrics=app.state.metrics)
+    app.add_middleware(ForwardedHeaders, trusted_proxies=trusted_proxies)
     problems.install_handlers(app)
     app.router.routes.extend(_list_routes(max_upload_bytes))
     app.mount("/docs/assets", StaticFiles(directory=str(_ASSETS)), name="docs-assets")

@@ -10,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.app.api.access_control import (
     COOKIE,
-    find_source,
     note_change,
     read_token,
 )
@@ -18,6 +17,7 @@ from truepath.app.api.models.base import RequestBody
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.thread_pools import on_threads
+from truepath.app.api.trusted_proxies import find_source
 from truepath.app.users.access import Access
 from truepath.app.users.roles import Actor, Role
 

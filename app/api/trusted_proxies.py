@@ -1,0 +1,80 @@
+"""Which computers may say for whom they pass a request on: the proxies of a setting.
+
+Anybody can send forwarded headers; those of anybody else count for nothing.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Collection, Iterable
+from contextlib import suppress
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+_SCHEMES = {"http": "ws", "https": "wss"}
+
+
+def is_trusted_proxy(host: str, networks: Iterable[str]) -> bool:
+    """Whether an address is one of the addresses or networks of the setting."""
+    address = _read_address(host)
+    return address is not None and any(
+        address in ipaddress.ip_network(one) for one in networks
+    )
+
+
+def find_source(scope: Scope) -> str:
+    """Return the address of the computer that a request comes from."""
+    client = scope.get("client")
+    return client[0] if client else ""
+
+
+def find_peer(scope: Scope) -> str:
+    """Return the address at the other end of the connection, be it a proxy's."""
+    return scope.get("state", {}).get("peer") or find_source(scope)
+
+
+class ForwardedHeaders:
+    """Puts whom a trusted proxy passes a request on for in place of the proxy.
+
+    Before all other middleware; `find_peer` still tells the proxy.
+    """
+
+    def __init__(self, app: ASGIApp, trusted_proxies: Collection[str] = ()) -> None:
+        self._app, self._trusted = app, trusted_proxies
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] in ("http", "websocket"):
+            scope.setdefault("state", {})["peer"] = peer = find_source(scope)
+            if is_trusted_proxy(peer, self._trusted):
+                self._believe(scope)
+        await self._app(scope, receive, send)
+
+    def _believe(self, scope: Scope) -> None:
+        headers = Headers(scope=scope)
+        scheme = headers.get("x-forwarded-proto", "").strip()
+        if scheme in _SCHEMES:
+            is_socket = scope["type"] == "websocket"
+            scope["scheme"] = _SCHEMES[scheme] if is_socket else scheme
+        # Each proxy adds to the end: what stands before a stranger is his own word.
+        for one in reversed(",".join(headers.getlist("x-forwarded-for")).split(",")):
+            address = _read_address(one)
+            if address is None:
+                return
+            scope["client"] = str(address), 0
+            if not is_trusted_proxy(str(address), self._trusted):
+                return
+
+
+def _read_address(
+    given: str,
+) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return the address of `address`, `address:port` or `[address]:port`."""
+    given = given.strip()
+    for host in (lambda: given, lambda: urlsplit(f"//{given}").hostname or ""):
+        with suppress(ValueError):
+            address = ipaddress.ip_address(host())
+            return getattr(address, "ipv4_mapped", None) or address
+    return None
