@@ -27,6 +27,7 @@ from truepath.app.api.problems import (
     make_problem_response,
     problem,
 )
+from truepath.app.api.trusted_proxies import find_peer, find_source
 
 log = structlog.get_logger(__name__)
 
@@ -167,6 +168,8 @@ class _Answer:
             method=self._scope["method"],
             path=self._scope["path"],
             status=self._status,
+            source=find_source(self._scope),
+            peer=find_peer(self._scope),
             ms=round(1000 * (time.monotonic() - self._begun), 1),
         )
 

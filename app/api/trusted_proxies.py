@@ -10,9 +10,15 @@ from collections.abc import Collection, Iterable
 from contextlib import suppress
 from urllib.parse import urlsplit
 
+import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from truepath.app.jobs.seldom import Seldom
+
+log = structlog.get_logger(__name__)
+
+_FOR = "x-forwarded-for"
 _SCHEMES = {"http": "ws", "https": "wss"}
 
 
@@ -35,6 +41,14 @@ def find_peer(scope: Scope) -> str:
     return scope.get("state", {}).get("peer") or find_source(scope)
 
 
+def find_network(host: str) -> str:
+    """Return what one household of addresses shares: of IPv6 the first 64 bits."""
+    address = _read_address(host)
+    if address is None or address.version == 4:
+        return host
+    return str(ipaddress.ip_network((int(address), 64), strict=False))
+
+
 class ForwardedHeaders:
     """Puts whom a trusted proxy passes a request on for in place of the proxy.
 
@@ -43,6 +57,7 @@ class ForwardedHeaders:
 
     def __init__(self, app: ASGIApp, trusted_proxies: Collection[str] = ()) -> None:
         self._app, self._trusted = app, trusted_proxies
+        self._seldom = Seldom()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -50,6 +65,12 @@ class ForwardedHeaders:
             scope.setdefault("state", {})["peer"] = peer = find_source(scope)
             if is_trusted_proxy(peer, self._trusted):
                 self._believe(scope)
+            elif _FOR in Headers(scope=scope) and self._seldom.is_due():
+                log.warning(
+                    "forwarded headers are not believed; a proxy of yours has to be "
+                    "in trusted_proxies",
+                    peer=peer,
+                )
         await self._app(scope, receive, send)
 
     def _believe(self, scope: Scope) -> None:
@@ -59,7 +80,7 @@ class ForwardedHeaders:
             is_socket = scope["type"] == "websocket"
             scope["scheme"] = _SCHEMES[scheme] if is_socket else scheme
         # Each proxy adds to the end: what stands before a stranger is his own word.
-        for one in reversed(",".join(headers.getlist("x-forwarded-for")).split(",")):
+        for one in reversed(",".join(headers.getlist(_FOR)).split(",")):
             address = _read_address(one)
             if address is None:
                 return

@@ -23,6 +23,8 @@ from truepath.app.users.tokens import Tokens
 
 FREE_TRIES = 5
 FREE_TRIES_OF_SOURCE = 20
+LONGEST_DELAY_S = 2.0
+"""Of a name that fails from everywhere: it slows guessing, and keeps nobody out."""
 _BURST, _CHANGES_PER_S = 200, 20.0
 
 
@@ -53,6 +55,7 @@ class Access:
         self.audit_writer = AuditWriter(self.audit_log)
         self._failed = BackOff(FREE_TRIES)
         self._failed_of_source = BackOff(FREE_TRIES_OF_SOURCE)
+        self._failed_of_name = BackOff(FREE_TRIES, longest_s=LONGEST_DELAY_S)
         self._changes = RateLimit(_BURST, _CHANGES_PER_S)
         # One hash takes 64 MB and a core for 30 ms: not many at one time.
         self._hashing = threading.Semaphore(2)
@@ -63,16 +66,18 @@ class Access:
             return LOCAL
         return self.tokens.find(token) if token else None
 
+    def find_delay_s(self, name: str, source: str) -> float:
+        """Return for how long a log-in is put off. Raises TooManyTries."""
+        self._check(name, source)
+        return self._failed_of_name.find_wait_s(name)
+
     def log_in(self, name: str, password: str, source: str) -> tuple[str, Actor]:
         """Return the token of a new session, and whose it is.
 
         Raises WrongPassword; TooManyTries, before the password is looked at, while name
         or source have to wait.
         """
-        # By name and source: nobody else's mistakes keep a person from a machine.
-        own = f"{name}@{source}"
-        self._failed.check(own)
-        self._failed_of_source.check(source)
+        own = self._check(name, source)
         found = self.accounts.find(name)
         if not self._hashing.acquire(timeout=5.0):
             raise TooManyTries("too many log-ins at one time", 5.0)
@@ -83,10 +88,18 @@ class Access:
         if found is None or not is_right:
             self._failed.fail(own)
             self._failed_of_source.fail(source)
+            self._failed_of_name.fail(name)
             raise WrongPassword("name and password do not belong together")
         self._failed.forget(own)
         user = found[0]
         return self.tokens.open_session(user.name), Actor(user.name, user.role)
+
+    def _check(self, name: str, source: str) -> str:
+        # By name and source: nobody else's mistakes keep a person from a machine.
+        own = f"{name}@{source}"
+        self._failed.check(own)
+        self._failed_of_source.check(source)
+        return own
 
     def limit_changes(self, actor: Actor) -> None:
         """Raise TooManyRequests if somebody changes too much in a short time."""

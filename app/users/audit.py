@@ -26,7 +26,8 @@ class Entry:
     """What somebody did, or was refused.
 
     who, role : of the actor; empty where nobody is known
-    source : address of the computer; `command line` for a command on the service's own
+    source : address of the computer, `via` the proxy that has passed it on, if any;
+        `command line` for a command on the service's own
     what : the verb and its object, as `POST /api/v1/jobs/ID/arm`
     outcome : status of the answer
     old, new : what it changed, where that is known

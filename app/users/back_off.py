@@ -28,25 +28,33 @@ class _Failures:
 class BackOff:
     """Counts failures of each key, and lets a key wait longer after each further one.
 
-    free : failures before the first wait of 1 s, which then doubles to `LONGEST_WAIT_S`
+    free : failures before the first wait of 1 s, which then doubles to the longest
     """
 
     def __init__(
-        self, free: int, *, read_s: Callable[[], float] = time.monotonic
+        self,
+        free: int,
+        *,
+        longest_s: float = LONGEST_WAIT_S,
+        read_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._free, self._read_s = free, read_s
+        self._free, self._longest_s, self._read_s = free, longest_s, read_s
         self._lock = threading.Lock()
         self._failed: OrderedDict[str, _Failures] = OrderedDict()
 
     def check(self, key: str) -> None:
         """Raise TooManyTries while the key has to wait."""
-        with self._lock:
-            failures = self._failed.get(key, _Failures())
-        left_s = failures.until_s - self._read_s()
+        left_s = self.find_wait_s(key)
         if left_s > 0:
             raise TooManyTries(
                 f"too many log-ins have failed; try again in {left_s:.0f} s", left_s
             )
+
+    def find_wait_s(self, key: str) -> float:
+        """Return how long the key has to wait still."""
+        with self._lock:
+            failures = self._failed.get(key, _Failures())
+        return max(0.0, failures.until_s - self._read_s())
 
     def fail(self, key: str) -> None:
         """Count a failure."""
@@ -56,7 +64,7 @@ class BackOff:
             is_forgotten = now_s - before.last_s >= FORGET_S
             count = 1 if is_forgotten else before.count + 1
             over = count - self._free
-            wait_s = min(2.0 ** min(over, 20), LONGEST_WAIT_S) if over >= 0 else 0.0
+            wait_s = min(2.0 ** min(over, 20), self._longest_s) if over >= 0 else 0.0
             self._failed[key] = _Failures(count, now_s, now_s + wait_s)
             if len(self._failed) > _REMEMBERED:
                 self._failed.popitem(last=False)
