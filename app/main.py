@@ -100,7 +100,14 @@ def serve(
             pages=pages.router,
         )
         app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
-        server = Server(app, service, address, listening, tls=tls)
+        server = Server(
+            app,
+            service,
+            address,
+            listening,
+            tls=tls,
+            trusted_proxies=settings.trusted_proxies,
+        )
         with ignore_raised_signals():
             server.run(sockets=[listener])
     log.info("service ended")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
 import structlog
@@ -14,6 +15,7 @@ from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
+from truepath.app.api.connections import Connections
 from truepath.app.api.service import Service
 from truepath.app.api.service_manager import ServiceManager
 from truepath.app.errors import BadInput
@@ -22,6 +24,7 @@ from truepath.app.users.certificates import TlsFiles
 GRACE_S = 3
 """How long an answer under way may take once the service has to end."""
 
+_TICKS_A_LOOK = 5  # of 0.1 s
 _OWN = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
 
 log = structlog.get_logger(__name__)
@@ -38,6 +41,7 @@ class Server(uvicorn.Server):
     address : where it answers
     listening : receives the address once it answers, in a thread of its own
     tls : None for plain HTTP
+    trusted_proxies : addresses that many clients are behind
     """
 
     def __init__(
@@ -48,6 +52,7 @@ class Server(uvicorn.Server):
         listening: Callable[[str], None] | None,
         *,
         tls: TlsFiles | None = None,
+        trusted_proxies: Collection[str] = (),
     ) -> None:
         config = uvicorn.Config(
             app,
@@ -63,16 +68,32 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._service, self._address, self._listening = service, address, listening
         self._manager = ServiceManager.of_environment()
+        self._connections = Connections(
+            self.server_state, service.max_streams, trusted_proxies
+        )
+        self._accepting: list[asyncio.Task[None]] = []
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to answer, and pass the address on."""
-        await super().startup(sockets)
+        await super().startup([])
+        self._accepting = [
+            asyncio.create_task(
+                self._connections.accept(one, self.config, self.lifespan.state)
+            )
+            for one in sockets or ()
+        ]
         if self.started:
             self._manager.begin(self._address)
         if self.started and self._listening is not None:
             threading.Thread(
                 target=self._listening, args=(self._address,), daemon=True
             ).start()
+
+    async def on_tick(self, counter: int) -> bool:
+        """Look after the connections as well."""
+        if counter % _TICKS_A_LOOK == 0:
+            self._connections.close_overdue()
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Hold the feed, let streams end, then wait for answers under way."""
@@ -81,6 +102,8 @@ class Server(uvicorn.Server):
         close = self._service.dispatcher.close
         await run_sync(close, limiter=CapacityLimiter(1))
         self._service.end_streams()
+        for accepting in self._accepting:
+            accepting.cancel()
         await super().shutdown(sockets)
 
 
@@ -105,7 +128,7 @@ def bind_socket(host: str, port: int) -> socket.socket:
         family, _, _, _, place = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
         )[0]
-        return socket.create_server(place[:2], family=family, backlog=128)
+        return socket.create_server(place[:2], family=family)
     except OSError as error:
         raise BadInput(
             f"cannot listen on {host} port {port}: {error.strerror}; "

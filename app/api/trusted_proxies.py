@@ -8,6 +8,7 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Collection, Iterable
 from contextlib import suppress
+from functools import lru_cache
 from urllib.parse import urlsplit
 
 import structlog
@@ -41,6 +42,7 @@ def find_peer(scope: Scope) -> str:
     return scope.get("state", {}).get("peer") or find_source(scope)
 
 
+@lru_cache(4096)
 def find_network(host: str) -> str:
     """Return what one household of addresses shares: of IPv6 the first 64 bits."""
     address = _read_address(host)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import socket
-import threading
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 
 import httpx2
 import pytest
+from serving import serving
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
-from truepath.app.api.server import Server
 from truepath.app.users.access import Access, AccessRules
 from truepath.app.users.roles import Role
 
@@ -30,20 +27,8 @@ def access(service):
     access.close()
 
 
-@contextmanager
-def serving(service, access):
-    """The server as it is started by `truepath serve`, on a real socket."""
-    with socket.create_server((LOOPBACK, 0)) as listener:
-        port = listener.getsockname()[1]
-        app = create_application(replace(service, access=access))
-        server = Server(app, service, "", None)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-        thread.start()
-        try:
-            yield f"http://{LOOPBACK}:{port}"
-        finally:
-            server.should_exit = True
-            thread.join(10)
+def address(place):
+    return "http://{}:{}".format(*place)
 
 
 def log_in(client, password, **headers):
@@ -61,8 +46,8 @@ def test_a_forged_forwarded_address_neither_spares_the_wait_nor_hides_the_source
     service, access
 ):
     with (
-        serving(service, access) as address,
-        httpx2.Client(base_url=address, timeout=10.0) as client,
+        serving(service, access) as place,
+        httpx2.Client(base_url=address(place), timeout=10.0) as client,
     ):
         found = [
             log_in(
@@ -82,11 +67,13 @@ def test_a_name_that_fails_from_everywhere_waits_for_two_seconds_at_most(
     def log_in_from(source, password):
         way = httpx2.HTTPTransport(local_address=source)
         begun = time.monotonic()
-        with httpx2.Client(base_url=address, transport=way, timeout=10.0) as client:
+        with httpx2.Client(
+            base_url=address(place), transport=way, timeout=10.0
+        ) as client:
             status = log_in(client, password)
         return status, time.monotonic() - begun
 
-    with serving(service, access) as address:
+    with serving(service, access) as place:
         for number in range(2, 8):
             assert log_in_from(f"127.0.0.{number}", "wrong")[0] == 401
         status, took_s = log_in_from("127.0.0.8", PASSWORD)
