@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -182,7 +183,7 @@ def _handle_validation(request: Request, error: Exception) -> Response:
     found = [
         {
             "location": [str(part) for part in item["loc"]],
-            "message": str(item["msg"]),
+            "message": _describe_mismatch(item),
             "type": str(item["type"]),
         }
         for item in error.errors()[:MAX_ERRORS]
@@ -191,6 +192,23 @@ def _handle_validation(request: Request, error: Exception) -> Response:
     detail = f"{'.'.join(first['location'])}: {first['message']}"
     content = problem(BY_STATUS[422], detail, {"errors": found})
     return make_problem_response(content, request.scope)
+
+
+def _describe_mismatch(item: Mapping[str, Any]) -> str:
+    """Return what is wrong with a value; of a text, which character."""
+    if item["type"] != "string_pattern_mismatch":
+        return str(item["msg"])
+    pattern, given = item["ctx"]["pattern"], item["input"]
+    if not given:
+        return "is empty; give at least one character"
+    if not re.fullmatch(pattern, "a"):
+        return "is none of the names that there are"
+    odd = next((one for one in given if not re.fullmatch(pattern, f"a{one}")), None)
+    if odd is None and re.fullmatch(pattern, given[0]):
+        return "is too long"
+    if odd is None:
+        return f"cannot begin with {given[0]!r}; put a letter or digit first"
+    return f"holds {odd!a} (U+{ord(odd):04X}), which cannot stand in it; leave it out"
 
 
 def _handle_http(request: Request, error: Exception) -> Response:

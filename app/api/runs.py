@@ -24,7 +24,7 @@ from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from truepath.app.api.thread_pools import on_threads
-from truepath.app.errors import NotFound
+from truepath.app.errors import BundleError, NotFound
 from truepath.app.jobs.errors import DiskFull
 from truepath.app.jobs.runs import RunRecord
 
@@ -170,8 +170,14 @@ async def upload_bundle(
 
 def clean_run_name(filename: str | None) -> str:
     """Return a name for people out of a file's name; never used as a path."""
-    plain = PurePosixPath((filename or "").replace("\\", "/")).name
-    return _ODD.sub("_", Path(plain).stem).strip("_ .")[:100] or "bundle"
+    return (
+        _ODD.sub("_", Path(_find_last_part(filename)).stem).strip("_ .")[:100]
+        or "bundle"
+    )
+
+
+def _find_last_part(filename: str | None) -> str:
+    return PurePosixPath((filename or "").replace("\\", "/")).name
 
 
 def _keep(bundle: UploadFile, service: Service) -> RunRecord:
@@ -183,6 +189,13 @@ def _keep(bundle: UploadFile, service: Service) -> RunRecord:
         name = clean_run_name(bundle.filename)
         largest_bytes = UNPACKED_SHARE * service.max_upload_bytes
         return service.runs.add_uploaded(upload, name, largest_bytes)
+    except BundleError as error:
+        sent = _ODD.sub("_", _find_last_part(bundle.filename))[:100] or "bundle"
+        place = {"row": error.row, "column": error.column, "remedy": error.remedy}
+        is_whole = error.file in ("bundle", upload.name, str(upload))
+        problem = error.problem.replace(str(upload), sent).replace(upload.name, sent)
+        file = sent if is_whole else error.file
+        raise BundleError(problem, file=file, **place) from error
     finally:
         upload.unlink(missing_ok=True)
 

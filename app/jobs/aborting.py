@@ -34,7 +34,7 @@ def write_aborts(aborted: Sequence[ActiveJob]) -> list[Job]:
     end = time.monotonic() + BOOKS_S
     for writer in writers:
         writer.join(max(0.0, end - time.monotonic()))
-    return [written.get(active.job_id, active.job) for active in aborted]
+    return [written.get(one.job_id) or one.show(one.job) for one in aborted]
 
 
 def _write_abort(active: ActiveJob, written: dict[str, Job]) -> None:

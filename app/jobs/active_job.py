@@ -61,12 +61,26 @@ class ActiveJob:
         self._computation: Computing | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
-        self._unstored: tuple[State | None, Failure] | None = None
+        self._unstored: Failure | None = None
 
     @property
     def is_cancelled(self) -> bool:
         """Whether the job has to end now."""
         return self._aborted or self._interrupted
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the service ends."""
+        return self._interrupted
+
+    def forget_end(self) -> None:
+        """Leave the end of the job to the next start of the service."""
+        self._store.forget_end(self.job_id)
+
+    @property
+    def is_aborted(self) -> bool:
+        """Whether a user has asked for an abort, stored or not."""
+        return self._aborted
 
     @property
     def stage(self) -> Stage:
@@ -85,6 +99,9 @@ class ActiveJob:
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
+        seen = self._store.see(self.job)
+        if seen.is_final:  # whether that could be stored or not
+            return ask_for(seen, verb)
         return self._change(lambda job: ask_for(job, verb), version)
 
     def arm(self, plan_sha256: str) -> None:
@@ -196,7 +213,22 @@ class ActiveJob:
                 job, state, failure, self._stage, self._progress, self._health
             )
 
-        return self._change(change)
+        def ask(job: Job) -> Job:
+            return ask_for(job, Verb.ABORT) if state is State.ABORTED else job
+
+        try:
+            if state is State.ABORTED:
+                self._change(ask, ends=True)
+            return self._change(change, ends=True)
+        except StorageUnavailable as error:
+            # A success is seen when it is stored: its result is found by it.
+            if state is not State.SUCCEEDED:
+                ended = self._store.keep_end(self.job, change(ask(self.job)))
+                with self._changed:
+                    if self.state is not ended.state:  # once; it is shown again then
+                        self.state, self._unstored = ended.state, None
+            self.show_unstored(error)
+            raise
 
     def put_back(self) -> None:
         """Let the job be begun again at the next start of the service."""
@@ -253,35 +285,34 @@ class ActiveJob:
 
     def show(self, job: Job) -> Job:
         """Return the job as stored with what could not be stored of it since."""
-        if job.is_final or self._unstored is None:
-            return job
-        state, failure = self._unstored
-        return replace(job, state=state or job.state, failure=failure)
+        seen = self._store.see(job)
+        if seen.is_final or self._unstored is None:
+            return seen
+        return replace(seen, failure=self._unstored)
 
-    def show_unstored(
-        self, error: StorageUnavailable, state: State | None = None
-    ) -> None:
-        """Show at once that the catalogue cannot be written, and how the job ended.
-
-        state : in which it has ended; None while it has not. That of a success is
-            shown when it is stored, for its result is found by it.
-        """
-        known = None if self._unstored is None else self._unstored[0]
-        shown = known if state in (None, State.SUCCEEDED) else state
-        unstored = shown, Failure(type(error).__name__, str(error))
+    def show_unstored(self, error: StorageUnavailable) -> None:
+        """Show at once that the catalogue cannot be written."""
+        unstored = Failure(type(error).__name__, str(error))
         if unstored != self._unstored:
             log.warning("job not stored", job_id=self.job_id, reason=str(error))
             self._show_unstored(unstored)
 
-    def _show_unstored(self, unstored: tuple[State | None, Failure] | None) -> None:
+    def _show_unstored(self, unstored: Failure | None) -> None:
         self._unstored = unstored
         self.publish("job", encode_job(self.show(self.job)))
 
-    def _change(self, change: Callable[[Job], Job], version: int | None = None) -> Job:
+    def _change(
+        self,
+        change: Callable[[Job], Job],
+        version: int | None = None,
+        *,
+        ends: bool = False,
+    ) -> Job:
         try:
-            job = self._store.change(self.job_id, change, version=version)
+            job = self._store.change(self.job_id, change, version=version, ends=ends)
         except StorageUnavailable as error:
-            self.show_unstored(error)
+            if not ends:
+                self.show_unstored(error)
             raise
         self._unstored = None
         with self._changed:

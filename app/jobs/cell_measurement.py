@@ -54,6 +54,7 @@ LINE_TIMES = 2.0  # of the line or point under way, that cancelling may last
 CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
+_STANDS_ELSEWHERE = "ended-early"  # than it was sent, which an abort leads to
 
 _INSPECT_MACHINE = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
@@ -88,7 +89,7 @@ class CellMeasurement:
         self._outcome: CellState | None = None
         self._close_by = float("inf")
         self._repeat_at = time.monotonic() + REPEAT_S
-        self._is_killed = self._is_given_up = self._is_held = False
+        self._is_killed = self._is_given_up = self._is_held = self._is_stopped = False
         self._is_overdue, self._line_s = False, 0.0
         self._gives_up = gives_up
         self._repeats = 0
@@ -192,6 +193,9 @@ class CellMeasurement:
         """Show a fault. Only the state of the cell says whether it ends the job."""
         log.error("fault", job_id=self._job.job_id, **asdict(fault))
         self._fault = fault
+        if fault.code == _STANDS_ELSEWHERE and self._job.is_aborted:
+            self._is_stopped = True  # a cell that was frozen sees that before the abort
+            return
         if fault.code in self._gives_up:
             self._is_given_up = True
             self._close_by = min(self._close_by, time.monotonic() + CLOSE_RUN_S)
@@ -275,7 +279,7 @@ class CellMeasurement:
         """Return if the measurement has finished, else raise what its end means."""
         fault = self._fault or FaultReported("", "", "")
         code, text, action = fault.code, fault.text, fault.action
-        if self._outcome is CellState.FAULTED:
+        if self._outcome is CellState.FAULTED and not self._is_stopped:
             raise MachineFault(code or "fault", text or "the machine faulted", action)
         if self._is_overdue:
             raise LineUnfinished("cancel-overdue", text, action)

@@ -19,7 +19,7 @@ from truepath.app.jobs.errors import (
     TaskFailed,
 )
 from truepath.app.jobs.job import Failure, Job
-from truepath.app.jobs.transitions import State, Verb
+from truepath.app.jobs.transitions import State
 from truepath.drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
@@ -77,12 +77,10 @@ def store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:
     """Store the end as soon as the catalogue accepts it."""
     while True:
         try:
-            if state is State.ABORTED:
-                active.apply_verb(Verb.ABORT)
             job = active.end(state, failure)
-        except StorageUnavailable as error:
-            active.show_unstored(error, state)
-            if active.is_cancelled:  # the next start of the service will find it
+        except StorageUnavailable:
+            if active.is_interrupted:
+                active.forget_end()
                 return
             time.sleep(TRY_AGAIN_S)
         else:

@@ -15,6 +15,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
 from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.event_rows import (
     find_first_event,
     find_last_event_id,
@@ -63,10 +64,15 @@ Listener = Callable[[JobEvent], None]
 
 
 class Store:
-    """The jobs; `listener` receives each event after its commit, in their order."""
+    """The jobs; `listener` receives each event after its commit, in their order.
+
+    One that has ended counts as ended in every read, although the catalogue refuses to
+    store that and says that it runs.
+    """
 
     def __init__(self, database: Database, listener: Listener) -> None:
         self._database, self._listener = database, listener
+        self._ended: dict[str, Job] = {}
 
     def create(
         self, new: Job, key: IdempotencyKey | None = None, plan: Json | None = None
@@ -121,7 +127,19 @@ class Store:
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
         with self._database.read() as connection:
-            return read_job(connection, job_id)
+            return self.see(read_job(connection, job_id))
+
+    def see(self, job: Job) -> Job:
+        """Return a job as the catalogue has it, but ended if it has."""
+        return job if job.is_final else self._ended.get(job.id, job)
+
+    def keep_end(self, before: Job, ended: Job) -> Job:
+        """Let a job be seen as ended until `change` has stored it; the first counts."""
+        return self._ended.setdefault(before.id, stamp_times(before, ended))
+
+    def forget_end(self, job_id: str) -> None:
+        """Leave an end that could not be stored to the next start of the service."""
+        self._ended.pop(job_id, None)
 
     def read_plan(self, job_id: str) -> Json | None:
         """Return what a job commands or has planned, None if nothing or not yet."""
@@ -157,7 +175,8 @@ class Store:
         if before_seq is not None:
             query = query.where(jobs.c.seq < before_seq)
         if states:
-            query = query.where(jobs.c.state.in_([str(state) for state in states]))
+            stored = jobs.c.state.in_([str(state) for state in states])
+            query = query.where(stored | jobs.c.id.in_(list(self._ended)))
         if kinds:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
         if machine is not None:
@@ -168,18 +187,25 @@ class Store:
             query = query.where(jobs.c.created >= format_utc(since))
         if until is not None:
             query = query.where(jobs.c.created < format_utc(until))
-        return self._read(query)
+        found = self._read(query)
+        return [job for job in found if not states or job.state in states]
 
     def count_by_state(self) -> dict[tuple[JobKind, State], int]:
         """Return how many jobs of each kind are in each state, of all times."""
         query = select(jobs.c.kind, jobs.c.state, func.count())
         with self._database.read() as connection:
             rows = connection.execute(query.group_by(jobs.c.kind, jobs.c.state)).all()
-        return {(JobKind(kind), State(state)): n for kind, state, n in rows}
+            stored = [read_job(connection, job_id) for job_id in [*self._ended]]
+        counts = {(JobKind(kind), State(state)): n for kind, state, n in rows}
+        for job in stored:
+            counts[job.kind, job.state] -= 1
+            seen = job.kind, self.see(job).state
+            counts[seen] = counts.get(seen, 0) + 1
+        return counts
 
     def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
-        return self._read(UNFINISHED)
+        return [job for job in self._read(UNFINISHED) if not job.is_final]
 
     def list_with_result(self, machine: str) -> list[Job]:
         """Return the jobs of a machine whose error tables stand, the oldest first."""
@@ -204,13 +230,25 @@ class Store:
         return self._read(MEASURED_WITHOUT_RUN)
 
     def change(
-        self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
+        self,
+        job_id: str,
+        change: Callable[[Job], Job],
+        *,
+        version: int | None = None,
+        ends: bool = False,
     ) -> Job:
         """Replace a job by `change(job)`, stamped; the same object changes nothing.
+
+        ends : whether this stores the end that is seen already; nothing comes before
 
         Raises StaleVersion if `version` is given and not the newest, IllegalTransition.
         """
         written: list[tuple[Job, JobEvent]] = []
+        unstored = None if ends else self._ended.get(job_id)
+        if unstored is not None:  # nobody waits for the catalogue to hear that
+            if change(unstored) is unstored:
+                return unstored
+            raise StorageUnavailable(f"the end of job {job_id} is not stored yet")
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
             before = read_job(connection, job_id)
@@ -219,9 +257,12 @@ class Store:
                     return before, event  # the word that it was committed got lost
             if version is not None:
                 require_version(before, version)
-            after = change(before)
-            if after is before:
-                return before, None
+            seen = before if ends else self.see(before)
+            after = change(seen)
+            if after is seen:
+                return seen, None
+            if seen is not before:
+                raise StorageUnavailable(f"the end of job {job_id} is not stored yet")
             if after.state is not before.state:
                 check_transition(before.state, after.state)
                 if before.is_final and after.kind.measures:
@@ -232,7 +273,10 @@ class Store:
             written.append((after, insert_event(connection, after)))
             return written[-1]
 
-        return self._database.write(apply, self._publish)[0]
+        job = self._database.write(apply, self._publish)[0]
+        if ends and job.is_final:
+            self.forget_end(job_id)
+        return job
 
     def rename(self, job_id: str, name: str | None, note: str | None) -> Job:
         """Change name and note of a job, without a new version; None leaves one.
@@ -284,7 +328,7 @@ class Store:
 
     def _read(self, query: Select[Any]) -> list[Job]:
         with self._database.read() as connection:
-            return select_jobs(connection, query)
+            return [self.see(job) for job in select_jobs(connection, query)]
 
     def _update(self, job_id: str, **values: Any) -> None:
         query = update(jobs).where(jobs.c.id == job_id).values(**values)

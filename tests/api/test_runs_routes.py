@@ -98,6 +98,24 @@ def test_what_is_no_archive_is_refused(client, is_problem, content, service):
     assert list(service.runs._folder.iterdir()) == []
 
 
+@pytest.mark.parametrize("content", [b"not a zip", b"PK\x03\x04 truncated"])
+def test_a_refused_upload_is_named_as_it_was_sent(client, is_problem, content):
+    problem = is_problem(upload(client, content, "C:\\data\\mill 3.zip"), 422, "bundle")
+    assert problem["file"] == "mill 3.zip"
+    assert ".upload" not in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("line\tbreak", r"holds '\t' (U+0009)"), ("", "at least 1 character")],
+)
+def test_a_refused_name_is_told_what_is_wrong_with_it(client, is_problem, name, wrong):
+    answer = client.patch(f"{ADDRESS}/any", json={"name": name})
+    detail = is_problem(answer, 422, "validation")["detail"]
+    assert wrong in detail
+    assert "pattern" not in detail
+
+
 def test_an_upload_beyond_the_limit_is_refused(client, is_problem):
     is_problem(upload(client, b"0" * (4 << 20)), 413, "too-large")
 

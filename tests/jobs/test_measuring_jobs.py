@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import random
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -28,11 +30,13 @@ from truepath.app.jobs.errors import (
     CellDown,
     NoMachine,
     NotInOrder,
+    NotResumable,
     StaleVersion,
     StorageUnavailable,
 )
 from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import EarlyEnd, Job, JobKind, decode_job
+from truepath.app.jobs.job_rows import read_job
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob
 from truepath.app.jobs.transitions import FINAL, State, Verb
@@ -1032,7 +1036,8 @@ def test_a_full_disk_is_shown_at_once_and_the_job_ends_when_there_is_room(
     measured(f"shown after {took_s:.2f} s")
     assert job.failure.family == "StorageFull"
     assert "disk is full" in job.failure.detail
-    assert context.store.get(running.id).state == "running"
+    with context.store._database.read() as connection:
+        assert read_job(connection, running.id).state == "running"
     told = [e.body for e in heard if e.type == "job" and e.id is None]
     assert told[-1]["state"] == "failed"
     full.clear()
@@ -1040,6 +1045,82 @@ def test_a_full_disk_is_shown_at_once_and_the_job_ends_when_there_is_room(
     assert stored.failure.family == "StorageFull"
     wait_until(lambda: context.store.get(running.id).run_id)
     forget()
+
+
+VERBS = {
+    "stop": lambda d, job: d.stop()[0],
+    "stop machine": lambda d, job: d.stop(job.machine)[0],
+    "abort": lambda d, job: d.abort(job.id),
+    "cancel": lambda d, job: d.cancel(job.id),
+    "pause": lambda d, job: d.pause(job.id),
+    "resume": lambda d, job: d.resume(job.id, job.version),
+    "prepare": lambda d, job: d.prepare_arming(job.id),
+    "arm": lambda d, job: d.arm(job.id, job.version, "token"),
+    "acknowledge": lambda d, job: d.acknowledge(job.id),
+    "take control": lambda d, job: d.take_control(job.id, "anna"),
+}
+
+
+@pytest.mark.fault_row(48)
+@pytest.mark.parametrize("end", ["failed", "faulted", "aborted"])
+def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
+    dispatcher, running, make_cell, until, full, context, monkeypatch, end
+):
+    monkeypatch.setattr(job_end, "TRY_AGAIN_S", 0.05)
+    store = context.store
+
+    def read_states():
+        found = {dispatcher.show(store.get(running.id)).state}
+        found |= {dispatcher.show(job).state for job in store.list_page(9)}
+        found |= {
+            state for (_, state), count in store.count_by_state().items() if count
+        }
+        assert store.list_unfinished() == []
+        assert store.list_page(9, states=["running", "aborting", "paused"]) == []
+        assert [job.id for job in store.list_page(9, states=[end])] == [running.id]
+        return found
+
+    full.set()
+    if end == "failed":
+        make_cell.cell.say_state("paused")
+    else:
+        make_cell.cell.end(end)
+    wait_until(lambda: dispatcher.show(store.get(running.id)).state == end, end)
+    for verb in random.Random(end).sample([*VERBS] * 2, 2 * len(VERBS)):
+        with suppress(IllegalTransition, NotResumable, StorageUnavailable):
+            answered = VERBS[verb](dispatcher, running)
+            shown = answered[0] if isinstance(answered, tuple) else answered
+            assert shown.state == end, verb
+        assert read_states() == {end}, verb
+        time.sleep(0.01)
+    full.clear()
+    until(running, end)
+    assert read_states() == {end}
+
+
+@pytest.mark.fault_row(48)
+def test_a_stop_that_a_frozen_cell_hears_late_is_an_abort(
+    dispatcher, running, make_cell, until
+):
+    cell = make_cell.cell
+    cell.deaf.add("abort")
+    dispatcher.stop()
+    cell.fault("ended-early", "the controller is aborted at X 3.000")
+    cell.end("faulted")
+    job = until(running, "aborted")
+    assert (job.failure, job.desired_state) == (None, "aborted")
+
+
+def test_a_machine_that_stands_elsewhere_before_anybody_stops_it_is_a_fault(
+    dispatcher, running, make_cell, until, context
+):
+    cell = make_cell.cell
+    cell.deaf.add("abort")
+    cell.fault("ended-early", "the controller is aborted at X 3.000")
+    wait_until(lambda: context.store.get(running.id).failure)
+    dispatcher.stop()
+    cell.end("faulted")
+    assert until(running, "faulted").failure.code == "ended-early"
 
 
 def test_progress_that_could_not_be_kept_is_shown_until_it_is(
