@@ -354,7 +354,7 @@ def test_a_query_that_is_not_as_documented_is_named(client, is_problem, query):
         ),
         ({"kind": "analyse", "run_ids": ["a", "a"]}, ["body"], "names a Run twice"),
         ({"kind": "analyse", "run_ids": []}, ["body", "run_ids"], "at least 1"),
-        ({"kind": "analyse", "run_id": "../etc"}, ["body", "run_id"], "cannot stand in it"),
+        ({"kind": "analyse", "run_id": "../etc"}, ["body", "run_id"], "holds"),
         ({"kind": "measure-otf", "points": [{}]}, ["body"], "points is not for"),
         ({"kind": "measure-otf", "hurry": 1}, ["body", "hurry"], "Extra inputs"),
         ({"kind": "measure-otf", "path": [{}]}, ["body", "path"], "at least 2"),
