@@ -97,6 +97,7 @@ def serve(
             service,
             trusted_hosts=settings.trusted_hosts,
             trusted_proxies=settings.trusted_proxies,
+            root_path=settings.root_path,
             pages=pages.router,
         )
         app.mount(pages.STATIC_PATH, pages.static_files(), name="static")

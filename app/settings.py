@@ -77,6 +77,9 @@ class Settings(DeviceConfiguration, BaseSettings):
     trusted_proxies: tuple[str, ...] = ()
     """Addresses or networks of the proxies whose `X-Forwarded-…` headers are believed;
     those of anybody else are not."""
+    root_path: str = Field("", pattern=r"^(/[\w.~-]+)*/?$")
+    """Path at which a reverse proxy shows the service, such as `/truepath`; one that a
+    trusted proxy names in `X-Forwarded-Prefix` counts before it."""
 
     data_dir: Path = Field(
         default_factory=lambda: platformdirs.user_data_path("truepath", appauthor=False)
@@ -166,6 +169,11 @@ class Settings(DeviceConfiguration, BaseSettings):
                 "them), or accept the risk with --allow-plain-http"
             )
         return self
+
+    @field_validator("root_path")
+    @classmethod
+    def _end_without_slash(cls, given: str) -> str:
+        return given.rstrip("/")
 
     @field_validator("trusted_proxies")
     @classmethod

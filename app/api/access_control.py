@@ -23,10 +23,11 @@ from truepath.app.api.problems import make_error_response
 from truepath.app.api.route_roles import (
     ABORT,
     ANYBODY,
+    CHECKS,
+    FREE_TO_STOP,
     HOLDS,
     MOVES,
     NEVER_LIMITED,
-    STOPS,
     find_least_role,
     find_route,
 )
@@ -90,7 +91,7 @@ async def _let_in(
     """Return who sends the request. Raises NotLoggedIn, RoleTooLow, TooManyRequests."""
     least = find_least_role(method, route)
     is_open = least is ANYBODY
-    if is_open and (route in STOPS or not scope["path"].startswith(PREFIX)):
+    if is_open and (route in FREE_TO_STOP or not scope["path"].startswith(PREFIX)):
         return None
     try:
         limiter = _IDENTIFYING_TO_STOP if route in HOLDS else _IDENTIFYING
@@ -169,8 +170,9 @@ class _AuditedAnswer:
 
     async def _record(self, message: Message) -> None:
         status = message["status"]
-        if self._scope["method"] in _READS and status == _NOT_LOGGED_IN:
-            return  # a page whose session has ended asks again and again
+        is_read = self._scope["method"] in _READS
+        if self._route in CHECKS or (is_read and status == _NOT_LOGGED_IN):
+            return  # a page, or one whose session has ended, asks again and again
         entry = self._make_entry(message)
         may_repeat = not entry.who or status >= _REFUSED or self._route in NEVER_LIMITED
         done = self._access.audit_writer.record(entry, may_repeat=may_repeat)

@@ -102,12 +102,14 @@ def create_application(
     *,
     trusted_hosts: Collection[str] = (),
     trusted_proxies: Collection[str] = (),
+    root_path: str = "",
     pages: APIRouter | None = None,
 ) -> FastAPI:
     """Return the application.
 
     service : None only to describe the interface
     trusted_proxies : addresses and networks whose forwarded headers are believed
+    root_path : path at which a proxy shows the service; empty at its root
     pages : routes of the operator page
     """
     max_upload_bytes = service.max_upload_bytes if service else 0
@@ -127,7 +129,9 @@ def create_application(
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)
     app.state.metrics = metrics.ServiceMetrics(service)
     app.add_middleware(metrics.RequestTimer, metrics=app.state.metrics)
-    app.add_middleware(ForwardedHeaders, trusted_proxies=trusted_proxies)
+    app.add_middleware(
+        ForwardedHeaders, trusted_proxies=trusted_proxies, root_path=root_path
+    )
     problems.install_handlers(app)
     app.router.routes.extend(_list_routes(max_upload_bytes))
     app.mount("/docs/assets", StaticFiles(directory=str(_ASSETS)), name="docs-assets")

@@ -11,7 +11,7 @@ from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse
 
-from truepath.app.api.models.base import PREFIX, JobId
+from truepath.app.api.models.base import JobId, address
 from truepath.app.api.models.comparison import ComparisonLinks, ComparisonOut
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.results import send_page
@@ -70,7 +70,7 @@ def create_comparison(
     (folder / _REFERENCE).write_bytes(data)
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
     content = compare_files(source, folder / _REFERENCE, folder, uncertainty)
-    response.headers["Location"] = f"{PREFIX}/jobs/{job_id}/comparisons/{name}"
+    response.headers["Location"] = address(f"/jobs/{job_id}/comparisons/{name}")
     return _describe(job_id, name, content)
 
 

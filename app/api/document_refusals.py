@@ -18,9 +18,9 @@ from truepath.app.api.problems import (
 )
 from truepath.app.api.route_roles import (
     ANYBODY,
+    FREE_TO_STOP,
     LEAST_ROLES,
     NEVER_LIMITED,
-    STOPS,
 )
 from truepath.app.users.roles import Role
 
@@ -62,7 +62,7 @@ def _list_general(path: str, method: str, operation: dict[str, Any]) -> Iterator
             yield 429
     if "requestBody" in operation:
         yield 413
-    if path.startswith(PREFIX) and route not in STOPS:
+    if path.startswith(PREFIX) and route not in FREE_TO_STOP:
         yield 503
 
 

@@ -12,26 +12,32 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing, suppress
 from functools import partial
 from typing import Annotated, Any
 
+from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Depends, Header, Query, Request
+from fastapi import APIRouter, Depends, Header, Query, WebSocket
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 
 from truepath.app.api.access_control import read_token
 from truepath.app.api.job_description import describe_job
 from truepath.app.api.models.base import JobId
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.sockets import send_until_left
 from truepath.app.api.topics import Topics, parse_topics
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobEvent, decode_job, format_utc_now
 
 TICK_S = 1.0
+ASK_S = 0.5
+"""How often a stream asks whether it may still be read."""
+_ASKING = CapacityLimiter(4)  # apart from all other work, that may take long
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
@@ -59,13 +65,11 @@ _STREAM: dict[int | str, dict[str, Any]] = {
 class Subscription:
     """Accepts events from any thread and makes one stream of them.
 
-    is_let_in : asked once a second; the stream ends when it may not be read any more
+    session : the stream ends when it may not be read any more
     """
 
-    def __init__(
-        self, service: Service, topics: Topics, is_let_in: Callable[[], bool]
-    ) -> None:
-        self.service, self._topics, self._is_let_in = service, topics, is_let_in
+    def __init__(self, service: Service, topics: Topics, session: Session) -> None:
+        self.service, self._topics, self._session = service, topics, session
         self._lock = threading.Lock()
         self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
         self._loop = asyncio.get_running_loop()
@@ -86,8 +90,19 @@ class Subscription:
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)
 
-    async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
+    async def events(self, last_event_id: str) -> AsyncGenerator[ServerSentEvent]:
         """Yield what was missed, or the present state first, then new events."""
+        async with aclosing(self._read_events(last_event_id)) as found:
+            async for event in found:
+                if not await self._session.is_open():
+                    return
+                if event is not None:
+                    yield event
+
+    async def _read_events(
+        self, last_event_id: str
+    ) -> AsyncGenerator[ServerSentEvent | None]:
+        """Yield events, and None where none has come for a while."""
         service, topics = self.service, self._topics
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)
@@ -112,12 +127,11 @@ class Subscription:
             for job_event in live:
                 yield _describe_live(job_event)
             if time.monotonic() >= next_tick:
-                if not await run_sync(self._is_let_in):
-                    return
                 next_tick = time.monotonic() + TICK_S
                 tick = {"time": format_utc_now(), "last_event_id": known}
                 yield ServerSentEvent(data=tick, event="tick")
-            await self._wait(next_tick - time.monotonic())
+            yield None
+            await self._wait(min(next_tick - time.monotonic(), ASK_S))
 
     def _take(self) -> tuple[bool, list[JobEvent]]:
         """Return whether the catalogue has news, and the live events."""
@@ -143,8 +157,29 @@ def count_streams(service: Service) -> int:
     return sum(stream.service is service for stream in list(open_streams))
 
 
+class Session:
+    """The session of a stream: whether it, and its user, are still there."""
+
+    def __init__(self, service: Service, token: str) -> None:
+        self._access, self._token = service.access, token
+        self._due_s = time.monotonic() + ASK_S
+
+    async def is_open(self) -> bool:
+        """Tell whether the stream may go on; asked as often as somebody likes."""
+        if time.monotonic() < self._due_s:
+            return True
+        self._due_s = time.monotonic() + ASK_S
+        return await run_sync(self._is_let_in, limiter=_ASKING)
+
+    def _is_let_in(self) -> bool:
+        try:
+            return self._access.identify(self._token) is not None
+        except StorageUnavailable:  # a disk is no reason to close anybody's eyes
+            return True
+
+
 async def _subscribe(
-    request: Request,
+    request: HTTPConnection,
     service: ServiceDep,
     topics: Annotated[
         str,
@@ -163,8 +198,8 @@ async def _subscribe(
     chosen = await run_sync(_choose_topics, request, service, topics)
     if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
-    token = read_token(request.scope)
-    subscription = Subscription(service, chosen, partial(is_let_in, service, token))
+    session = Session(service, read_token(request.scope))
+    subscription = Subscription(service, chosen, session)
     unsubscribe = service.event_bus.subscribe(subscription.put)
     open_streams.add(subscription)
     try:
@@ -174,20 +209,12 @@ async def _subscribe(
         unsubscribe()
 
 
-def _choose_topics(request: Request, service: Service, text: str) -> Topics:
+def _choose_topics(request: HTTPConnection, service: Service, text: str) -> Topics:
     """Return what a request listens to. Raises NotFound, BadInput."""
     job_id = request.path_params.get("job_id")
     if job_id is not None:
         return Topics(jobs=frozenset({service.store.get(job_id).id}))
     return parse_topics(text, service.store.get, service.setup.registry.get)
-
-
-def is_let_in(service: Service, token: str) -> bool:
-    """Tell whether the session of a stream, and its user, are still there."""
-    try:
-        return service.access.identify(token) is not None
-    except StorageUnavailable:  # a disk is no reason to close anybody's eyes
-        return True
 
 
 SubscriptionDep = Annotated[Subscription, Depends(_subscribe)]
@@ -217,6 +244,25 @@ async def stream_job_events(
     """Follow one job."""
     async for event in subscription.events(last_event_id):
         yield event
+
+
+@router.websocket("/events")
+async def send_events(
+    websocket: WebSocket, subscription: SubscriptionDep, last_event_id: str = ""
+) -> None:
+    """Follow as by `GET /events`, in JSON: `event`, `id` where it has one, `data`.
+
+    For pages: of other streams a browser opens six to a host and then nothing more.
+    """
+
+    async def send() -> None:
+        async with aclosing(subscription.events(last_event_id)) as events:
+            async for event in events:
+                sent = event.model_dump_json(include={"event", "id", "data"})
+                await websocket.send_text(sent)
+
+    await websocket.accept()
+    await send_until_left(websocket, send())
 
 
 def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:

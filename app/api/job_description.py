@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from truepath.app.api.models.base import PREFIX, Problem
+from truepath.app.api.models.base import PREFIX, Problem, address
 from truepath.app.api.models.job import (
     DiscoveryLinks,
     JobLinks,
@@ -28,7 +28,7 @@ _ROUTED = frozenset(
 def describe_job(job: Job) -> JobOut:
     """Return a job as clients see it."""
     content, failure = asdict(job), job.failure
-    at = f"{PREFIX}/jobs/{job.id}"
+    at = address(f"/jobs/{job.id}")
     links = JobLinks.of(id=job.id, run_id=job.run_id)
     links.verbs = {v: f"{at}/{v}" for v in job.allowed_verbs if v in _ROUTED}
     if not may_be_acknowledged(job):

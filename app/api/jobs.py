@@ -11,7 +11,7 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.app.api.access_control import note_change, note_deletion, note_naming
 from truepath.app.api.job_description import describe_job
 from truepath.app.api.models.arming import ArmRequest
-from truepath.app.api.models.base import PREFIX, JobId, MachineId, Time
+from truepath.app.api.models.base import JobId, MachineId, Time, address
 from truepath.app.api.models.job import JobOut, JobPage
 from truepath.app.api.models.job_request import JobRequest
 from truepath.app.api.models.naming import JobNaming, Name
@@ -65,7 +65,7 @@ def create_job(
     owner = owner_of(actor)
     key = make_key(idempotency_key, "", request, owner)
     job, _ = service.dispatcher.create(request.to_requested_job(), key, owner=owner)
-    response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
+    response.headers["Location"] = address(f"/jobs/{job.id}")
     return _describe(job, response)
 
 

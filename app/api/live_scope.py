@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import time
 from contextlib import suppress
-from functools import partial
 
 import numpy as np
-from anyio.to_thread import run_sync
 from fastapi import APIRouter, WebSocket
-from starlette.websockets import WebSocketState
 
 from truepath.app.api.access_control import read_token
-from truepath.app.api.events import is_let_in
+from truepath.app.api.events import ASK_S, Session
 from truepath.app.api.service import Service
+from truepath.app.api.sockets import POLICY, TRY_LATER, send_until_left
 from truepath.app.errors import NotFound
 from truepath.app.jobs.machine_cells import MachineCell
 from truepath.app.jobs.sample_feed import SampleQueue
@@ -35,9 +32,6 @@ HEADER = struct.Struct("<4sHHI")
 SAMPLE = np.dtype(
     [("device_time_s", "<f8"), ("position_mm", "<f8", (3,)), ("status", "u1")]
 )
-ASK_S = 1.0
-"""How often a session is asked for, and the end of the service noticed."""
-_GOING_AWAY, _POLICY, _TRY_LATER = 1001, 1008, 1013
 
 router = APIRouter(prefix="/machines", tags=["events"])
 open_scopes: set[SampleQueue] = set()
@@ -77,10 +71,10 @@ async def _show(
 ) -> None:
     """Send frames until the client leaves, its session ends, or the service does."""
     if machine is None:
-        await websocket.close(_POLICY, "there is no such machine")
+        await websocket.close(POLICY, "there is no such machine")
         return
     if len(open_scopes) >= service.max_streams:
-        await websocket.close(_TRY_LATER, f"{service.max_streams} views are open")
+        await websocket.close(TRY_LATER, f"{service.max_streams} views are open")
         return
     await websocket.accept()
     loop, changed = asyncio.get_running_loop(), asyncio.Event()
@@ -91,25 +85,11 @@ async def _show(
 
     queue = machine.cell.samples.subscribe(wake)
     open_scopes.add(queue)
-    leaving = asyncio.create_task(_wait_for_leaving(websocket))
-    sending = asyncio.create_task(_send(websocket, service, queue, changed))
     try:
-        await asyncio.wait({leaving, sending}, return_when=asyncio.FIRST_COMPLETED)
+        await send_until_left(websocket, _send(websocket, service, queue, changed))
     finally:
         open_scopes.remove(queue)
         machine.cell.samples.unsubscribe(queue)
-        for task in (leaving, sending):
-            task.cancel()
-        await asyncio.gather(leaving, sending, return_exceptions=True)
-    if websocket.client_state is WebSocketState.CONNECTED:
-        with suppress(RuntimeError):  # it has left just now
-            await websocket.close(_GOING_AWAY)
-
-
-async def _wait_for_leaving(websocket: WebSocket) -> None:
-    """Return once the client has left; what it sends is not looked at."""
-    while (await websocket.receive())["type"] != "websocket.disconnect":
-        pass
 
 
 async def _send(
@@ -119,17 +99,14 @@ async def _send(
 
     Raises WebSocketDisconnect, RuntimeError where the client has left.
     """
-    is_still_let_in = partial(is_let_in, service, read_token(websocket.scope))
-    asked_s = time.monotonic()
+    session = Session(service, read_token(websocket.scope))
     while not service.closing.is_set():
         changed.clear()
         samples, dropped = queue.take()
-        while samples is not None:
+        while samples is not None and await session.is_open():
             await websocket.send_bytes(encode_frame(samples, dropped))
             samples, dropped = queue.take()
-        if time.monotonic() - asked_s >= ASK_S:
-            asked_s = time.monotonic()
-            if not await run_sync(is_still_let_in):
-                return
+        if not await session.is_open():
+            return
         with suppress(TimeoutError):
             await asyncio.wait_for(changed.wait(), ASK_S)

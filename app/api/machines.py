@@ -15,7 +15,7 @@ from truepath.app.api.machine import (
     describe_connection,
     list_conditions_of,
 )
-from truepath.app.api.models.base import PREFIX, MachinePath
+from truepath.app.api.models.base import MachinePath, address
 from truepath.app.api.models.machine import (
     MachineDescription,
     MachineDetail,
@@ -66,7 +66,7 @@ def add_machine(
     service.setup.add(request.id, request.machine_file, texts)
     _change(request.id, request.identity, service)
     _note_change(http, None, service.setup.registry.get(request.id))
-    response.headers["Location"] = f"{PREFIX}/machines/{request.id}"
+    response.headers["Location"] = address(f"/machines/{request.id}")
     return _read_detail(request.id, service)
 
 

@@ -11,6 +11,7 @@ from fastapi import Depends, Query, Request, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
+from truepath.app.api.models.base import BASE
 from truepath.app.errors import BadInput
 from truepath.app.jobs.job import Job
 from truepath.app.jobs.runs import RunRecord
@@ -50,7 +51,8 @@ class Paging:
         cursor = f"s:{entries[self._limit - 1].seq}".encode()
         after = base64.urlsafe_b64encode(cursor).decode()
         url = self._request.url.include_query_params(after=after)
-        self._response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+        next_page = f"{BASE.get()}{url.path}?{url.query}"
+        self._response.headers["Link"] = f'<{next_page}>; rel="next"'
         return entries[: self._limit], after
 
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
-from truepath.app.api.models.base import PREFIX, JobId, Mm, PlanId, Problem
+from truepath.app.api.models.base import JobId, Mm, PlanId, Problem, address
 from truepath.app.api.models.grade import GradeOut
 from truepath.app.api.models.plan import (
     CurvePoint,
@@ -98,7 +98,7 @@ def create_plan(
     owner = owner_of(actor)
     key = make_key(idempotency_key, "plan ", request, owner)
     job, _ = service.dispatcher.create(requested, key, owner=owner)
-    response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
+    response.headers["Location"] = address(f"/plans/{job.id}")
     return _describe(job, response, service)
 
 

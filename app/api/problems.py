@@ -24,7 +24,7 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from truepath.app import errors as app_errors
-from truepath.app.api.models.base import Problem
+from truepath.app.api.models.base import Problem, address
 from truepath.app.jobs import errors as job_errors
 from truepath.app.jobs.job import Failure
 from truepath.app.users import errors as user_errors
@@ -86,7 +86,7 @@ def describe_error(error: Exception) -> dict[str, Any]:
         return problem(kind)
     extra: dict[str, Any] = {}
     if isinstance(error, job_errors.CellBusy):
-        extra["current_job"] = f"/api/v1/jobs/{error.job_id}"
+        extra["current_job"] = address(f"/jobs/{error.job_id}")
     if isinstance(error, job_errors.NotInControl):
         extra["controller"] = error.controller
     if isinstance(error, job_errors.NotInOrder):

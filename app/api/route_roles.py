@@ -24,11 +24,19 @@ STOP = f"POST {PREFIX}/stop"
 STOP_MACHINE = f"POST {PREFIX}/machines/{{machine_id}}/stop"
 ABORT = f"POST {PREFIX}/jobs/{{job_id}}/abort"
 STOPS = frozenset({STOP, STOP_MACHINE})
+CHECKS = frozenset(f"{stop}:check" for stop in STOPS)
+"""The way of a stop and nothing else: a page asks again and again."""
+OPEN_STOP = f"GET {PREFIX}/stop"
+"""A WebSocket whose every message is a stop."""
+FREE_TO_STOP = STOPS | CHECKS | {OPEN_STOP}
 NEVER_LIMITED = STOPS | {ABORT}
 """Whatever the rate, and before the audit log is written."""
 
 HOLDS = NEVER_LIMITED | {f"POST {PREFIX}/jobs/{{job_id}}/pause"}
 """Brings a machine to a stand: on threads that other requests do not have."""
+
+LONG_LIVED = frozenset({f"GET {PREFIX}/events", f"GET {PREFIX}/jobs/{{job_id}}/events"})
+"""Answers that go on: to a page of another site they would tell all that happens."""
 
 MOVES = frozenset(
     {
@@ -43,6 +51,9 @@ MOVES = frozenset(
 _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /stop": ANYBODY,
     "POST /machines/{machine_id}/stop": ANYBODY,
+    "POST /stop:check": ANYBODY,
+    "POST /machines/{machine_id}/stop:check": ANYBODY,
+    "GET /stop": ANYBODY,
     "GET /session": ANYBODY,
     "POST /session": ANYBODY,
     "DELETE /session": ANYBODY,

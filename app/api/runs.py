@@ -18,7 +18,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.access_control import note_deletion, note_naming
 from truepath.app.api.jobs import NamePart, Since, Until
-from truepath.app.api.models.base import PREFIX, Links, RunId
+from truepath.app.api.models.base import Links, RunId, address
 from truepath.app.api.models.naming import Name, RunNaming
 from truepath.app.api.paging import PagingDep
 from truepath.app.api.problems import declare_problems
@@ -164,7 +164,7 @@ async def upload_bundle(
 ) -> RunOut:
     """Take in a bundle that was recorded elsewhere; analyse it with a job."""
     run = await run_sync(_keep, bundle, service, limiter=_UPLOADING)
-    response.headers["Location"] = f"{PREFIX}/runs/{run.id}"
+    response.headers["Location"] = address(f"/runs/{run.id}")
     return _describe(run)
 
 

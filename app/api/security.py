@@ -19,6 +19,7 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from truepath.app.api.models.base import PREFIX
 from truepath.app.api.problems import (
     BY_STATUS,
     INTERNAL,
@@ -27,6 +28,7 @@ from truepath.app.api.problems import (
     make_problem_response,
     problem,
 )
+from truepath.app.api.route_roles import LONG_LIVED, find_route
 from truepath.app.api.trusted_proxies import find_peer, find_source
 
 log = structlog.get_logger(__name__)
@@ -51,6 +53,10 @@ _HEADERS = {
 
 _ONLY_TLS = "max-age=31536000"
 _UNSAFE = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+_STOP = re.compile(
+    rf"({PREFIX}/(?:stop(?::check)?|machines/[^/]+/stop(?::check)?|jobs/[^/]+/abort))/?$"
+)
+_OPEN_STOP = re.compile(rf"({PREFIX}/stop)/?$")
 _REQUEST_ID = re.compile(r"^[\w.-]{1,64}$")
 
 
@@ -88,24 +94,36 @@ class Guard:
     async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a page of this service or a program open a WebSocket, nobody else.
 
-        A browser lets every page open one to anywhere: only the origin tells.
+        A browser lets every page open one to anywhere: only the origin tells. Stops
+        are taken from everybody.
         """
         headers = Headers(scope=scope)
-        if self._is_ours(headers.get("host", "")) and _is_same_site(headers):
-            await self._app(scope, receive, send)
-            return
-        log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
-        await send({"type": "websocket.close", "code": 1008})
+        is_answered = False
+
+        async def send_noted(message: Message) -> None:
+            nonlocal is_answered
+            is_answered = True
+            await send(message)
+
+        is_ours = self._is_ours(headers.get("host", "")) and _is_same_site(headers)
+        if _find_stop(scope, _OPEN_STOP) or is_ours:
+            await self._app(scope, receive, send_noted)
+        if not is_answered:
+            log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
+            await send({"type": "websocket.close", "code": 1008})
 
     async def _let_through(
         self, scope: Scope, receive: Receive, answer: _Answer
     ) -> None:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        if not self._is_ours(host):
+        if scope["method"] == "POST" and _find_stop(scope, _STOP):
+            # It can only hold: whoever sends it, by whichever name, with whatever body.
+            await self._app(scope, _leave_body(scope, receive), answer.send)
+        elif not self._is_ours(host):
             detail = f"{host!r} is not a name of this service"
             await answer.refuse(BY_STATUS[421], detail)
-        elif scope["method"] in _UNSAFE and not _is_same_site(headers):
+        elif _is_guarded(scope) and not _is_same_site(headers):
             await answer.refuse(BY_STATUS[403])
         elif "\0" in scope["path"]:  # PostgreSQL takes it for no text
             detail = "the address holds the character NUL; no identifier has it"
@@ -162,7 +180,9 @@ class _Answer:
 
     def log(self) -> None:
         """Write one line a request; what only reads and succeeds is for debugging."""
-        is_quiet = self._scope["method"] not in _UNSAFE and self._status < 400
+        is_check = self._scope["path"].endswith(":check")
+        is_safe = is_check or self._scope["method"] not in _UNSAFE
+        is_quiet = is_safe and self._status < 400
         (log.debug if is_quiet else log.info)(
             "request",
             method=self._scope["method"],
@@ -172,6 +192,36 @@ class _Answer:
             peer=find_peer(self._scope),
             ms=round(1000 * (time.monotonic() - self._begun), 1),
         )
+
+
+def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
+    """Tell whether a request is for a stop; its address is then written plainly.
+
+    A proxy may have put something before it, a slash behind it, or doubled one.
+    """
+    found = pattern.search(re.sub("/{2,}", "/", scope["path"]))
+    if found:
+        scope["path"] = found[1]
+    return found is not None
+
+
+def _leave_body(scope: Scope, receive: Receive) -> Receive:
+    """Let a request have no body; what was sent as one is never looked at."""
+    of_body = (b"content-length", b"content-type", b"transfer-encoding")
+    scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in of_body]
+    empty: Message = {"type": "http.request", "body": b"", "more_body": False}
+    messages = iter([empty])
+
+    async def receive_none() -> Message:
+        return next(messages, None) or await receive()
+
+    return receive_none
+
+
+def _is_guarded(scope: Scope) -> bool:
+    """Whether a request changes something, or is told all that happens."""
+    method = scope["method"]
+    return method in _UNSAFE or find_route(method, scope["path"]) in LONG_LIVED
 
 
 async def _receive_disconnect() -> Message:

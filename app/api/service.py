@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends
+from starlette.requests import HTTPConnection
 
 from truepath.app.jobs.calibrations import Calibrations
 from truepath.app.jobs.database import Database
@@ -63,7 +64,7 @@ class Service:
 
 
 # On the event loop: a thread may not be free, and to stop is to need nothing.
-async def _service(request: Request) -> Service:
+async def _service(request: HTTPConnection) -> Service:
     return request.app.state.service
 
 

@@ -15,7 +15,7 @@ from truepath.app.api.access_control import (
     note_change,
     read_token,
 )
-from truepath.app.api.models.base import RequestBody
+from truepath.app.api.models.base import BASE, RequestBody
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.trusted_proxies import find_network, find_source
@@ -111,6 +111,7 @@ async def log_in(
             secure=access.rules.secure_cookie,
             httponly=True,
             samesite="strict",
+            path=f"{BASE.get()}/",
         )
     shown = _describe(actor, required=access.rules.log_in_required).model_dump()
     return SessionOpened(
@@ -126,7 +127,8 @@ def log_out(request: Request, response: Response, access: AccessDep) -> None:
     token = read_token(request.scope)
     if token:
         access.tokens.end(token)
-    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    path = f"{BASE.get()}/"
+    response.delete_cookie(COOKIE, path, httponly=True, samesite="strict")
 
 
 def _describe(actor: Actor | None, *, required: bool) -> SessionOut:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from anyio import CapacityLimiter, move_on_after
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, WebSocket
+from starlette.types import Message
+from starlette.websockets import WebSocketDisconnect
 
 from truepath.app.api.access_control import read_token
 from truepath.app.api.job_description import describe_job
-from truepath.app.api.models.base import MachinePath
+from truepath.app.api.models.base import PREFIX, MachinePath
 from truepath.app.api.models.job import MachineStop, Stopped
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
+from truepath.app.api.sockets import TRY_LATER
 from truepath.app.api.thread_pools import STOPPING
+from truepath.app.api.trusted_proxies import find_peer
 from truepath.app.errors import TruepathError
 from truepath.app.jobs.conditions import Level
 from truepath.app.jobs.job import Job
@@ -27,6 +31,9 @@ _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 _LOOKING_UP = CapacityLimiter(8)
 _LOOK_UP_S = 1.0  # of whoever stops
+
+MOST_CHANNELS = 256
+_open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
 
 
 @router.post("/stop", status_code=202)
@@ -47,6 +54,66 @@ async def stop_machine(
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
     stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
     return await _hide_from_strangers(stopped, request, service)
+
+
+@router.post("/stop:check")
+async def check_stop(service: ServiceDep) -> Stopped:
+    """Go the way of a stop and stop nothing: whether a stop would arrive."""
+    return await _check(service.machines.list_all)
+
+
+@router.post("/machines/{machine_id}/stop:check", responses=declare_problems(404))
+async def check_stop_of_machine(
+    machine_id: MachinePath, service: ServiceDep
+) -> Stopped:
+    """Go the way of a stop of one machine and stop nothing."""
+    return await _check(lambda: [service.machines.get(machine_id)])
+
+
+async def _check(find_machines: Callable[[], Sequence[MachineCell]]) -> Stopped:
+    return _describe_stop([], await run_sync(find_machines, limiter=STOPPING))
+
+
+@router.websocket("/stop")
+async def stop_by_message(websocket: WebSocket) -> None:
+    """Take every message for a stop but `check`; answer as `POST /stop` does.
+
+    A channel that is open already waits for no other request of its browser.
+    """
+    await websocket.accept()
+    while len(_open) >= MOST_CHANNELS:  # whoever comes last is the one who looks
+        oldest = _open.pop(next(iter(_open)))
+        with suppress(RuntimeError):
+            await oldest.close(TRY_LATER)
+    _open[id(websocket)] = websocket
+    try:
+        while (message := await websocket.receive())["type"] == "websocket.receive":
+            path = f"{PREFIX}/stop{':check' if message.get('text') == 'check' else ''}"
+            await websocket.send_text(await _post(websocket, path))
+    except (WebSocketDisconnect, RuntimeError):
+        pass  # it has left; its stop was taken
+    finally:
+        _open.pop(id(websocket), None)
+
+
+async def _post(websocket: WebSocket, path: str) -> str:
+    """Post to this service itself, as whoever has opened the WebSocket."""
+    answer = bytearray()
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    async def send(message: Message) -> None:
+        answer.extend(message.get("body", b""))
+
+    kept = {k: websocket.scope.get(k) for k in ("asgi", "http_version", "server")}
+    own = {"type": "http", "method": "POST", "path": path, "query_string": b""}
+    client = (find_peer(websocket.scope), 0)
+    headers = websocket.scope["headers"]
+    await websocket.app(
+        {**kept, **own, "client": client, "headers": headers}, receive, send
+    )
+    return answer.decode()
 
 
 async def _hide_from_strangers(

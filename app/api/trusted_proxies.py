@@ -6,6 +6,7 @@ Anybody can send forwarded headers; those of anybody else count for nothing.
 from __future__ import annotations
 
 import ipaddress
+import re
 from collections.abc import Collection, Iterable
 from contextlib import suppress
 from functools import lru_cache
@@ -15,10 +16,12 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from truepath.app.api.models.base import BASE, PREFIX
 from truepath.app.jobs.seldom import Seldom
 
 log = structlog.get_logger(__name__)
 
+ROOT_PATH = re.compile(r"(/[\w.~-]+)+", re.ASCII)
 _FOR = "x-forwarded-for"
 _SCHEMES = {"http": "ws", "https": "wss"}
 
@@ -55,16 +58,23 @@ class ForwardedHeaders:
     """Puts whom a trusted proxy passes a request on for in place of the proxy.
 
     Before all other middleware; `find_peer` still tells the proxy.
+
+    root_path : path at which the proxies show the service; one that a trusted proxy
+        names counts before it. It may still stand in the requests that they pass on
     """
 
-    def __init__(self, app: ASGIApp, trusted_proxies: Collection[str] = ()) -> None:
+    def __init__(
+        self, app: ASGIApp, trusted_proxies: Collection[str] = (), root_path: str = ""
+    ) -> None:
         self._app, self._trusted = app, trusted_proxies
         self._seldom = Seldom()
+        self._root_path = root_path
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
         if scope["type"] in ("http", "websocket"):
             scope.setdefault("state", {})["peer"] = peer = find_source(scope)
+            BASE.set(self._root_path)
             if is_trusted_proxy(peer, self._trusted):
                 self._believe(scope)
             elif _FOR in Headers(scope=scope) and self._seldom.is_due():
@@ -73,10 +83,17 @@ class ForwardedHeaders:
                     "in trusted_proxies",
                     peer=peer,
                 )
+            path = "/" + scope["path"].lstrip("/")
+            if f"{path}/".startswith(f"{BASE.get()}/") and not path.startswith(PREFIX):
+                path = path.removeprefix(BASE.get()) or "/"
+            scope["path"] = path
         await self._app(scope, receive, send)
 
     def _believe(self, scope: Scope) -> None:
         headers = Headers(scope=scope)
+        prefix = headers.get("x-forwarded-prefix", "").rstrip("/")
+        if ROOT_PATH.fullmatch(prefix):
+            BASE.set(prefix)
         scheme = headers.get("x-forwarded-proto", "").strip()
         if scheme in _SCHEMES:
             is_socket = scope["type"] == "websocket"

@@ -50,6 +50,10 @@ def serve(
     data_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Runs, results, catalogue.")
     ] = None,
+    root_path: Annotated[
+        str | None,
+        typer.Option(metavar="PATH", help="Where a reverse proxy shows it: /truepath."),
+    ] = None,
     allow_plain_http: Annotated[
         bool,
         typer.Option(
@@ -69,6 +73,7 @@ def serve(
         simulated_machines=simulated_machines,
         port=port,
         data_dir=data_dir,
+        root_path=root_path,
         allow_plain_http=allow_plain_http or None,
     )
     if measure and not settings.simulated:  # nobody has looked at the machine

@@ -22,6 +22,7 @@ _EXAMPLES: Mapping[str, str] = {
     "tls_key": '"/etc/truepath/key.pem"',
     "trusted_hosts": '["calibration.plant.example"]',
     "trusted_proxies": '["127.0.0.1", "10.0.0.0/8"]',
+    "root_path": '"/truepath"',
     "machine_file": '"/etc/truepath/machine.json"',
     "tracker_options": '{ port = "/dev/serial/by-id/usb-tracker-if00-port0" }',
     "motion_options": '{ host = "192.0.2.10", port = 502, unit = 1 }',

@@ -19,6 +19,7 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
+from truepath.app.api.models.base import BASE, PREFIX
 from truepath.app.jobs.transitions import FINAL, State
 from truepath.app.kinematics.effects.catalogue import list_families
 
@@ -84,12 +85,15 @@ def operator_page(request: Request) -> HTMLResponse:
     language = choose_language(
         request.cookies.get(LANGUAGE_COOKIE), request.headers.get("accept-language")
     )
+    # Relative to the page, wherever a proxy shows it; absolute where that is known.
+    at = f"{BASE.get()}/" if BASE.get() else ""
     context = {
         "language": language,
         "languages": LANGUAGES,
         "text": catalogue(language),
         "version": version("truepath"),
-        "static": f"{STATIC_PATH}/{digest_files()}",
+        "static": f"{at}{STATIC_PATH.lstrip('/')}/{digest_files()}",
+        "api": f"{at}{PREFIX.lstrip('/')}",
         "unsettled_jobs": _UNSETTLED_JOBS,
     }
     return _templates.TemplateResponse(request, "index.html", context, headers=_VARY)

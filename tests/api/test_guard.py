@@ -46,7 +46,8 @@ def test_a_name_that_somebody_points_here_is_not_answered(client, is_problem, ho
 def test_a_page_of_another_site_can_change_nothing(
     client, ready, is_problem, headers, make_cell
 ):
-    for path in ("/api/v1/jobs", f"/api/v1/jobs/{ready['id']}/arm", "/api/v1/stop"):
+    job = f"/api/v1/jobs/{ready['id']}"
+    for path in ("/api/v1/jobs", f"{job}/arm", f"{job}/arm/", f"{job}/arm/api/v1/arm"):
         is_problem(client.post(path, headers=headers), 403, "cross-site")
     assert make_cell.cell.heard == ["connect"]
 

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from typing import Annotated, Any
 
-from fastapi import FastAPI, Query, Request, UploadFile
+from fastapi import (
+    FastAPI,
+    Query,
+    Request,
+    UploadFile,
+    WebSocket,
+    WebSocketDisconnect,
+)
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from fastapi.responses import HTMLResponse, JSONResponse, Response
 from scripted_data import (
     ARMING,
     DRIVERS,
@@ -29,6 +37,7 @@ from truepath.app.api.security import Guard
 from truepath.app.web.pages import STATIC_PATH, router, static_files
 
 API = "/api/v1"
+OPEN = (f"{API}/stop", f"{API}/stop:check", f"{API}/session")
 
 
 def problem(
@@ -54,7 +63,7 @@ class RefuseNobody:
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         path = scope.get("path", "")
-        is_open = not path.startswith(API) or path in (f"{API}/stop", f"{API}/session")
+        is_open = not path.startswith(API) or path in OPEN
         if is_open or self._service.user or not self._service.log_in_required:
             await self._app(scope, receive, send)
             return
@@ -376,7 +385,23 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.post(f"{API}/stop", status_code=202)
     def stop() -> Any:
-        jobs = service.stop()
+        service.stops += 1
+        return stopped(service.stop())
+
+    @app.post(f"{API}/stop:check")
+    def check_stop() -> Any:
+        return stopped([])
+
+    @app.websocket(f"{API}/stop")
+    async def stop_by_message(socket: WebSocket) -> None:
+        await socket.accept()
+        with suppress(WebSocketDisconnect):
+            while not service.closing.is_set():
+                word = await socket.receive_text()
+                jobs = [] if word == "check" else service.stop()
+                await socket.send_json(stopped(jobs))
+
+    def stopped(jobs: list[dict[str, Any]]) -> Any:
         known = service.user or not service.log_in_required
         machines = [{"machine": "default", "stopped": service.stopped}]
         return {"jobs": jobs if known else [], "machines": machines}
@@ -436,10 +461,12 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         service.requests.append(("POST", "/runs", bundle.filename))
         return service.add_run("run-uploaded")
 
-    @app.get(f"{API}/events")
-    def events(request: Request) -> StreamingResponse:
-        return StreamingResponse(
-            service.events(request), media_type="text/event-stream"
-        )
+    @app.websocket(f"{API}/events")
+    async def events(socket: WebSocket) -> None:
+        await socket.accept()
+        with suppress(WebSocketDisconnect, RuntimeError):
+            async for text in service.events():
+                await socket.send_text(text)
+            await socket.close()
 
     return app

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from fastapi import Request
 from scripted_data import (
     DISCOVERY,
     GRADE,
@@ -40,7 +39,7 @@ HEALTH = {
 
 
 def event_text(kind: str, body: Any) -> str:
-    return f"event: {kind}\ndata: {json.dumps(body)}\n\n"
+    return json.dumps({"event": kind, "data": body})
 
 
 class ScriptedService:
@@ -260,7 +259,6 @@ class ScriptedService:
         return answer
 
     def stop(self) -> list[dict[str, Any]]:
-        self.stops += 1
         if self.deaf_to_stop:
             return []
         active = [j for j in self.jobs.values() if j["state"] not in ENDED]
@@ -268,7 +266,7 @@ class ScriptedService:
             self.change(job["id"], state="aborted")
         return active
 
-    async def events(self, request: Request) -> Any:
+    async def events(self) -> Any:
         queue: asyncio.Queue[str] = asyncio.Queue()
         entry = (asyncio.get_running_loop(), queue)
         with self._lock:
@@ -277,7 +275,7 @@ class ScriptedService:
         try:
             for job in [j for j in self.jobs.values() if j["state"] not in ENDED]:
                 yield event_text("job", job)
-            while not self.closing.is_set() and not await request.is_disconnected():
+            while not self.closing.is_set():
                 try:
                     yield await asyncio.wait_for(queue.get(), 0.25)
                 except TimeoutError:

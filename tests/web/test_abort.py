@@ -57,7 +57,7 @@ def test_abort_works_without_the_event_stream(panel, service, witness):
     witness.expect(*NO_STREAM)
     job = running(service)
     page = panel.open("#/connect")
-    page.route(EVENTS, lambda route: route.abort())
+    page.route_web_socket(EVENTS, lambda socket: socket.close())
     page.reload()
     expect(page.locator("#stamp")).to_contain_text("Asked each second")
     page.locator("#abort").click()

@@ -378,7 +378,7 @@ def discover(operator: Operator) -> str:
 def stop_without_stream(page: Page, rig: Rig, witness) -> None:
     """ABORT with the stream of events blocked: the machine's own word counts."""
     witness.expect("net::ERR_FAILED", "Failed to load resource")
-    page.route(EVENTS, lambda route: route.abort())
+    page.route_web_socket(EVENTS, lambda socket: socket.close())
     page.reload()
     wait_for(lambda: rig.read_state()["cnc"]["line"] >= 1, "motion on the path")
     expect(page.locator("#stamp")).to_contain_text("Sekunde", timeout=PATIENCE_MS)

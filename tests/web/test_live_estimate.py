@@ -71,10 +71,12 @@ def test_what_is_left_out_on_the_way_is_said_quietly(panel, service):
 
 
 LATE_STREAM = """
-const Real = EventSource;
-window.EventSource = class extends EventTarget {
+const Real = WebSocket;
+window.WebSocket = class extends EventTarget {
   constructor(url) {
     super();
+    if (!url.includes("/events")) return new Real(url);
+    this.close = () => {};
     window.openStream = () => {
       const source = new Real(url);
       source.addEventListener("open", () => this.dispatchEvent(new Event("open")));

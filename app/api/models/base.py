@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self, cast
 
@@ -26,6 +27,8 @@ from truepath.app.motion.feeds import LEAST_FEED_MM_MIN
 from truepath.app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 
 PREFIX = "/api/v1"
+BASE: ContextVar[str] = ContextVar("base", default="")
+"""Where a proxy has put the service, of the request under way; empty at its root."""
 JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
 OTHER_ID = "019a3f6b-0c52-7e41-8a3d-5f7e9b1c2d34"
 """The job of all examples."""
@@ -143,6 +146,11 @@ class RequestBody(BaseModel):
         return _make_strict(handler(source))
 
 
+def address(path: str) -> str:
+    """Return the address of what is at this path below `PREFIX`, as clients see it."""
+    return BASE.get() + PREFIX + path
+
+
 class Links(BaseModel):
     """Where else to look: beside each field its address below `PREFIX`."""
 
@@ -150,7 +158,7 @@ class Links(BaseModel):
     def of(cls, **ids: str | None) -> Self:
         """Return the addresses of these identifiers; None where one is None."""
         addresses = {
-            name: PREFIX + field.metadata[0].format(**ids)
+            name: address(field.metadata[0].format(**ids))
             for name, field in cls.model_fields.items()
             if field.metadata
             and all(ids[i] for i in re.findall(r"{(\w+)}", field.metadata[0]))

@@ -1,5 +1,6 @@
 /* The REST interface. Every refusal arrives as a Problem (RFC 9457). */
-const ROOT = "/api/v1";
+/** Where ABORT goes as well: what shows this page well stops the machine. */
+export const ROOT = document.getElementById("abort-form").action.replace(/\/stop$/, "");
 const PATIENCE_MS = 15000;
 const SHORT_MS = 2000;
 const NEWEST = 5;
@@ -194,7 +195,7 @@ export const issueCertificate = (id, order) =>
   call("POST", `/jobs/${id}/certificates`, { json: order, patience_ms: 180000 });
 /** A certificate as the page that was issued. */
 export async function certificatePage({ links: { html } }) {
-  const answer = await fetch(html, { cache: "no-store" });
+  const answer = await fetch(locate(html), { cache: "no-store" });
   if (!answer.ok) throw new Problem(answer.status, {});
   return answer.text();
 }
@@ -226,6 +227,9 @@ export function upload(file) {
   return call("POST", "/runs", { form, patience_ms: 600000 });
 }
 
+/** An address that the service states, as it is behind a proxy that the service may not know. */
+export const locate = (address) => address.replace(/^.*?\/api\/v1(?=\/)/, ROOT);
+
 /** Addresses of what can be taken away. */
 export const links = {
   program: (id, dialect) => `${ROOT}/jobs/${id}/nc-program?dialect=${encodeURIComponent(dialect)}`,
@@ -240,5 +244,5 @@ export const links = {
   model: (id) => `${ROOT}/models/${id}`,
   report: (id) => `${ROOT}/jobs/${id}/result/report.html`,
   bundle: (run) => `${ROOT}/runs/${run}/bundle`,
-  events: `${ROOT}/events`,
+  events: `${ROOT}/events`.replace(/^http/, "ws"),
 };

@@ -1,4 +1,5 @@
 /* Pieces that several views share. */
+import { locate } from "./api.js";
 import { h, icon, mark } from "./dom.js";
 import { hasEnded } from "./flow.js";
 import { COVERAGE } from "./plots/error-chart.js";
@@ -83,7 +84,7 @@ export const kindOf = (kind) => known(`kind.${kind}`, kind);
 
 /** A link that looks like a button. */
 export const linkButton = (address, shape, text, more = {}) =>
-  h("a", { class: "button", href: address, ...more }, icon(shape), text);
+  h("a", { class: "button", href: locate(address), ...more }, icon(shape), text);
 
 /** Everything a problem says, as a notice. */
 export function problemNotice(problem, tone = "fault") {

@@ -13,5 +13,5 @@ export function prefer(name, value) {
 
 /** Keep the language where the service sees it, so that the shell comes in it next time. */
 export function rememberLanguage(language) {
-  document.cookie = `truepath_language=${language}; path=/; max-age=31536000; SameSite=Strict`;
+  document.cookie = `truepath_language=${language}; path=${new URL(".", document.baseURI).pathname}; max-age=31536000; SameSite=Strict`;
 }

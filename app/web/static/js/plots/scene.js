@@ -1,9 +1,10 @@
 /* Pictures in space: plotly.js where a graphics processor draws them, else flat; and the frame they share. */
+import { ROOT } from "../api.js";
 import { shown, unitOf } from "../units.js";
 import { colour } from "./colours.js";
 import { drawFlat } from "./flat-scene.js";
 
-const SCRIPT = "/assets/plotly.min.js";
+const SCRIPT = `${ROOT}/../../assets/plotly.min.js`;
 const ZOOM = 1.3;
 const SLENDER = 2.05; // diagonals of usual size from which a long box is shown smaller
 const CAMERAS = {
