@@ -98,19 +98,12 @@ class Guard:
         are taken from everybody.
         """
         headers = Headers(scope=scope)
-        is_answered = False
-
-        async def send_noted(message: Message) -> None:
-            nonlocal is_answered
-            is_answered = True
-            await send(message)
-
         is_ours = self._is_ours(headers.get("host", "")) and _is_same_site(headers)
         if _find_stop(scope, _OPEN_STOP) or is_ours:
-            await self._app(scope, receive, send_noted)
-        if not is_answered:
-            log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
-            await send({"type": "websocket.close", "code": 1008})
+            await self._app(scope, receive, send)
+            return
+        log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
+        await send({"type": "websocket.close", "code": 1008})
 
     async def _let_through(
         self, scope: Scope, receive: Receive, answer: _Answer
