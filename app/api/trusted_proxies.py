@@ -86,7 +86,7 @@ class ForwardedHeaders:
             path = "/" + scope["path"].lstrip("/")
             if f"{path}/".startswith(f"{BASE.get()}/") and not path.startswith(PREFIX):
                 path = path.removeprefix(BASE.get()) or "/"
-            scope["path"] = path
+            scope["path"], scope["state"]["base"] = path, BASE.get()
         await self._app(scope, receive, send)
 
     def _believe(self, scope: Scope) -> None:

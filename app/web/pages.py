@@ -19,7 +19,6 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
-from truepath.app.api.models.base import BASE, PREFIX
 from truepath.app.jobs.transitions import FINAL, State
 from truepath.app.kinematics.effects.catalogue import list_families
 
@@ -86,14 +85,15 @@ def operator_page(request: Request) -> HTMLResponse:
         request.cookies.get(LANGUAGE_COOKIE), request.headers.get("accept-language")
     )
     # Relative to the page, wherever a proxy shows it; absolute where that is known.
-    at = f"{BASE.get()}/" if BASE.get() else ""
+    base = getattr(request.state, "base", "")
+    at = f"{base}/" if base else ""
     context = {
         "language": language,
         "languages": LANGUAGES,
         "text": catalogue(language),
         "version": version("truepath"),
         "static": f"{at}{STATIC_PATH.lstrip('/')}/{digest_files()}",
-        "api": f"{at}{PREFIX.lstrip('/')}",
+        "api": f"{at}api/v1",
         "unsettled_jobs": _UNSETTLED_JOBS,
     }
     return _templates.TemplateResponse(request, "index.html", context, headers=_VARY)

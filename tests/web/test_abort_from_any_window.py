@@ -91,8 +91,11 @@ def context(named_browser):
 def set_in_motion(client, rig):
     job = create(client, path=LONG_PATH)
     arm(client, job)
-    wait_for(lambda: rig.read_state()["cnc"]["line"] >= 1, "motion on the path")
-    assert rig.read_state()["cnc"]["state"] == "running"
+    wait_for(lambda: is_on_path(rig.read_state()["cnc"]), "motion on the path")
+
+
+def is_on_path(cnc):
+    return cnc["state"] == "running" and cnc["line"] >= 1
 
 
 def abort(page, rig):
