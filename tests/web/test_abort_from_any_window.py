@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -241,8 +242,8 @@ UPGRADE = """proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade;
   proxy_set_header Connection $connection_upgrade;"""
 PASS = "proxy_pass http://127.0.0.1:{port}{path};"
 PROXIES = {
-    "the default Host": (PASS, "", False, "/", "Asked each second"),
-    "the default Host and TLS": (PASS + UPGRADE, "", True, "/", "Asked each second"),
+    "the default Host": (PASS, "", False, "/", "Live data|Asked"),
+    "the default Host and TLS": (PASS + UPGRADE, "", True, "/", "Live data|Asked"),
     "a prefix cut off": (
         PASS + UPGRADE + "proxy_set_header Host $http_host;",
         "/",
@@ -250,7 +251,13 @@ PROXIES = {
         "/truepath/",
         "Live data",
     ),
-    "a prefix and the default Host": (PASS, "/", False, "/truepath/", "Asked"),
+    "a prefix and the default Host": (
+        PASS,
+        "/",
+        False,
+        "/truepath/",
+        "Live data|Asked",
+    ),
 }
 
 
@@ -266,7 +273,9 @@ def test_abort_works_behind_nginx(rig, client, context, tmp_path, kind, measured
         missed = []
         page.on("response", lambda a: a.status == 404 and missed.append(a.url))
         page.goto(f"{'https' if tls else 'http'}://{NAME}:{port}{place}")
-        expect(page.locator("#stamp")).to_contain_text(stamp, timeout=20_000)
+        expect(page.locator("#stamp")).to_contain_text(
+            re.compile(stamp), timeout=20_000
+        )
         expect(page.locator("#abort-alarm")).to_be_hidden()
         set_in_motion(client, rig)
         took_s = abort(page, rig)
