@@ -81,6 +81,8 @@ def _read_answers() -> dict[str, Any]:
         "take_control": ready,
         "stop_motion": {"jobs": [aborting], "machines": [_STANDING, _ENDING]},
         "stop_machine": {"jobs": [aborting], "machines": [_ENDING]},
+        "check_stop": {"jobs": [], "machines": [_STANDING, _ENDING]},
+        "check_stop_of_machine": {"jobs": [], "machines": [_STANDING]},
     }
 
 

@@ -54,7 +54,7 @@ _HEADERS = {
 _ONLY_TLS = "max-age=31536000"
 _UNSAFE = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _STOP = re.compile(
-    rf"({PREFIX}/(?:stop(?::check)?|machines/[^/]+/stop(?::check)?|jobs/[^/]+/abort))/?$"
+    rf"({PREFIX}/(?:stop(?::check)?|machines/[^/\0]+/stop(?::check)?|jobs/[^/\0]+/abort))/?$"
 )
 _OPEN_STOP = re.compile(rf"({PREFIX}/stop)/?$")
 _REQUEST_ID = re.compile(r"^[\w.-]{1,64}$")

@@ -114,7 +114,7 @@ def test_a_reason_of_a_later_version_is_told_in_its_own_words(panel, service):
 
 def test_tables_that_are_not_to_be_used_are_named_so_when_taken_away(panel, service):
     link = shown(panel, service, BEYOND).get_by_role("link", name="CSV")
-    address = "/api/v1/jobs/job-1/result/error-tables.csv?accept_verdict=true"
+    address = "api/v1/jobs/job-1/result/error-tables.csv?accept_verdict=true"
     expect(link).to_have_attribute("href", address)
     expect(link).to_have_attribute("download", "not-to-be-used-job-1.csv")
 

@@ -84,6 +84,7 @@ class CompensationRequest(RequestBody):
     active_files: dict[FileName, FileText] = Field(
         default_factory=dict,
         max_length=32,
+        json_schema_extra={"additionalProperties": False},
         description="Text by name of the tables that the control had meanwhile, where "
         "the service has not loaded them itself.",
     )
