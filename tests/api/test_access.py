@@ -97,7 +97,7 @@ def list_routes():
     found = set()
     for route in iter_route_contexts(app.routes):
         methods = set(route.methods or {"GET"}) - {"HEAD"}
-        is_mount = not route.methods and not route.path.endswith("/live")
+        is_mount = not route.methods and not route.path.startswith("/api/")
         path = f"{route.path}/{{path:path}}" if is_mount else route.path
         found |= {f"{method} {path}" for method in methods}
     return found

@@ -74,11 +74,6 @@ def test_an_unknown_run_is_not_found(client, is_problem, path):
             ("tracker.csv", None, "z_mm"),
             "missing",
         ),
-        (
-            {"tracker_csv": "t_s,x_mm,y_mm,z_mm\n0,1,2,3\n0.002,nan,2,3\n"},
-            ("tracker.csv", 3, "x_mm"),
-            "NaN",
-        ),
         ({"machine_json": "{}"}, ("machine.json", None, None), "schema"),
     ],
 )

@@ -65,8 +65,8 @@ class Hostile:
     """Mixed in before a driver. `at` is the file that has to be there."""
 
     def __init__(self, verb: str = "", fault: str = "", at: str = "/") -> None:
-        super().__init__()
         self._verb, self._fault, self._at = verb, fault, Path(at)
+        super().__init__()
 
     def __getattribute__(self, name: str) -> Any:
         known = super().__getattribute__

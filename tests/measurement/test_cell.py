@@ -565,7 +565,7 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     closed = watchful.until_closed()
     assert closed.outcome == "finished"
     assert closed.lost_samples == 0
-    assert set(watchful.faults) <= {"tracker-silent"}
+    assert set(watchful.faults) <= {"tracker-silent", "control-late"}
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
     assert moves(run) >= len(long_order.commanded) - 1

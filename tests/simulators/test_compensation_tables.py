@@ -129,9 +129,9 @@ ACTIVE = "BEGIN config .CMA MM\nNR ACTIVE X\n0 * x.com\n1 - other.com\n[END]\n"
 def test_the_backlash_column_is_read_as_the_option_says(reading, back):
     files, rules = {"x.com": TABLE, "config.cma": ACTIVE}, Rules(reading)
     up, down = (add(files, at_x(100.0, 50.0), side, rules) for side in (1.0, -1.0))
-    assert up[0, 0] == pytest.approx(0.002)
-    assert down[0, 0] == pytest.approx(1e-3 * back)
-    np.testing.assert_allclose(up[:, 1], [-0.01, -0.005])
+    assert up[0, 0] == pytest.approx(-0.002)
+    assert down[0, 0] == pytest.approx(-1e-3 * back)
+    np.testing.assert_allclose(up[:, 1], [0.01, 0.005])
     np.testing.assert_allclose(down[:, 1], up[:, 1])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 
 import pytest
 from playwright.sync_api import expect
@@ -79,11 +80,10 @@ def test_report_and_model_can_be_taken_away(panel, service):
     job = discovered(service)
     page = panel.open(f"#/discover/{job}")
     report = page.get_by_role("link", name="Report")
-    expect(report).to_have_attribute(
-        "href", f"/api/v1/jobs/{job}/discovery/report.html"
-    )
+    address = re.compile(f"/api/v1/jobs/{job}/discovery/report.html$")
+    expect(report).to_have_attribute("href", address)
     model = page.get_by_role("link", name="Model")
-    expect(model).to_have_attribute("href", f"/api/v1/models/{job}")
+    expect(model).to_have_attribute("href", re.compile(f"/api/v1/models/{job}$"))
 
 
 def test_what_a_complete_model_would_leave_stands_beside_the_gap(panel, service):
