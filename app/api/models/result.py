@@ -140,6 +140,12 @@ class ProvenanceOut(BaseModel):
     input_sha256: str
     runs: list[RunDigestOut]
     source: dict[str, str] = Field(description="Where it came from, and digests.")
+    control_compensation: Literal["on", "off", "mixed"] | None = Field(
+        None, description="Whether the control compensated; null where nobody says."
+    )
+    active_tables: dict[str, str] | None = Field(
+        None, description="SHA-256 by name of the files that were active, if known."
+    )
     options: OptionsOut
     model: UsedModelOut | None
     measured_s: float
