@@ -149,8 +149,13 @@ def _match_or_explain(
         return _match(run, time_s, tracker_mm)
     except AlignmentError as error:
         for other in list_other_machines(run.machine):
-            fits, of = _count_matched(replace(run, machine=other), time_s, tracker_mm)
-            if fits and fits >= _CLEARLY * of:
+            try:
+                found = _match(replace(run, machine=other), time_s, tracker_mm)
+            except AlignmentError:
+                continue
+            nominal, stops, matching = found
+            fits, of = len(matching.stop), min(len(stops), len(nominal.first))
+            if fits >= _CLEARLY * of:
                 raise AlignmentError(
                     f"the data fit {describe_other(run.machine, other)} far better "
                     f"than the declared {run.machine.chain}: {fits} of {of} "
@@ -158,17 +163,6 @@ def _match_or_explain(
                     f"axis' direction, in machine.json. As declared, {error}"
                 ) from error
         raise
-
-
-def _count_matched(
-    run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
-) -> tuple[int, int]:
-    """Return how many standstills are at their places, of how many; none if refused."""
-    try:
-        nominal, stops, matching = _match(run, time_s, tracker_mm)
-    except AlignmentError:
-        return 0, 0
-    return len(matching.stop), min(len(stops), len(nominal.first))
 
 
 def _match(

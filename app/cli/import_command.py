@@ -21,8 +21,6 @@ from truepath.app.cli.terminal import (
 from truepath.app.errors import AlignmentError, BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from truepath.app.files.run import Run
     from truepath.app.files.tracker_text.recording import Recording
 
@@ -152,56 +150,32 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
 
 
 def _check_alignment(run: Run) -> None:
-    """Refuse a recording that does not fit what was commanded; say what would fit."""
+    """Refuse a recording that does not fit what was commanded; name a mirrored one."""
     from truepath.app.alignment.align import align
 
     try:
         align(run)
     except AlignmentError as error:
-        for words, other in _list_others(run):
-            try:
-                align(other)
-            except AlignmentError:
-                continue
+        mirrored = replace(
+            run.tracker, position_mm=run.tracker.position_mm * [1.0, -1.0, 1.0]
+        )
+        try:
+            align(replace(run, tracker=mirrored))
+        except AlignmentError:
             raise BadInput(
-                f"the recording fits what was commanded only {words}"
+                f"the recording does not fit what was commanded: {error}"
             ) from error
         raise BadInput(
-            f"the recording does not fit what was commanded: {error}"
+            "the recording fits what was commanded only mirrored: its axes are "
+            "left-handed or two are swapped; say which by --axes (x,-y,z or y,x,z)"
         ) from error
-
-
-def _list_others(run: Run) -> Iterator[tuple[str, Run]]:
-    """Yield the mistakes that exports and machine files make, each put right."""
-    mirrored_mm = run.tracker.position_mm * [1.0, -1.0, 1.0]
-    yield (
-        "mirrored: its axes are left-handed or two are swapped; say which by --axes "
-        "(x,-y,z or y,x,z)",
-        replace(run, tracker=replace(run.tracker, position_mm=mirrored_mm)),
-    )
-    for column, axis in enumerate(run.commanded.axes):
-        if axis in "XYZ":
-            continue
-        position = run.commanded.position.copy()
-        position[:, column] *= -1.0
-        yield (
-            f"if {axis} is counted the other way; turn its sign in the path and the "
-            "travel in machine.json",
-            replace(run, commanded=replace(run.commanded, position=position)),
-        )
 
 
 def _print_recording(read: Recording, source: str) -> None:
     from rich.markup import escape  # else "[mm]" is taken for a style
 
     rows = [
-        (
-            escape(c.name),
-            str(c.index + 1),
-            c.role or "left out",
-            c.unit,
-            escape(cell),
-        )
+        (escape(c.name), str(c.index + 1), c.role or "left out", c.unit, escape(cell))
         for c, cell in zip(read.columns, read.first_row, strict=True)
     ]
     print_table("columns", ["name", "number", "read as", "unit", "first row"], rows)

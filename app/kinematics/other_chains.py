@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import reduce
-from itertools import permutations, product
+from itertools import islice, permutations, product
 
 from truepath.app.kinematics.machine import Machine, RotaryAxis
 
@@ -28,27 +28,29 @@ def list_other_machines(machine: Machine) -> Iterator[Machine]:
     """
     rotary = machine.rotary_axes
     names = [axis.name for axis in rotary]
-    placed = [*list_orders(machine, names)]
+    placed = [*list_orders(machine, names)]  # the first is the machine itself
     placed += [reduce(_move_across, some, machine) for some in permutations(names)]
     placed += [_move_across(machine, name) for name in machine.order]
-    signs = product((1.0, -1.0), repeat=len(rotary))
-    for k, (sign, other) in enumerate(product(signs, placed)):
-        turned = {a.name: _turn(a, s) for a, s in zip(rotary, sign, strict=True)}
-        if k:  # the first is the machine itself
-            axes = tuple(turned.get(axis.name, axis) for axis in other.axes)
-            yield replace(other, axes=axes)
+    turns = product((False, True), repeat=len(rotary))
+    for turned, other in islice(product(turns, placed), 1, None):
+        back = dict(zip(names, turned, strict=True))
+        axes = tuple(
+            _turn(a) if isinstance(a, RotaryAxis) and back[a.name] else a
+            for a in other.axes
+        )
+        yield replace(other, axes=axes)
 
 
 def describe_other(machine: Machine, other: Machine) -> str:
     """Say in what another machine differs."""
     axes = zip(machine.axes, other.axes, strict=True)
     back = [f"axis {a.name} counted the other way" for a, b in axes if a != b]
-    return " with ".join([f"chain {other.chain}", *[" and ".join(back)][: len(back)]])
+    return f"chain {other.chain}" + " with " * bool(back) + " and ".join(back)
 
 
-def _turn(axis: RotaryAxis, sign: float) -> RotaryAxis:
+def _turn(axis: RotaryAxis) -> RotaryAxis:
     x, y, z = axis.direction
-    return replace(axis, direction=(sign * x, sign * y, sign * z)) if sign < 0 else axis
+    return replace(axis, direction=(-x, -y, -z))
 
 
 def _move_across(machine: Machine, name: str) -> Machine:

@@ -414,7 +414,7 @@ def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
     )
     (tmp_path / "export.txt").write_text(text)
     assert command.run(arguments(tmp_path, tmp_path / "truth", "path.csv")) == 2
-    assert "only if C is counted the other way" in capsys.readouterr().err
+    assert "axis C counted the other way" in capsys.readouterr().err
 
 
 def arguments(folder, truth, path):
