@@ -27,7 +27,6 @@ _GROUPS = re.compile(r"(?<![\d.,:])(?<!\d-)\d{1,3}(?:\u00a0\d{3})+(?!\d)")
 _BLANK_GROUPS = re.compile(_GROUPS.pattern.replace("\u00a0", "[\u00a0 ]"))
 _LABEL = re.compile(r"(?<=[A-Za-z)\]])[ \t]*[=:][ \t]*(?=[-+.\d])")
 _HALF_DAY = re.compile(r"(:\d\d\S*) ([AP]M)\b", re.IGNORECASE)
-_SECTION = re.compile(r"^[\w -]+::", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,8 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
             remedy="name the separator by --delimiter",
         )
     width = Counter(map(len, made)).most_common(1)[0][0]
-    needed = Counter(len(_trim(row)) for row in made).most_common(1)[0][0]
+    ends = (max(k for k, cell in enumerate(row, 1) if cell) for row in made)
+    needed = Counter(ends).most_common(1)[0][0]
     if name == "comma":
         _refuse_decimal_comma(lines, split, file)
     shape = (needed, width)
@@ -145,12 +145,12 @@ def _find_delimiter(sample: Sequence[str], file: str) -> str:
         rows = sum(map(_is_data, _split_lines(filled, name)))
         if rows and rows >= _SHARE * len(filled):
             return name
-    sections = ", ".join(dict.fromkeys(_SECTION.findall("\n".join(sample))))
-    seen = f"sections {sections[:80]}, as of an interferometer" if sections else ""
-    seen = seen or (f"lines such as {filled[-1].strip()[:60]!r}" if filled else "")
+    seen = " and ".join(
+        repr(line.strip()[:60]) for line in filled[:: max(len(filled) - 1, 1)]
+    )
     raise BundleError(
         "holds no rows of three or more numbers separated by tab, semicolon, comma or "
-        "blank" + (f", but {seen}" if seen else ""),
+        f"blank; its lines are such as {seen or 'none'}",
         file=file,
         remedy="export x, y and z as text or CSV, or name the separator by --delimiter",
     )
@@ -186,13 +186,6 @@ def _is_data(cells: Sequence[str]) -> bool:
     if not cells or cells[0].startswith(_COMMENT):
         return False
     return sum(NUMBER.match(cell) is not None for cell in cells) >= _LEAST_NUMBERS
-
-
-def _trim(row: list[str]) -> list[str]:
-    end = len(row)
-    while end and not row[end - 1]:
-        end -= 1
-    return row[:end]
 
 
 def _pad(row: list[str], width: int) -> list[str]:
@@ -255,14 +248,7 @@ def _gather(
     shape: tuple[int, int],
     header: int | None,
     file: str,
-) -> tuple[Sequence[list[str]], list[int], list[str]]:
-    width = shape[1]
-    last = max(n for n in range(first, len(split)) if len(split[n]) == width)
-    body = split[first : last + 1]
-    if all(len(row) == width for row in body) and _are_numbers(body):
-        odd = [n for n in range(last + 1, len(lines)) if lines[n].strip()]
-        if not any(_fits(split[n], shape) for n in odd):
-            return body, list(range(first + 1, last + 2)), _note_end(lines, odd)
+) -> tuple[list[list[str]], list[int], list[str]]:
     rows: list[list[str]] = []
     row_of: list[int] = []
     left = Counter[str]()
@@ -271,45 +257,32 @@ def _gather(
         cells = split[n]
         if not lines[n].strip():
             continue
-        if _is_comment(lines[n]) or (header is not None and cells == split[header]):
-            left["comment" if _is_comment(lines[n]) else "header once more"] += 1
-            continue
-        if not _fits(cells, shape):
+        if _is_comment(lines[n]):
+            left["comment"] += 1
+        elif header is not None and cells == split[header]:
+            left["header once more"] += 1
+        elif not _fits(cells, shape):
             odd.append(n)
-            continue
-        if odd:
+        elif odd:
             raise BundleError(
                 f"is no row of {shape[0]} cells: {lines[odd[0]].strip()[:40]!r}",
                 file=file,
                 row=odd[0] + 1,
                 remedy="remove the line, or export the recording again",
             )
-        rows.append(_pad(cells, width))
-        row_of.append(n + 1)
+        else:
+            rows.append(_pad(cells, shape[1]))
+            row_of.append(n + 1)
     notes = [f"{count} x {what} left out" for what, count in left.items()]
-    return rows, row_of, notes + _note_end(lines, odd)
-
-
-def _are_numbers(rows: Sequence[list[str]]) -> bool:
-    """Tell whether three columns are all plain numbers, as in most files."""
-    columns = [*zip(*rows, strict=True)]
-    found = [column for column in columns if NUMBER.match(column[0])][:_LEAST_NUMBERS]
-    try:
-        for column in found:
-            list(map(float, "\n".join(column).replace(",", ".").split("\n")))
-    except ValueError:
-        return False
-    return not any({cell[:1] for cell in columns[0]}.intersection("#/%!"))
-
-
-def _note_end(lines: Sequence[str], odd: list[int]) -> list[str]:
-    end = f"{len(odd)} lines at the end left out: "
-    return [end + repr(lines[odd[0]].strip()[:40])] if odd else []
+    if odd:
+        shown = repr(lines[odd[0]].strip()[:40])
+        notes.append(f"{len(odd)} lines at the end left out: {shown}")
+    return rows, row_of, notes
 
 
 def _fits(cells: list[str], shape: tuple[int, int]) -> bool:
     """Tell whether a line is a row, with or without values."""
-    if len(cells) < shape[0] or len(_trim(cells)) > shape[1]:
+    if len(cells) < shape[0] or any(cells[shape[1] :]):
         return False
     if _is_data(cells):
         return True
@@ -321,13 +294,10 @@ def _take_labels(
     columns: list[tuple[str, ...]], head: list[str], below: list[str]
 ) -> tuple[list[tuple[str, ...]], list[str], list[str]]:
     """Name columns by a word that stands before the number in every row: X,12.5,Y,…"""
-    constant = [
-        NUMBER.match(column[0]) is None and column.count(column[0]) == len(column)
-        for column in columns
-    ]
+    is_number = [NUMBER.match(column[0]) is not None for column in columns]
     label = [
-        same and k + 1 < len(columns) and NUMBER.match(columns[k + 1][0]) is not None
-        for k, same in enumerate(constant)
+        is_number[k : k + 2] == [False, True] and column.count(column[0]) == len(column)
+        for k, column in enumerate(columns)
     ]
     if sum(label) < _LEAST_NUMBERS:
         return columns, head, below

@@ -19,11 +19,10 @@ from truepath.app.files.tracker_text.options import TextOptions
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _DAY_S = 86400.0
 _OF_DAY = re.compile(
-    r"(\d{1,2}):(\d\d):(\d\d(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
+    r"(?<![\d:])(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
     r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
     re.IGNORECASE,
 )
-_ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?")
 _RATES_HZ = (0.9, 20_000.0)  # of a stream
 _LONGEST = 400.0  # times what the motion takes: so long a recording may go on
 _COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
@@ -47,12 +46,6 @@ def read_clock(
     texts = cells.columns[time.index]
     if not any(":" in text for text in texts[:: len(texts) // 100 + 1]):
         return _read_counted(cells, time, options, decimal, least_s)
-    if _ISO.fullmatch(texts[0]) and date_column is None:
-        try:  # all alike, as in most files
-            stamps = np.array(texts, "datetime64[ns]")
-            return 1e-9 * (stamps - stamps[0]).astype(float), "date and time"
-        except ValueError:
-            pass
     time_s = _read_of_day(cells, time)
     days = texts if date_column is None else cells.columns[date_column.index]
     if DATE.search(days[0]):
@@ -80,13 +73,15 @@ def _read_counted(
         if _RATES_HZ[0] < rate / f < _RATES_HZ[1]
         and 0.5 * least_s < f * span < _LONGEST * least_s
     ]
-    rates = [f"{u}: {rate / f:.4g} Hz for {f * span:.4g} s" for u, f in SECONDS.items()]
+    rates = {
+        u: f"{u}: {rate / f:.4g} Hz for {f * span:.4g} s" for u, f in SECONDS.items()
+    }
     if len(fitting) == 1:
-        told = rates[[*SECONDS].index(fitting[0])]
-        how = f"{told}, as no other unit fits what was commanded{wraps}"
+        how = f"{rates[fitting[0]]}, as no other unit fits what was commanded{wraps}"
         return SECONDS[fitting[0]] * values, how
+    told = ", ".join(rates.values())
     raise BundleError(
-        f"states no unit of time ({', '.join(rates)}; motion: {least_s:.4g} s)",
+        f"states no unit of time ({told}; motion: {least_s:.4g} s)",
         file=cells.file,
         column=time.name,
         remedy="say --time-unit s, ms or us",
@@ -106,26 +101,26 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
         ends = (np.abs(before - size) < reach) | (np.abs(before - size / 2) < reach)
         if (ends & (np.abs(after + size - before) < reach)).all():
             turns = np.append(0.0, np.cumsum(step < 0))
-            words = f", its counter began anew at {before[0]:.6f}".rstrip("0").rstrip(
-                "."
+            return (
+                values + size * turns,
+                f", its counter began anew at {before[0]:.12g}",
             )
-            return values + size * turns, words
     return values, ""
 
 
 def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
     texts = cells.columns[time.index]
     found = [_OF_DAY.search(text) for text in texts]
-    read = [match.groups() for match in found if match]
     if None in found:
-        raise _no_time(cells, time, found.index(None))
+        row = found.index(None)
+        shown = f"is {texts[row][:40]!r}, no time"
+        remedy = "a time is HH:MM:SS.fff, with or without a date before it"
+        raise cells.error(shown, row, time.index, remedy)
+    read = [match.groups() for match in found if match]
     hour, minute, second, half, sign, zone_hours, zone_minutes = zip(*read, strict=True)
     hours, minutes = np.array(hour, float), np.array(minute, float)
     joined = "\n".join(second).replace(",", ".").replace(":", ".")
     seconds = np.array(joined.split("\n"), float)
-    bad = (minutes > 59) | (seconds >= 61)
-    if bad.any():
-        raise _no_time(cells, time, int(np.argmax(bad)))
     if any(half):
         is_pm = np.array([(word or "a")[0].lower() == "p" for word in half])
         hours = np.where([bool(w) for w in half], hours % 12, hours) + 12.0 * is_pm
@@ -137,12 +132,6 @@ def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
         ]
         time_s -= 60.0 * np.array(ahead)
     return time_s
-
-
-def _no_time(cells: Cells, time: Column, row: int) -> BundleError:
-    shown = f"is {cells.columns[time.index][row][:40]!r}, no time"
-    remedy = "a time is HH:MM:SS.fff, with or without a date before it"
-    return cells.error(shown, row, time.index, remedy)
 
 
 def _unwrap_midnight(

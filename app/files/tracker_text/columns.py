@@ -99,6 +99,11 @@ def describe_columns(cells: Cells, columns: list[Column]) -> str:
     return f"{len(columns)} columns without names, first {first}"
 
 
+def find_column(columns: list[Column], role: str) -> Column | None:
+    """Return the column of a role."""
+    return next((column for column in columns if column.role == role), None)
+
+
 def state_unit(cells: Cells) -> str:
     """Return the length unit that lines above the header state, empty if none does."""
     found = {
@@ -194,11 +199,8 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
             remedy="export it again, or remove that line and say --column x=NUMBER, …",
         )
     roles = {column.role for column in columns}
-    blank = [
-        c.index
-        for c in columns
-        if not c.role and not (cells.names and cells.names[c.index])
-    ]
+    names = cells.names or ("",) * len(columns)
+    blank = [c.index for c in columns if not c.role and not names[c.index]]
     kind = {k: _tell_kind(cells, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
@@ -211,23 +213,18 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
         found = dict(zip(places, "xyz", strict=True))
         if kind.get(places[0] - 1) in ("word", "whole", "count"):
             found[places[0] - 1] = "point"
-    clocks = [k for k in blank if kind[k] == "time"]
-    clocks = clocks or [k for k in blank if kind[k] in ("rising", "count")]
-    days = [k for k in blank if kind[k] == "date"]
-    for role, fitting in (("time", clocks), ("date", days)):
-        fitting = [k for k in fitting if found.get(k, "point") == "point"]
-        if len(fitting) == 1:
-            found[fitting[0]] = role
+    free = [k for k in blank if found.get(k, "point") == "point"]
+    clocks = [k for k in free if kind[k] == "time"]
+    clocks = clocks or [k for k in free if kind[k] in ("rising", "count")]
+    days = [k for k in free if kind[k] == "date"]
+    found |= {clocks[0]: "time"} if len(clocks) == 1 else {}
+    found |= {days[0]: "date"} if len(days) == 1 else {}
     found = {k: role for k, role in found.items() if role not in roles}
     unit = find_unit(stated[3].split(",")[0]) if stated else ""
-    return [
-        replace(
-            c, role=found[c.index], unit=unit if found[c.index] in "xyz" else c.unit
-        )
-        if c.index in found
-        else c
-        for c in columns
-    ]
+    for k, role in found.items():
+        own = unit if role in "xyz" else ""
+        columns[k] = replace(columns[k], role=role, unit=own or columns[k].unit)
+    return columns
 
 
 def _tell_kind(cells: Cells, index: int) -> str:

@@ -31,12 +31,11 @@ def even_out(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
         return time_s, ""
     way = float(np.median(np.diff(time_s[heads])))
     for long in _LONG:
-        begin = np.append(0, np.flatnonzero(step > long * way) + 1)
-        count = np.diff(np.append(begin, len(time_s)))
-        part = np.repeat(np.arange(len(begin)), count)
+        part = np.append(0, np.cumsum(step > long * way))
+        begin, count = np.unique(part, return_index=True, return_counts=True)[1:]
         row = np.arange(len(time_s), dtype=float)
-        row -= _mean(row, begin, count)[part]
-        middle = _mean(time_s, begin, count)[part]
+        row -= (np.bincount(part, row) / count)[part]
+        middle = (np.bincount(part, time_s) / count)[part]
         usual = float(row @ (time_s - middle) / (row @ row))
         whole = np.rint(1.0 / usual)
         choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
@@ -48,9 +47,3 @@ def even_out(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
                 words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
                 return even - even[0], words + f"rows come at {1 / each:.6g} Hz"
     return time_s, ""
-
-
-def _mean(
-    value: NDArray[np.float64], begin: NDArray[np.int64], count: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    return np.add.reduceat(value, begin) / count

@@ -42,28 +42,27 @@ def find_points(
         raise BundleError(
             "cannot be told: names repeat", file=cells.file, remedy=remedy
         )
-    read: dict[str, dict[str, int]] = {}
+    found: dict[tuple[int, ...], dict[str, int]] = {}
     for column in columns:
-        if column.role == "point" and not _counts_rows(cells, column, points):
-            try:
-                read[column.name] = _match_names(cells, column, points, known)
-            except BundleError:
-                if not is_stream:
-                    raise
-    read = {name: row_of for name, row_of in read.items() if row_of}
-    by_row = {
-        tuple(read[c.name][text] for text in cells.columns[c.index])
-        for c in columns
-        if c.role == "point" and c.name in read
-    }
-    if len(by_row) > 1:
+        if column.role != "point" or _counts_rows(cells, column, points):
+            continue
+        try:
+            row_of = _match_names(cells, column, points, known)
+        except BundleError:
+            if not is_stream:
+                raise
+            continue
+        if row_of:
+            texts = cells.columns[column.index]
+            found.setdefault(tuple(row_of[text] for text in texts), row_of)
+    if len(found) > 1:
         raise BundleError(
-            f"numbers points in {', '.join(read)}, differently",
+            "numbers points in several columns, differently",
             file=cells.file,
             remedy="choose one by --column point=NUMBER",
         )
-    if by_row:
-        return np.array(by_row.pop()) - 1, next(iter(read.values()))
+    for row, row_of in found.items():
+        return np.array(row) - 1, row_of
     if is_stream:
         return None, {}
     if rows == points:
@@ -95,21 +94,18 @@ def _match_names(
         if text in row_of:
             continue
         last = text.rpartition("::")[2]
-        found = _ONE_NUMBER.fullmatch(last)
-        row = known.get(text.casefold()) or known.get(last.casefold(), 0)
-        if not known:
-            if not any(map(str.isdigit, last)):
-                return {}
-            row = int(found[1]) if found else 0
-        if 1 <= row <= points and row not in name_of:
+        row, problem = 0, "has two numbers"
+        if known:
+            row = known.get(text.casefold()) or known.get(last.casefold(), 0)
+            problem = "is not in points.csv"
+        elif not any(map(str.isdigit, last)):
+            return {}
+        elif found := _ONE_NUMBER.fullmatch(last):
+            row, problem = int(found[1]), f"is no point of {points}"
+        if row in name_of:
+            problem = f"and {name_of[row]!r} are both point {row}"
+        elif 1 <= row <= points:
             row_of[text], name_of[row] = row, text
             continue
-        problem = f"{text!r} is no point of {points}"
-        if row in name_of:
-            problem = f"{text!r} and {name_of[row]!r} are both point {row}"
-        elif known or not found:
-            problem = f"{text!r} " + (
-                "is not in points.csv" if known else "has two numbers"
-            )
-        raise cells.error(problem, index, column.index, _REMEDY)
+        raise cells.error(f"{text!r} {problem}", index, column.index, _REMEDY)
     return row_of

@@ -18,6 +18,7 @@ from truepath.app.files.tracker_text.clock import read_clock
 from truepath.app.files.tracker_text.columns import (
     Column,
     describe_columns,
+    find_column,
     recognise_columns,
     state_unit,
 )
@@ -27,7 +28,7 @@ from truepath.app.files.tracker_text.oddities import note_oddities
 from truepath.app.files.tracker_text.options import TextOptions
 from truepath.app.files.tracker_text.point_names import STREAM_ROWS, find_points
 from truepath.app.files.tracker_text.units import LENGTH_MM
-from truepath.app.motion.configurations import Commanded, Configurations
+from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.motion_times import travel_time_s
 from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
@@ -76,20 +77,18 @@ def read_recording(
     """
     cells = read_cells(data, file, options.delimiter)
     columns = recognise_columns(cells, options.columns)
-    by_role = {column.role: column for column in columns if column.role}
-    axes = [_require(cells, columns, by_role, role) for role in "xyz"]
+    axes = [_require(cells, columns, role) for role in "xyz"]
     decimal = options.decimal or find_decimal(cells, [c.index for c in axes])
     position = np.stack([read_numbers(cells, c.index, decimal) for c in axes], axis=1)
-    status = _read_status(cells, by_role.get("status"), options)
+    status = _read_status(cells, find_column(columns, "status"), options)
     status[~np.isfinite(position).all(axis=1)] = NO_POSITION
     status[lost := _find_origin(position)] = NO_POSITION
     unit, why = _choose_unit(cells, axes, position[status == 0], commanded, options)
     position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
-    _refuse_wrong_size(cells, position_mm[status == 0], commanded, unit)
-    time_s, clock = _read_times(cells, columns, by_role, commanded, options, decimal)
+    time_s, clock = _read_times(cells, columns, commanded, options, decimal)
     rows, mapping = find_points(cells, columns, commanded, time_s, names)
     kept, repeats = _leave_out_repeats(cells, time_s, rows)
-    time_s, evened = _order_times(cells, by_role, time_s, kept, rows)
+    time_s, evened = _order_times(cells, columns, time_s, kept, rows)
     temperature, doubted = _read_temperatures(cells, columns, time_s, kept, decimal)
     samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
     samples = samples.select(kept)
@@ -151,7 +150,7 @@ def _leave_out_repeats(
 
 def _order_times(
     cells: Cells,
-    by_role: dict[str, Column],
+    columns: list[Column],
     time_s: NDArray[np.float64],
     kept: NDArray[np.bool_],
     rows: NDArray[np.int64] | None,
@@ -166,7 +165,8 @@ def _order_times(
     inside = np.flatnonzero(kept)
     back = np.diff(time_s[inside]) <= 0
     if back.any():
-        row, time = int(inside[int(np.argmax(back)) + 1]), by_role["time"]
+        row = int(inside[int(np.argmax(back)) + 1])
+        time = _require(cells, columns, "time")
         raise cells.error(
             f"does not increase after {cells.columns[time.index][row - 1]}, "
             "and rows do not come evenly",
@@ -177,11 +177,9 @@ def _order_times(
     return time_s, words
 
 
-def _require(
-    cells: Cells, columns: list[Column], by_role: dict[str, Column], role: str
-) -> Column:
-    if role in by_role:
-        return by_role[role]
+def _require(cells: Cells, columns: list[Column], role: str) -> Column:
+    if found := find_column(columns, role):
+        return found
     remedy = f"say --column {role}=NUMBER"
     remedy += ", or --rate HZ if rows come evenly" if role == "time" else ""
     raise BundleError(
@@ -196,28 +194,21 @@ def _read_status(
 ) -> NDArray[np.int64]:
     if column is None:
         return np.zeros(len(cells), np.int64)
-    words = cells.columns[column.index]
-    known = {word.casefold() for word in words}
-    if options.valid:
-        valid = {word.casefold() for word in options.valid}
-    elif known <= _GOOD | _BAD:
+    words = [word.casefold() for word in cells.columns[column.index]]
+    known = set(words)
+    valid = {word.casefold() for word in options.valid}
+    if not valid and known <= _GOOD | _BAD:
         valid = _GOOD
-    else:
-        raise BundleError(
-            f"holds {', '.join(sorted(known))[:80]}: which are valid is not known",
-            file=cells.file,
-            column=column.name,
-            remedy="say --valid VALUE, once for each",
-        )
-    good = np.array([word.casefold() in valid for word in words])
-    if not good.any():
-        raise BundleError(
-            f"holds no valid sample, only {', '.join(sorted(known))[:80]}",
-            file=cells.file,
-            column=column.name,
-            remedy="say --valid VALUE, once for each",
-        )
-    return np.where(good, 0, NOT_VALID)
+    good = np.array([word in valid for word in words])
+    if good.any():
+        return np.where(good, 0, NOT_VALID)
+    why = "none is valid" if valid else "which are valid is not known"
+    raise BundleError(
+        f"holds {', '.join(sorted(known))[:80]}: {why}",
+        file=cells.file,
+        column=column.name,
+        remedy="say --valid VALUE, once for each",
+    )
 
 
 def _choose_unit(
@@ -228,29 +219,36 @@ def _choose_unit(
     options: TextOptions,
 ) -> tuple[str, str]:
     """Return the unit of positions, and why, if the file does not state it."""
-    if options.unit:
-        return options.unit, ""
-    stated = {column.unit for column in axes if column.unit}
-    above = state_unit(cells)
-    stated |= {above} if above else set()
+    if not len(position):
+        raise BundleError("holds no position", file=cells.file, remedy="record again")
+    is_linear = [name in "XYZ" for name in commanded.axes]
+    aim = _measure_extent(commanded.position[:, is_linear])
+    extent = _measure_extent(position)
+    size = {unit: factor * extent for unit, factor in LENGTH_MM.items()}
+    fitting = [u for u in _USUAL_UNITS if aim / _NEAR < size[u] < aim * _NEAR]
+    stated = {options.unit}
+    if not options.unit:
+        stated = {state_unit(cells), *(c.unit for c in axes)} - {""}
+    remedy = "say --unit mm, m or inch"
     if len(stated) > 1:
         problem = f"states more than one unit of positions: {', '.join(sorted(stated))}"
     elif stated and stated <= LENGTH_MM.keys():
-        return stated.pop(), ""
+        unit = stated.pop()
+        if not aim or aim / _MOST_RATIO < size[unit] < aim * _MOST_RATIO:
+            return unit, ""
+        problem = f"positions extend over {size[unit]:.4g} mm as {unit}, "
+        problem += f"what was commanded over {aim:.4g} mm"
+        if fitting:
+            times = LENGTH_MM[fitting[0]] / LENGTH_MM[unit]
+            problem += f"; {times:g} times as much fits: they look like {fitting[0]}"
+        remedy = "correct --unit, or give the path that was driven"
+    elif len(fitting) == 1:
+        shown = f"{size[fitting[0]]:.4g} mm of {aim:.4g} commanded"
+        return fitting[0], f": {shown}, no other fits"
     else:
-        extent = _measure_extent(position)
-        usual = {u: LENGTH_MM[u] * extent for u in _USUAL_UNITS}
-        told = ", ".join(f"{u}: {size:.4g} mm" for u, size in usual.items())
-        aim = _measure_extent(_linear(commanded))
-        fitting = [u for u, size in usual.items() if aim / _NEAR < size < aim * _NEAR]
-        if len(fitting) == 1:
-            size = usual[fitting[0]]
-            return fitting[0], f": {size:.4g} mm of {aim:.4g} commanded, no other fits"
-        problem = (
-            f"states no unit of positions; their extent is {told}, "
-            f"the commanded one {aim:.4g} mm"
-        )
-    remedy = "say --unit mm, m or inch"
+        told = ", ".join(f"{u}: {size[u]:.4g} mm" for u in _USUAL_UNITS)
+        problem = f"states no unit of positions; their extent is {told}, "
+        problem += f"the commanded one {aim:.4g} mm"
     raise BundleError(problem, file=cells.file, remedy=remedy)
 
 
@@ -263,39 +261,15 @@ def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     return signs * position[:, ["xyz".index(name) for _, name in found]]
 
 
-def _linear(commanded: Commanded) -> NDArray[np.float64]:
-    return commanded.position[:, [name in "XYZ" for name in commanded.axes]]
-
-
 def _measure_extent(position: NDArray[np.float64]) -> float:
     """Return twice the distance from the mean that few positions exceed."""
     away = np.linalg.norm(position - np.median(position, axis=0), axis=1)
     return float(2.0 * np.percentile(away, 95)) if len(away) else 0.0
 
 
-def _refuse_wrong_size(
-    cells: Cells, position_mm: NDArray[np.float64], commanded: Commanded, unit: str
-) -> None:
-    if len(position_mm) == 0:
-        raise BundleError("holds no position", file=cells.file, remedy="record again")
-    extent, aim = _measure_extent(position_mm), _measure_extent(_linear(commanded))
-    if aim and not aim / _MOST_RATIO < extent < aim * _MOST_RATIO:
-        sizes = {u: extent * f / LENGTH_MM[unit] for u, f in LENGTH_MM.items()}
-        near = [u for u in _USUAL_UNITS if aim / _NEAR < sizes[u] < aim * _NEAR]
-        times = LENGTH_MM[near[0]] / LENGTH_MM[unit] if near else 0.0
-        looks = f"; {times:g} times as much fits: they look like {near[0]}"
-        raise BundleError(
-            f"positions extend over {extent:.4g} mm as {unit}, "
-            f"what was commanded over {aim:.4g} mm" + looks * bool(near),
-            file=cells.file,
-            remedy="correct --unit, or give the path that was driven",
-        )
-
-
 def _read_times(
     cells: Cells,
     columns: list[Column],
-    by_role: dict[str, Column],
     commanded: Commanded,
     options: TextOptions,
     decimal: str,
@@ -304,12 +278,11 @@ def _read_times(
     if options.rate_hz is not None:
         return np.arange(rows) / options.rate_hz, f"{options.rate_hz:g} rows a second"
     are_few = rows < STREAM_ROWS * len(commanded)
-    if "time" not in by_role and isinstance(commanded, Configurations) and are_few:
-        return np.arange(rows, dtype=float), "none; points in order"
-    time = _require(cells, columns, by_role, "time")
     is_path = isinstance(commanded, Path)
+    if are_few and not is_path and find_column(columns, "time") is None:
+        return np.arange(rows, dtype=float), "none; points in order"
+    time, date = _require(cells, columns, "time"), find_column(columns, "date")
     least_s = travel_time_s(commanded) if is_path else float(commanded.dwell_s.sum())
-    date = by_role.get("date")
     return read_clock(cells, time, date, options, decimal, least_s)
 
 
@@ -324,7 +297,6 @@ def _average_points(
     away = samples.position_mm - mean_mm[stay]
     squares = np.add.reduceat(np.einsum("ni,nj->nij", away, away), starts)
     covariance_mm2 = squares / np.maximum(count - 1, 1)[:, None, None]
-    means = samples.select(starts)
     time_s = np.add.reduceat(samples.device_time_s, starts) / count
     means = TrackerSamples(
         np.arange(len(starts)), time_s, mean_mm, np.zeros(len(starts), np.int64)
