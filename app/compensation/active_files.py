@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,6 @@ from truepath.app.files.whole_files import read_whole
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.machine import Machine
 from truepath.app.plugins import PluginFailed
-
-AddedMotion = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
-"""What a controller adds, mm, under conditions that say from where an axis came."""
 
 _HOLDS = {
     "as-found": "the whole error: measured while the control did not compensate",
@@ -70,10 +68,15 @@ class ActiveFiles:
         before = self.before.correction(place, direction) if self.before else 0.0
         return self.correction(place, direction) - before
 
-    @property
-    def added(self) -> AddedMotion:
-        """The same under conditions that say from where an axis came."""
-        return follow_approach(self.change, self.machine)
+    def added(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        """Return the same under conditions that say from where an axis came.
+
+        A format corrects lost motion along the axis that it belongs to: half the
+        difference of both directions counts by the last motion of that axis.
+        """
+        columns = [self.machine.axis_names.index(name) for name in "XYZ"]
+        forward, back = (self.change(at.position_mm, side) for side in (1.0, -1.0))
+        return 0.5 * (forward + back + (forward - back) * at.approach[:, columns])
 
     def relate(self, provenance: Mapping[str, Any]) -> ActiveFiles:
         """Return the files as they change what a result states. Raises BadInput."""
@@ -139,8 +142,7 @@ def find_basis(
                 f"{name} of a machine with rotary axes is not combined with active "
                 "tables: measure with the compensation off, or ask for the difference"
             )
-        named = {
-            **active.describe(),
+        named = active.describe() | {
             "choices": account["choices"],
             "texts": active.texts,
         }
@@ -149,8 +151,10 @@ def find_basis(
             "the control compensated while this was measured: files of what its tables "
             "lack would undo them; give the active tables, or ask for the difference"
         )
-    holds = "as-found" if control == OFF else "combined" if active else "as-measured"
-    if control != OFF and given.is_difference:
+    holds = "combined" if active else "as-measured"
+    if control == OFF:
+        holds = "as-found"
+    elif given.is_difference:
         holds = "difference"
     text = _HOLDS[holds]
     return {"holds": holds, CONTROL: control, "text": text, "active": named}, active
@@ -161,16 +165,14 @@ def read_given_tables(
 ) -> GivenTables:
     """Return the active tables in files, and how their account says to read them."""
     data = {file.name: read_whole(file) for file in files}
-    if not files:
-        return GivenTables(is_difference=is_difference)
-    account = _find_account(files[0].parent, name, _digest(data))
+    account: Mapping[str, Any] = {}
+    if files:
+        account = _find_account(files[0].parent, name, data)
     return GivenTables(data, account, is_difference)
 
 
 def read_active_files(
-    files: Sequence[Path],
-    name: str | None,
-    machine: Machine,
+    files: Sequence[Path], name: str | None, machine: Machine
 ) -> ActiveFiles | None:
     """Return the files of a format and what they add; None where there are none.
 
@@ -186,16 +188,12 @@ def read_active_files(
         raise BadInput(
             f"{files[0]}: say its format with --format; `formats` lists them"
         )
-    data = {file.name: read_whole(file) for file in files}
-    account = _find_account(files[0].parent, name, _digest(data))
-    return make_active_files(data, name, machine, account)
+    given = read_given_tables(files, name, is_difference=False)
+    return make_active_files(given.data, name, machine, given.account)
 
 
 def make_active_files(
-    data: Mapping[str, bytes],
-    name: str,
-    machine: Machine,
-    account: Mapping[str, Any],
+    data: Mapping[str, bytes], name: str, machine: Machine, account: Mapping[str, Any]
 ) -> ActiveFiles:
     """Return files by name as the controller of a format reads them. Raises BadInput.
 
@@ -223,36 +221,13 @@ def _digest(data: Mapping[str, bytes]) -> dict[str, str]:
 
 
 def _find_account(
-    folder: Path, name: str, files_sha256: Mapping[str, str]
+    folder: Path, name: str, data: Mapping[str, bytes]
 ) -> Mapping[str, Any]:
     """Return the account that was written beside files of a format, empty without."""
+    digests = _digest(data)
     for place in sorted(folder.glob("*.json")):
-        account = as_object(_read_json(place))
-        digests = as_object(account.get("files_sha256"))
-        if account.get("format") == name and digests == files_sha256:
-            return account
+        with suppress(BundleError):
+            account = as_object(parse_json(read_whole(place), place.name))
+            if (account.get("format"), account.get("files_sha256")) == (name, digests):
+                return account
     return {}
-
-
-def _read_json(place: Path) -> object:
-    try:
-        return parse_json(read_whole(place), place.name)
-    except BundleError:
-        return {}
-
-
-def follow_approach(correction: Correction, machine: Machine) -> AddedMotion:
-    """Return a correction of one direction of all axes by the approach of each.
-
-    A format corrects lost motion along the axis that it belongs to: half the difference
-    of both directions counts by the last motion of that axis.
-    """
-    columns = [machine.axis_names.index(name) for name in "XYZ"]
-
-    def add(at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        forward = correction(at.position_mm, 1.0)
-        backward = correction(at.position_mm, -1.0)
-        half = 0.5 * (forward - backward)
-        return 0.5 * (forward + backward) + half * at.approach[:, columns]
-
-    return add

@@ -70,23 +70,19 @@ def _ask(name: str, make: Any) -> CompensationFormat:
 def _check(call: str, answer: Any) -> Any:
     """Return what a format of somebody else has made of it. Raises ValueError."""
     if call == "write":
-        _check_files(answer)
+        if not answer:
+            raise ValueError("it has written no file")
+        for name, text in answer.items():
+            if _PLAIN_NAME.fullmatch(name) is None:
+                raise ValueError(f"{name!r} is no plain file name")
+            text.encode("ascii")
+            if odd := _NO_NUMBER.search(text):
+                raise ValueError(f"{name} has {odd.group()} in it")
     elif call == "read()":  # the correction
         added = np.asarray(answer, np.float64)
         if added.ndim != 2 or added.shape[1] != 3 or not np.isfinite(added).all():
             raise ValueError("its correction is not three finite numbers a position")
     return answer
-
-
-def _check_files(files: Mapping[str, str]) -> None:
-    if not files:
-        raise ValueError("it has written no file")
-    for name, text in files.items():
-        if _PLAIN_NAME.fullmatch(name) is None:
-            raise ValueError(f"{name!r} is no plain file name")
-        text.encode("ascii")
-        if odd := _NO_NUMBER.search(text):
-            raise ValueError(f"{name} has {odd.group()} in it")
 
 
 def describe_format(name: str, kind: CompensationFormat) -> dict[str, Any]:

@@ -124,6 +124,7 @@ def decode_environment(
     """
     table = read_csv(data, file)
     table.require("t_s")
+    table.require_rows("leave out the file")
     columns: dict[str, NDArray[np.float64]] = {}
     low, high = find_pressures(altitude_m)
     for key in table.names:
@@ -136,22 +137,17 @@ def decode_environment(
             remedy = "leave one of the columns out"
             raise BundleError(f"is {name} again", file=file, column=key, remedy=remedy)
         columns[name] = value = factor * (table.numbers(key) + offset)
-        is_off = ~((low <= value) & (value <= high))
-        if name == PRESSURE and altitude_m is not None and is_off.all():
-            table.refuse(
-                is_off,
-                key,
-                lambda k, hpa=value: (
-                    f"is {hpa[k]:.0f} hPa: a site at "
-                    f"{altitude_m:g} m has {low:.0f} to {high:.0f} hPa"
-                ),
-                "name its unit in the column (pressure_mmHg), or correct altitude_m",
+        is_site = altitude_m is None or ((low <= value) & (value <= high)).any()
+        if name == PRESSURE and not is_site:
+            site = f"at {altitude_m:g} m has {low:.0f} to {high:.0f} hPa"
+            remedy = (
+                "name its unit in the column (pressure_mmHg), or correct altitude_m"
             )
+            raise table.error(f"is {value[0]:.0f} hPa: a site {site}", 0, key, remedy)
     if not columns:
         raise BundleError(
             "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
         )
-    table.require_rows("leave out the file")
     time_s = _read_clock(table)
     columns, told = gate_columns(time_s, columns, altitude_m)
     return *split_columns(time_s, columns), told

@@ -9,8 +9,7 @@ settles it. Order of work:
     cells        bytes to columns of cells, names and what was left out
     columns      names in several languages, or kinds of cells, to what a column holds
     numbers      cells to numbers: decimal comma, thousands, no value
-    clock        cells to seconds: numbers, time of day, date and time
-    even         stamps that are rounded or in bursts to even times
+    clock        cells to seconds: numbers, time of day, date and time; bursts evened
     point_names  names to rows of points.csv
     oddities     gaps and positions that stay, in words
     recording    all of it: samples, points, temperatures, and what was recognised

@@ -14,7 +14,7 @@ from truepath.app.files.environment import split_columns
 from truepath.app.files.run import PointRows, RunEvent
 from truepath.app.files.sensor_gate import gate_columns
 from truepath.app.files.tracker_text.cells import Cells, read_cells
-from truepath.app.files.tracker_text.clock import read_clock
+from truepath.app.files.tracker_text.clock import even_out, read_clock
 from truepath.app.files.tracker_text.columns import (
     Column,
     describe_columns,
@@ -22,7 +22,6 @@ from truepath.app.files.tracker_text.columns import (
     recognise_columns,
     state_unit,
 )
-from truepath.app.files.tracker_text.even import even_out
 from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
 from truepath.app.files.tracker_text.oddities import note_oddities
 from truepath.app.files.tracker_text.options import TextOptions
