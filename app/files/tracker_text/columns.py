@@ -122,10 +122,9 @@ def state_unit(cells: Cells) -> str:
 
 
 def _find(cells: Cells, role: str, word: str) -> int:
+    plain = [name.casefold() for name in cells.names]
     named = [i for i, name in enumerate(cells.names) if name == word]
-    named = named or [
-        i for i, n in enumerate(cells.names) if n.casefold() == word.casefold()
-    ]
+    named = named or [i for i, n in enumerate(plain) if n == word.casefold()]
     if len(named) == 1:
         return named[0]
     if not named and word.isdigit() and 1 <= int(word) <= len(cells.columns):

@@ -86,8 +86,7 @@ def read_recording(
     position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
     time_s, clock = _read_times(cells, columns, commanded, options, decimal)
     rows, mapping = find_points(cells, columns, commanded, time_s, names)
-    kept, repeats = _leave_out_repeats(cells, time_s, rows)
-    time_s, evened = _order_times(cells, columns, time_s, kept, rows)
+    time_s, kept, notes = _order_times(cells, columns, time_s, rows)
     temperature, doubted = _read_temperatures(cells, columns, time_s, kept, decimal)
     samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
     samples = samples.select(kept)
@@ -102,8 +101,8 @@ def read_recording(
         told = [f"{name} is {row}" for name, row in mapping.items()]
         told = told if len(told) <= _MOST_SHOWN else [*told[:5], "…", told[-1]]
         facts["rows of points"] = ", ".join(told)
-    zeros = f"{lost.sum()} rows of 0, 0, 0 are taken for a lost beam"
-    notes = [*cells.notes, repeats, evened, zeros * bool(lost.any())]
+    if lost.any():
+        notes.append(f"{lost.sum()} rows of 0, 0, 0 are taken for a lost beam")
     if rows is None:
         notes += note_oddities(np.asarray(cells.row_of)[kept], samples)
     return Recording(
@@ -113,7 +112,7 @@ def read_recording(
         tuple(columns),
         tuple(column[0] for column in cells.columns),
         facts,
-        tuple(filter(None, (*notes, *(event.text for event in doubted)))),
+        (*cells.notes, *notes, *(event.text for event in doubted)),
         mapping,
         doubted,
     )
@@ -130,35 +129,28 @@ def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
     return origin
 
 
-def _leave_out_repeats(
-    cells: Cells, time_s: NDArray[np.float64], rows: NDArray[np.int64] | None
-) -> tuple[NDArray[np.bool_], str]:
-    """Leave out rows of a stream that are the one before once more: it came twice.
-
-    Not where many rows share a stamp: then they differ in nothing else at a standstill.
-    """
-    kept = np.ones(len(cells), bool)
-    tied = np.flatnonzero(np.diff(time_s) == 0) + 1
-    if rows is not None or len(tied) > _FEW * len(kept):
-        return kept, ""
-    again = [all(c[k] == c[k - 1] for c in cells.columns) for k in tied.tolist()]
-    kept[tied[np.array(again, bool)]] = False
-    left = int((~kept).sum())
-    return kept, f"{left} rows that repeat the one before left out" if left else ""
-
-
 def _order_times(
     cells: Cells,
     columns: list[Column],
     time_s: NDArray[np.float64],
-    kept: NDArray[np.bool_],
     rows: NDArray[np.int64] | None,
-) -> tuple[NDArray[np.float64], str]:
-    """Return times that increase, and how, where stamps are rounded."""
-    words = ""
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[str]]:
+    """Return times that increase, which rows are kept, and notes.
+
+    A row of a stream that is the one before once more came twice and is left out; not
+    where many share a stamp: there they differ in nothing else at a standstill.
+    """
+    kept, notes = np.ones(len(cells), bool), list[str]()
     if rows is None:
+        tied = (np.flatnonzero(np.diff(time_s) == 0) + 1).tolist()
+        if len(tied) <= _FEW * len(kept):
+            again = [k for k in tied if all(c[k] == c[k - 1] for c in cells.columns)]
+            if again:
+                kept[again] = False
+                notes.append(f"{len(again)} rows that repeat the one before left out")
         time_s = time_s.copy()
         time_s[kept], words = even_out(time_s[kept])
+        notes += [words] if words else []
     else:  # shots within one second
         time_s = time_s + _SHOT_S * np.arange(len(time_s))
     inside = np.flatnonzero(kept)
@@ -173,7 +165,7 @@ def _order_times(
             time.index,
             "export times with more digits, or say --rate HZ if no row is missing",
         )
-    return time_s, words
+    return time_s, kept, notes
 
 
 def _require(cells: Cells, columns: list[Column], role: str) -> Column:
