@@ -26,6 +26,7 @@ _ALIKE |= dict.fromkeys("\u2007\u2009\u202f", "\u00a0")
 _GROUPS = re.compile(r"(?<![\d.,:])(?<!\d-)\d{1,3}(?:\u00a0\d{3})+(?!\d)")
 _BLANK_GROUPS = re.compile(_GROUPS.pattern.replace("\u00a0", "[\u00a0 ]"))
 _LABEL = re.compile(r"(?<=[A-Za-z)\]])[ \t]*[=:][ \t]*(?=[-+.\d])")
+_Shape = tuple[int, int]  # cells that a row needs, and may have
 _HALF_DAY = re.compile(r"(:\d\d\S*) ([AP]M)\b", re.IGNORECASE)
 
 
@@ -53,13 +54,8 @@ class Cells:
     def error(self, problem: str, index: int, column: int, remedy: str) -> BundleError:
         """Return the error at a data row of a column."""
         name = self.names[column] if self.names else f"{column + 1}"
-        return BundleError(
-            problem,
-            file=self.file,
-            row=self.row_of[index],
-            column=name,
-            remedy=remedy,
-        )
+        row = self.row_of[index]
+        return BundleError(problem, file=self.file, row=row, column=name, remedy=remedy)
 
 
 def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
@@ -94,11 +90,12 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
         _refuse_decimal_comma(lines, split, file)
     shape = (needed, width)
     first = next(n for n in filled if _is_data(split[n]) and _fits(split[n], shape))
-    header, units = _find_header(lines, split, first, shape)
-    rows, row_of, notes = _gather(lines, split, first, shape, header, file)
+    header, units = _find_header(split, first, shape)
+    head = [] if header is None else split[header]
+    rows, row_of, notes = _gather(split, first, shape, head, file)
     columns = [*zip(*rows, strict=True)]
-    head = [""] * width if header is None else _pad(split[header], width)
-    below = [""] * width if units is None else _pad(split[units], width)
+    head = _pad(head, width)
+    below = _pad([] if units is None else split[units], width)
     while not head[-1] and not any(columns[-1]):  # a separator ends each line
         columns, head, below = columns[:-1], head[:-1], below[:-1]
     if header is None:
@@ -197,9 +194,8 @@ def _refuse_decimal_comma(
 ) -> None:
     """Refuse commas that could be both: rows of whole numbers, or of many widths."""
     data_lines = [n for n in range(min(len(split), _SAMPLE)) if _is_data(split[n])]
-    quoted = any('"' in lines[n] for n in data_lines)
-    points = any(re.search(r"\d\.\d|\d[eE][+-]?\d", lines[n]) for n in data_lines)
-    if points or quoted or not data_lines:
+    plain = re.compile(r'"|\d\.\d|\d[eE][+-]?\d')
+    if not data_lines or any(plain.search(lines[n]) for n in data_lines):
         return
     row = data_lines[0]
     raise BundleError(
@@ -212,18 +208,11 @@ def _refuse_decimal_comma(
 
 
 def _find_header(
-    lines: Sequence[str],
-    split: Sequence[list[str]],
-    first: int,
-    shape: tuple[int, int],
+    split: Sequence[list[str]], first: int, shape: _Shape
 ) -> tuple[int | None, int | None]:
     """Return the lines of names and of units above the first row."""
-    above = [n for n in range(first) if lines[n].strip()]
-    fitting = [
-        n
-        for n in above
-        if shape[0] <= len(split[n]) <= shape[1] and not _is_comment(lines[n])
-    ]
+    fitting = [n for n in range(first) if shape[0] <= len(split[n]) <= shape[1]]
+    fitting = [n for n in fitting if not _is_comment(split[n][0])]
     units = None
     if fitting and _is_units(split[fitting[-1]]):
         units = fitting.pop()
@@ -242,30 +231,25 @@ def _is_units(cells: Sequence[str]) -> bool:
 
 
 def _gather(
-    lines: Sequence[str],
-    split: Sequence[list[str]],
-    first: int,
-    shape: tuple[int, int],
-    header: int | None,
-    file: str,
+    split: Sequence[list[str]], first: int, shape: _Shape, head: list[str], file: str
 ) -> tuple[list[list[str]], list[int], list[str]]:
+    """Return rows, their lines from 1, and notes on what was left out."""
     rows: list[list[str]] = []
     row_of: list[int] = []
     left = Counter[str]()
     odd: list[int] = []  # since the last row: refused if another follows
-    for n in range(first, len(split)):
-        cells = split[n]
-        if not lines[n].strip():
+    for n, cells in enumerate(split[first:], first):
+        if cells in ([], [""]):
             continue
-        if _is_comment(lines[n]):
+        if _is_comment(cells[0]):
             left["comment"] += 1
-        elif header is not None and cells == split[header]:
+        elif cells == head:
             left["header once more"] += 1
         elif not _fits(cells, shape):
             odd.append(n)
         elif odd:
             raise BundleError(
-                f"is no row of {shape[0]} cells: {lines[odd[0]].strip()[:40]!r}",
+                f"is no row of {shape[0]} cells: {' '.join(split[odd[0]])[:40]!r}",
                 file=file,
                 row=odd[0] + 1,
                 remedy="remove the line, or export the recording again",
@@ -275,12 +259,12 @@ def _gather(
             row_of.append(n + 1)
     notes = [f"{count} x {what} left out" for what, count in left.items()]
     if odd:
-        shown = repr(lines[odd[0]].strip()[:40])
-        notes.append(f"{len(odd)} lines at the end left out: {shown}")
+        shown = " ".join(split[odd[0]])[:40]
+        notes.append(f"{len(odd)} lines at the end left out: {shown!r}")
     return rows, row_of, notes
 
 
-def _fits(cells: list[str], shape: tuple[int, int]) -> bool:
+def _fits(cells: list[str], shape: _Shape) -> bool:
     """Tell whether a line is a row, with or without values."""
     if len(cells) < shape[0] or any(cells[shape[1] :]):
         return False
