@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 REMEDY = "update, replace or remove that package"
-_PLAIN_NAME = re.compile(r"\w[\w.-]*")
+PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 left_out = set[str]()
 """Why plug-ins were left out of lists, those of this process so far."""
 
@@ -34,11 +34,13 @@ def find_plugins(group: str) -> dict[str, EntryPoint]:
         points = list(entry_points(group=group))
     except Exception:  # a distribution whose list is broken hides no other's
         points = [point for each in _read_lists() for point in each.select(group=group)]
-    for point in points:
-        if not _PLAIN_NAME.fullmatch(point.name):  # folders bear it
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(points, key=is_ours):
+        if PLAIN_NAME.fullmatch(point.name):  # folders bear it
+            found[point.name] = point
+        else:
             _leave_out(f"{describe_plugin(point)} has no plain name; {REMEDY}")
-    plain = [point for point in points if _PLAIN_NAME.fullmatch(point.name)]
-    return {point.name: point for point in sorted(plain, key=is_ours)}
+    return found
 
 
 def _read_lists() -> Iterator[Any]:
@@ -132,10 +134,7 @@ class Guarded:
     """
 
     def __init__(
-        self,
-        made: object,
-        point: EntryPoint,
-        check: Callable[[str, Any], Any] = lambda _, answer: answer,
+        self, made: object, point: EntryPoint, check: Callable[[str, Any], Any]
     ) -> None:
         self._made, self._point, self._check = made, point, check
 

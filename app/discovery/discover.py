@@ -33,7 +33,7 @@ from truepath.app.files.run import Run
 from truepath.app.kinematics.coarse_model import build_baseline_models
 from truepath.app.kinematics.conditions import Conditions
 from truepath.app.kinematics.effects.candidate_term import propose_terms
-from truepath.app.kinematics.effects.catalogue import leave_out_failing, list_families
+from truepath.app.kinematics.effects.catalogue import list_families
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.progress import ShareProgress, ignore_progress
 
@@ -160,9 +160,9 @@ def discover(
     machine = one_machine([run.machine for run in runs], [run.name for run in runs])
     fine = [one.observations for one in aligned]
     coarse = [one.coarse for one in aligned]
-    families = [f for f in list_families() if reference or not f.is_rigid_body]
     at = [one.at for one in fine]
-    terms = tuple(propose_terms(leave_out_failing(families, at), at))
+    families = [f for f in list_families(at) if reference or not f.is_rigid_body]
+    terms = tuple(propose_terms(families, at))
     nested, noise_model = build_baseline_models(
         machine, [one.at for one in coarse], reference and reference.model
     )

@@ -23,6 +23,7 @@ from truepath.app.operation.finding import Finding, Grade
 from truepath.app.operation.running_service import RunningService
 from truepath.app.settings import Settings
 from truepath.drivers.interfaces.errors import DeviceError
+from truepath.drivers.interfaces.records import Identity
 from truepath.drivers.interfaces.thermometers import ReadingTry
 
 _PORT_OPTIONS = ("port", "serial_port")
@@ -53,10 +54,7 @@ def _look_at_one(
     for word, name, options in _list_devices(settings):
         yield from look_at_port(word, options)
         if not running.is_there:
-            tries: list[ReadingTry] = []
-            yield ask_device(word, name, options, tries)
-            for channel, ways in groupby(tries, lambda one: one.channel):
-                yield _compare_ways(channel, [*ways])
+            yield from ask_device(word, name, options)
 
 
 def _list_devices(
@@ -112,29 +110,26 @@ def _find_group(port: Path) -> str:
         return str(number)
 
 
-def ask_device(
-    word: str,
-    name: str,
-    options: Mapping[str, Any],
-    tries: list[ReadingTry] | None = None,
-) -> Finding:
-    """Return who answers; the driver's own time-outs bound it.
-
-    tries : receives what sensors show by the ways to read them
-    """
+def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield who answers, and what its sensors show by the ways to read them."""
     try:
         device = make_device(word, name, options)
     except BadInput as error:
-        return Finding(word, Grade.WRONG, str(error), "correct the settings")
+        yield Finding(word, Grade.WRONG, str(error), "correct the settings")
+        return
     try:
-        who = device.connect()
+        yield _describe(word, device.connect())
     except DeviceError as error:
-        return Finding(word, Grade.WRONG, f"{name}: {error}", _LINK)
+        yield Finding(word, Grade.WRONG, f"{name}: {error}", _LINK)
     finally:
         with suppress(DeviceError):
             device.close()
-        if tries is not None:
-            tries += getattr(device, "tries", ())
+    if word == "thermometer":
+        for channel, ways in groupby(device.tries, lambda one: one.channel):
+            yield _compare_ways(channel, [*ways])
+
+
+def _describe(word: str, who: Identity) -> Finding:
     text = f"{who.maker} {who.model}, serial {who.serial_number}, {who.firmware}"
     if word == "motion" and not who.has_watchdog:
         remedy = "give it a watchdog: it would move on if the service died"
@@ -143,7 +138,6 @@ def ask_device(
 
 
 def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
-    """Return what a sensor shows by each way to read it; that of the settings first."""
     shown = [
         f"{w.value} with {w.how}{' (as set)' * w.is_set}{' (likely)' * w.is_likely}"
         for w in ways

@@ -115,7 +115,12 @@ class ReadingTry:
 
 
 class Thermometers(Device):
-    """A group of channels behind one link. For one thread; `close` for any."""
+    """A group of channels behind one link. For one thread; `close` for any.
+
+    tries : what `connect`, even Refused, has seen by all the ways that it tried
+    """
+
+    tries: tuple[ReadingTry, ...] = ()
 
     @property
     @abstractmethod
@@ -126,11 +131,6 @@ class Thermometers(Device):
     @abstractmethod
     def period_s(self) -> float:
         """Shortest time between two readings of a channel, for who calls `read`."""
-
-    @property
-    def tries(self) -> tuple[ReadingTry, ...]:
-        """What `connect`, even Refused, has seen by all the ways that it tried."""
-        return ()
 
     @abstractmethod
     def read(self) -> tuple[Reading, ...]:

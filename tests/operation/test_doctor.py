@@ -161,7 +161,7 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
         assert running == RunningService(is_there=True)
         assert look_at_service(given, running).grade is Grade.WARNING
         asked = []
-        monkeypatch.setattr(devices, "ask_device", lambda *a: asked.append(a))
+        monkeypatch.setattr(devices, "ask_device", lambda *a: [asked.append(a)])
         list(devices.look_at_devices(given, running))
         assert asked == []
         holder.stdin.close()
@@ -202,7 +202,7 @@ def test_devices_that_answer_are_named_and_those_that_do_not_say_what_to_do(
 
 
 def test_an_option_that_no_driver_takes_is_named(settings, tmp_path):
-    found = devices.ask_device("motion", "modbus", {"hots": "192.0.2.1"})
+    (found,) = devices.ask_device("motion", "modbus", {"hots": "192.0.2.1"})
     assert found.grade is Grade.WRONG
     assert "did you mean host?" in found.text
 

@@ -255,37 +255,27 @@ class Family(ABC):
         return " ".join([self.words["en"].title, *filter(None, said)])
 
 
-def list_families() -> tuple[Family, ...]:
-    """Return one of each installed family, in the order of their names."""
-    # One search for all: each reads the metadata of every installed distribution.
-    return tuple(gather(GROUP, _ask).values())
+def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
+    """Return one of each installed family, in the order of their names.
 
+    at : those of somebody else that fail in these conditions are left out
+    """
 
-def _ask(_name: str, factory: type[Family]) -> Family:
-    """Return a family that can be listed. Raises anything."""
-    family = _make_family(factory)
-    "".join([family.name, *(words.title for words in family.words.values())])
-    return family
-
-
-def leave_out_failing(
-    families: Iterable[Family], at: Sequence[Conditions]
-) -> list[Family]:
-    """Return the families less those of somebody else that fail in these conditions."""
-    ours = [f for f in families if type(f).__module__.startswith("truepath.")]
-    others = {f.name: f for f in families if f not in ours}
-
-    def ask(name: str, _factory: type[Family]) -> Family | None:
-        for conditions in at if name in others else ():
-            for candidate in others[name].propose(conditions):
+    def ask(_name: str, factory: type[Family]) -> Family:
+        family = _make_family(factory)
+        "".join([family.name, *(words.title for words in family.words.values())])
+        is_ours = type(family).__module__.startswith("truepath.")
+        for conditions in () if is_ours else at:
+            for candidate in family.propose(conditions):
                 moved = candidate.effect.jacobian(conditions)
                 if moved.shape[1:] != (3, len(candidate.usual)):
                     raise ValueError(f"its effect has the shape {moved.shape}")
                 if not np.isfinite(moved).all():
                     raise ValueError("its effect is not finite")
-        return others.get(name)
+        return family
 
-    return ours + [f for f in gather(GROUP, ask).values() if f] if others else ours
+    # One search for all: each reads the metadata of every installed distribution.
+    return tuple(gather(GROUP, ask).values())
 
 
 def find_family(name: str) -> Family:

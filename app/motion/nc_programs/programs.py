@@ -24,6 +24,7 @@ from truepath.app.motion.nc_programs.programmed_motion import (
 )
 from truepath.app.motion.travel import check_travel
 from truepath.app.plugins import (
+    PLAIN_NAME,
     Guarded,
     PluginFailed,
     find_point,
@@ -40,7 +41,6 @@ _LEAST_FEED = 0.1  # mm/min
 LARGEST_FEED_MM_MIN = 99_999.0  # that controls of all kinds read
 _NAME_LENGTH = 16  # every control here takes as many
 # What comments of all controls may hold; a bracket or a quote would end them.
-_PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 
@@ -103,7 +103,7 @@ def name_file(text: str, dialect: str) -> str:
     """Return the file name of a program on its control."""
     kind = _load_dialect(dialect)
     name = f"{kind.read(text).name}{kind.suffix}"
-    if _PLAIN_NAME.fullmatch(name) is None:
+    if PLAIN_NAME.fullmatch(name) is None:
         raise PluginFailed(f"the dialect {dialect}: {name!r} is no plain file name")
     return name
 

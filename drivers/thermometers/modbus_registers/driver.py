@@ -57,13 +57,7 @@ class ModbusRegisters(Thermometers):
         self._link = ModbusLink(address, self._registers[0].unit)
         self._identity = Identity("", name, "", "")
         self._due_s: dict[str, float] = {}
-        self._tries: tuple[ReadingTry, ...] = ()
         self._is_connected = False
-
-    @property
-    def tries(self) -> tuple[ReadingTry, ...]:
-        """Both orders of words, and the addresses beside, as `connect` read them."""
-        return self._tries
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -141,7 +135,7 @@ class ModbusRegisters(Thermometers):
             raise next(iter(silent.values()))
         shy: set[int] = set()  # units that bear no question beyond their list
         tried = [self._try_ways(each, value, shy) for each, value in found]
-        self._tries = tuple(one for ways in tried for one in ways)
+        self.tries = tuple(one for ways in tried for one in ways)
         for (each, _), (own, other, *_) in zip(found, tried, strict=True):
             if each.count == 2 and other.is_likely:
                 raise Refused(
@@ -165,7 +159,8 @@ class ModbusRegisters(Thermometers):
                 shy.add(way.unit)
                 self._open_anew()
         # Beside it another sensor may be: its own address comes first.
-        may = [i for i, v in enumerate(values) if each.may_be(v)]
+        fault = each.channel.find_fault
+        may = [i for i, v in enumerate(values) if v != 0.0 and not fault(v)]
         own = [i for i in may if i < each.count] or may
         likely = next((i for i in own if abs(values[i]) > _SMALL), (*own, -1)[0])
         return [

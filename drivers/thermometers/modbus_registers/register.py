@@ -81,10 +81,6 @@ class Register:
         shown = self.offset + self.scale * value
         return shown if self.type == "float32" else round(shown, 9)
 
-    def may_be(self, value: float | None) -> bool:
-        """Tell whether a number may be a reading."""
-        return bool(value) and not self.channel.find_fault(value or math.nan)
-
     def list_ways(self) -> list[Register]:
         """Return the ways to read it: this, the other order, an address beside."""
         other: WordOrder = "big" if self.word_order == "little" else "little"
