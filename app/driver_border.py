@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import EntryPoint
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from truepath.app.plugins import REMEDY, describe_plugin, word_error
 from truepath.drivers.interfaces import errors
@@ -45,7 +45,7 @@ QUICK_S = 3.0  # for what is asked for while a machine moves, or must stop
 _LIMITS_S = {"connect": 15.0, "start": 10.0, "stop": 5.0, "close": 5.0}
 _LOAD_S, _LOAD_ROW_S = 30.0, 0.5
 _POINT_S = 19.0  # beyond its dwell
-_LONGEST_S = 300.0  # that an instrument may turn
+_Span = Annotated[float, Field(ge=0.0, le=300.0)]  # s
 _TURNS = frozenset({"home", "aim", "search", "select_target"})
 _STOPS = frozenset({"stop", "hold", "abort", "close"})  # tried whatever else hangs
 _PROPERTIES = frozenset(
@@ -62,8 +62,8 @@ _KINDS: Mapping[str, Any] = {
     "health": LinkHealth,
     "capabilities": TrackerCapabilities,
     "channels": tuple[Channel, ...],
-    "period_s": float,
-    "verb_limit_s": float,
+    "period_s": _Span,
+    "verb_limit_s": _Span,
     "take_link_bytes": bytes,
     "take_events": tuple[TrackerEvent, ...],
     "read_air": Air,
@@ -73,10 +73,6 @@ _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
     | {"status": (), "quality": ()},  # of each sample
     PointMeasurement: {"position_mm": (3,), "covariance_mm2": (3, 3)},
 }
-
-
-class _Nonsense(Exception):
-    """An answer that was not agreed."""
 
 
 class _Lane:
@@ -89,7 +85,6 @@ class _Lane:
         threading.Thread(target=self._run, name="driver", daemon=True).start()
 
     def _run(self) -> None:
-        """Body of the thread."""
         while (call := self.calls.get()) is not None:
             try:
                 self.answers.put((call(), None))
@@ -110,7 +105,7 @@ def guard(
 def find_stuck(*devices: object) -> str:
     """Return the first call of guarded devices that has not ended in its time."""
     borders = (one for one in devices if type(one) is _Border)
-    return next(filter(None, (one.find_stuck() for one in borders)), "")
+    return next((call for one in borders for call in one.list_stuck()), "")
 
 
 class _Border:
@@ -141,18 +136,17 @@ class _Border:
             name, lambda: value(*given, **named), *given, *named.values()
         )
 
-    def find_stuck(self) -> str:
-        """Return the first call that is overdue and has not ended since."""
-        late = (c for c, lane in self._overdue.copy().items() if lane.answers.empty())
-        return next(late, "")
+    def list_stuck(self) -> list[str]:
+        """Return the calls that are overdue and have not ended since."""
+        overdue = self._overdue.copy().items()
+        return [call for call, lane in overdue if lane.answers.empty()]
 
     def _call(self, name: str, verb: Callable[[], Any], *given: Any) -> Any:
-        stuck = self.find_stuck()
+        stuck = self.list_stuck()
         if stuck and name in self._known:
             return self._known[name]
-        is_late = name in self._overdue and self._overdue[name].answers.empty()
-        if stuck and (name not in _STOPS or is_late):
-            raise self._fault(f"still has not returned from {stuck}()")
+        if stuck and (name not in _STOPS or name in stuck):
+            raise self._fault(f"still has not returned from {stuck[0]}()")
         limit_s = self._find_limit_s(name, given)
         try:
             lane = self._idle.pop()
@@ -199,9 +193,6 @@ class _Border:
         return DriverFault(f"{self._who} {text}; {REMEDY}")
 
     def _translate(self, error: BaseException, name: str) -> DeviceError:
-        """Return the device error that an error of a driver amounts to."""
-        if isinstance(error, _Nonsense):
-            return self._fault(f"has answered {name}() with nonsense: {error}")
         if not isinstance(error, DeviceError):
             return self._fault(f"has failed in {name}() ({word_error(error)})")
         if vars(errors).get(type(error).__name__) is type(error) and str(error):
@@ -211,36 +202,30 @@ class _Border:
         return family(f"{self._who}: {word_error(error)}")
 
     def _check(self, name: str, answer: Any) -> Any:
-        """Return an answer as records of the interfaces have it. Raises _Nonsense."""
         try:
-            if name == "read" and isinstance(self._device, Thermometers):
-                return self._check_readings(answer)
-            if name in ("read", "measure"):
-                return _check_arrays(
-                    answer, TrackerSamples if name == "read" else PointMeasurement
-                )
-            checked: Any = _rebuild(_KINDS[name], answer) if name in _KINDS else answer
+            return self._convert(name, answer)
         except (AttributeError, TypeError, ValueError) as error:
-            raise _Nonsense(_shorten(error)) from error
-        if isinstance(checked, MotionStatus):
-            axes = self._device.axes  # pyright: ignore[reportAttributeAccessIssue]
-            if len(checked.position) != len(axes):
-                text = f"{len(checked.position)} positions of {len(axes)} axes"
-                raise _Nonsense(text)
-        if (
-            name in ("period_s", "verb_limit_s")
-            and not 0.0 <= cast(float, checked) <= _LONGEST_S
-        ):
-            raise _Nonsense(f"{checked:g} s")
-        return checked
+            text = f"has answered {name}() with nonsense: {_shorten(error)}"
+            raise self._fault(text) from error
 
-    def _check_readings(self, answer: Any) -> tuple[Reading, ...]:
-        readings = tuple(_rebuild(Reading, one) for one in answer)
-        known = {c.name for c in self._device.channels}  # pyright: ignore[reportAttributeAccessIssue]
-        for one in readings:
-            if one.channel not in known:
-                raise _Nonsense(f"a reading of {one.channel!r}, which is no channel")
-        return readings
+    def _convert(self, name: str, answer: Any) -> Any:
+        """Return an answer as records of the interfaces have it. Raises ValueError."""
+        device: Any = self._device
+        if name == "read" and isinstance(device, Thermometers):
+            readings = tuple(_rebuild(Reading, one) for one in answer)
+            known = [channel.name for channel in device.channels]
+            if odd := [r.channel for r in readings if r.channel not in known]:
+                raise ValueError(f"a reading of {odd[0]!r}, which is no channel")
+            return readings
+        if name in ("read", "measure"):
+            kind = TrackerSamples if name == "read" else PointMeasurement
+            return _check_arrays(answer, kind)
+        checked: Any = _rebuild(_KINDS[name], answer) if name in _KINDS else answer
+        if isinstance(checked, MotionStatus):
+            axes, count = device.axes, len(checked.position)
+            if count != len(axes):
+                raise ValueError(f"{count} positions of {len(axes)} axes")
+        return checked
 
 
 @cache
@@ -261,7 +246,6 @@ def _take_apart(kind: Any, value: Any) -> dict[str, Any]:
 
 
 def _check_arrays(value: Any, kind: type) -> Any:
-    """Return a record of arrays as one of that very class."""
     parts = _take_apart(kind, value)
     each = (len(parts["sequence"]),) if kind is TrackerSamples else ()
     for name, shape in _SHAPES[kind].items():
@@ -273,8 +257,8 @@ def _check_arrays(value: Any, kind: type) -> Any:
         if part.shape != each + shape:
             raise ValueError(f"{name} has the shape {part.shape}, not {each + shape}")
     if kind is PointMeasurement:
-        for name, number in (("time_s", float), ("quality", float), ("count", int)):
-            parts[name] = _rebuild(number, parts[name])
+        numbers = {"time_s": float, "quality": float, "count": int}
+        parts |= {name: _rebuild(one, parts[name]) for name, one in numbers.items()}
     return kind(**parts)
 
 

@@ -13,6 +13,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -36,7 +37,6 @@ from truepath.app.measurement.messages import (
     ConnectRefused,
     ControllerRead,
     FaultReported,
-    MeasurementCommand,
     MeasurementOrder,
     RunClosed,
     SensorsTried,
@@ -222,7 +222,8 @@ class _CellServer:
             case CellVerb.BEAT:
                 self._beat_s = self._look_s = time.monotonic()
             case _ if self._measurement is not None and self._measuring:
-                self._pass_on(command, self._measurement)
+                order = partial(self._measurement.obey, command)
+                self._carry_out(order, str(command))
             case _:
                 pass
         return True
@@ -298,8 +299,8 @@ class _CellServer:
 
     def _begin(self, order: MeasurementOrder) -> None:
         if self._measuring:
-            text = "a measurement is under way"
-            self._fault("busy", text, "wait for its end, or abort it")
+            text, action = "a measurement is under way", "wait for its end, or abort it"
+            self._outbox.report(FaultReported("busy", text, action))
         elif self._tracker is None or self._motion is None or not self._identities:
             text = "tracker and controller are not connected"
             self._refuse(FaultReported("not-connected", text, "connect first"))
@@ -330,9 +331,6 @@ class _CellServer:
         self._state(CellState.FAILED, fault.text)
         self._outbox.report(RunClosed("", CellState.FAILED))
 
-    def _pass_on(self, command: MeasurementCommand, measurement: Measurement) -> None:
-        self._carry_out(lambda: measurement.obey(command), str(command))
-
     def _carry_out(self, step: Callable[[], None], name: str) -> None:
         try:
             step()
@@ -343,9 +341,6 @@ class _CellServer:
 
     def _state(self, state: CellState, text: str = "") -> None:
         self._outbox.report(StateChanged(state, text))
-
-    def _fault(self, code: str, text: str, action: str) -> None:
-        self._outbox.report(FaultReported(code, text, action))
 
     def _quietly(self, step: Callable[[], Any] | None) -> None:
         if step is None:

@@ -32,7 +32,9 @@ class Fault(MeasurementFailed):
     latched : somebody has to look at the machine before anything goes on
     """
 
-    def __init__(self, code: str, text: str, action: str, *, latched: bool) -> None:
+    def __init__(
+        self, code: str, text: str, action: str, *, latched: bool = False
+    ) -> None:
         self.code, self.text, self.action, self.latched = code, text, action, latched
         super().__init__(f"{text}; {action}")
 
@@ -64,9 +66,7 @@ def classify_fault(error: Exception) -> Fault:
         if isinstance(error, family):
             return Fault(code, str(error), action, latched=latched)
     if isinstance(error, TruepathError):
-        return Fault(
-            "failed", str(error), "correct this, then begin again", latched=False
-        )
+        return Fault("failed", str(error), "correct this, then begin again")
     return Fault(
         "internal",
         f"{type(error).__name__}: {error}",
@@ -79,26 +79,22 @@ SILENT = Fault(
     "tracker-silent",
     "no sample has come for half a second; the feed is held",
     "nothing: it goes on by itself when the stream is back within seconds",
-    latched=False,
 )
 POINTS_ONLY = Fault(
     "points-only",
     "this tracker measures standing targets, point by point, and the plan is a path",
     "plan for standstill points, or use a tracker that streams",
-    latched=False,
 )
 NO_TIMES = Fault(
     "no-times",
     "the tracker's samples bear the time of their arrival, and the plan is a path: a "
     "late sample would be an error along the line",
     "let the stream carry a time or a counter, or plan for standstill points",
-    latched=False,
 )
 DAMAGED = Fault(
     "stream-damaged",
     "more than 1 % of the tracker's samples are bad or lost; the feed is held",
     "nothing: it goes on by itself and drives the line again; look at the cable",
-    latched=False,
 )
 STAYS_DAMAGED = Fault(
     "stream-damaged",
@@ -111,20 +107,17 @@ SLOW_DISK = Fault(
     "the disk cannot keep up; the feed is held until it has",
     "nothing: it goes on by itself when the disk has caught up within seconds; use a "
     "local disk",
-    latched=False,
 )
 DISK_STAYS_SLOW = Fault(
     "disk-stays-slow",
     "the disk has not caught up within 10 s; the feed stays held",
     "look at the machine, then press Resume; use a local disk",
-    latched=False,
 )
 SERVICE_SILENT = Fault(
     "service-silent",
     "the service has stood still, so that nobody could stop the machine by it; the "
     "feed is held",
     "look at the computer's load, then press Resume",
-    latched=False,
 )
 UNSTOPPED = Fault(
     "stop-unconfirmed",
@@ -136,51 +129,43 @@ UNMOVED = Fault(
     "not-moving",
     "the machine says that it runs, and has not moved for a while",
     "look at the feed override and at the panel of the machine; it goes on from there",
-    latched=False,
 )
 STALLED = Fault(
     "feed-override",
     "the feed override is 0 %: the machine says that it runs, and stands",
     "turn it to 100 % at the machine; it goes on from there",
-    latched=False,
 )
 BEAM_LOST = Fault(
     "beam-lost",
     "the tracker has lost the reflector; the feed is held",
     "lock the beam on the reflector, then press Resume",
-    latched=False,
 )
 HOMED = Fault(
     "tracker-homed",
     "the tracker was not initialised; it has been sent to its reference",
     "nothing; where the beam is on no target now, lock it on the reflector",
-    latched=False,
 )
 NO_BEAM = Fault(
     "not-resumed",
     "the tracker sends no valid samples or damaged ones, the machine stays held",
     "lock the beam on the reflector, look at the cable, then press Resume",
-    latched=False,
 )
 AIR_UNKNOWN = Fault(
     "air-unknown",
     "the tracker does not correct for the air, and temperature and pressure of the air "
     "are not measured: its ranges stay as they are",
     "set thermometers with air_degC and pressure_hPa; a hall is 270 ppm from vacuum",
-    latched=False,
 )
 NO_WATCHDOG = Fault(
     "no-watchdog",
     "the controller has no watchdog: it would move on if the service died",
     "give it one; allow_no_watchdog is for a driver that says of itself that it stops "
     "where it is not asked",
-    latched=False,
 )
 MOTION_BUSY = Fault(
     "motion-busy",
     "the controller runs a program, or somebody holds one at the panel",
     "let it end, or end or reset it at the panel",
-    latched=False,
 )
 STOP_NOT_CONFIRMED = Fault(
     "stop-unconfirmed",
@@ -192,20 +177,17 @@ STILL_HELD = Fault(
     "resume-unconfirmed",
     "the controller keeps holding",
     "release feed hold and door at the machine, then press Resume",
-    latched=False,
 )
 
 
 def make_beam_fault(text: str) -> Fault:
     """Return the fault of a polled tracker that finds no target, in its own words."""
-    return Fault(BEAM_LOST.code, text, BEAM_LOST.action, latched=False)
+    return Fault(BEAM_LOST.code, text, BEAM_LOST.action)
 
 
 def make_unfound_fault(text: str) -> Fault:
     """Return the fault of a lost target that the tracker does not find by itself."""
-    return Fault(
-        BEAM_LOST.code, f"{BEAM_LOST.text}; {text}", BEAM_LOST.action, latched=False
-    )
+    return Fault(BEAM_LOST.code, f"{BEAM_LOST.text}; {text}", BEAM_LOST.action)
 
 
 def make_override_fault(override: float) -> Fault:
@@ -216,7 +198,6 @@ def make_override_fault(override: float) -> Fault:
         "feed-override",
         f"the feed override is {100 * override:.0f} %: feeds are not those of the plan",
         "set it to 100 % at the machine; the measurement goes on meanwhile",
-        latched=False,
     )
 
 
@@ -228,7 +209,6 @@ def make_target_fault(name: str, misfit_mm: float) -> Fault:
         "where the points before have it; another target is measured, or was before",
         f"lock the beam on {name}, look at the targets in the machine file, then "
         "press Resume",
-        latched=False,
     )
 
 
@@ -240,7 +220,6 @@ def make_late_fault(error: DeviceError) -> Fault:
         "control-busy" if busy else "control-late",
         f"the controller {what}; the feed is held: {error}",
         "nothing: it goes on by itself when the controller answers within seconds",
-        latched=False,
     )
 
 
@@ -254,7 +233,6 @@ def make_held_fault(reason: str, late: Fault | None = None) -> Fault:
         late.code if late else "held-at-machine",
         f"{text}; {late.text}" if late else text,
         "look why, then release it there or press Resume",
-        latched=False,
     )
 
 
@@ -307,13 +285,12 @@ def make_silence_fault(after_s: float) -> Fault:
     )
 
 
-def make_position_fault(doubt: str, *, latched: bool = False) -> Fault:
+def make_position_fault(doubt: str) -> Fault:
     """Return the fault of a controller whose positions are not to be believed."""
     return Fault(
         "position-implausible",
         f"the controller's positions are not to be believed: {doubt}",
         "look at the control, its link and its position display, then press Resume",
-        latched=latched,
     )
 
 
@@ -324,7 +301,6 @@ def make_frozen(moved_mm: float) -> Fault:
         f"the tracker shows the same place, to the last digit, while the target has "
         f"moved {moved_mm:.1f} mm",
         "look at the tracker and its software, then press Resume",
-        latched=False,
     )
 
 
@@ -336,5 +312,4 @@ def make_disagreement_fault(by_tracker_mm: float, by_axes_mm: float) -> Fault:
         f"{by_axes_mm:.0f} mm by the controller",
         "look which reflector the tracker follows, and where the axes are, then press "
         "Resume",
-        latched=False,
     )

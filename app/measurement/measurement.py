@@ -194,10 +194,10 @@ class Measurement:
             self._report,
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
-            search,
             PlaceCheck(
                 order.machine, has_one_target=len(set(order.commanded.target)) <= 1
             ),
+            search,
         )
         targets = TargetCheck(order.machine) if len(order.machine.targets) > 1 else None
         tracker = TrackerControl(self._tracker, self._monitor, targets, search)
@@ -310,7 +310,7 @@ class Measurement:
         self._recorder = None
         if closed.failure:
             action = "keep the file; what was committed can be read"
-            self._report_fault(Fault("storage", closed.failure, action, latched=False))
+            self._report_fault(Fault("storage", closed.failure, action))
         return closed
 
     def _report_fault(self, fault: Fault) -> None:

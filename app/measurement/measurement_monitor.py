@@ -65,8 +65,8 @@ class MeasurementMonitor:
         report: ReportEvent,
         schedule: RowSchedule,
         settings: EngineSettings,
+        places: PlaceCheck,
         search: TargetSearch | None = None,
-        places: PlaceCheck | None = None,
     ) -> None:
         self.settings, self.clock = settings, settings.clock
         self.motion, self.recorder, self.state = motion, recorder, state
@@ -143,13 +143,12 @@ class MeasurementMonitor:
         return status
 
     def _judge_positions(self) -> None:
-        """Hold the feed where axes or stream show what cannot be."""
         if self._machine.doubt:
             if self._machine.doubts >= IN_A_ROW:
                 fault = make_position_fault(self._machine.doubt)
                 self.feed.hold(HoldReason.POSITION, fault)
             return
-        if self.places is None or isinstance(self._tracker, PolledTracker):
+        if isinstance(self._tracker, PolledTracker):
             return
         may_jump = self._is_task_under_way or self.state.must_stand
         seen = None if may_jump else self.stream.find_seen()
@@ -191,7 +190,7 @@ class MeasurementMonitor:
             return
         for event in self._tracker.take_events():
             if event.action:
-                fault = Fault(event.kind, event.text, event.action, latched=False)
+                fault = Fault(event.kind, event.text, event.action)
                 self.events.report_fault(fault)
             else:
                 self.events.record(event.kind, event.text)

@@ -166,8 +166,7 @@ class PlaceCheck:
         self._machine, self._has_one_target = machine, has_one_target
         self._still: tuple[int, _Vector] | None = None
         self._away_s: float | None = None  # tracker's clock, frozen since then
-        self._recent: deque[tuple[float, float]] = deque()
-        self._stated: _Vector | None = None
+        self._recent: deque[tuple[float, _Vector]] = deque()
         self._from: tuple[_Vector, _Vector, float] | None = None
         self._turned: tuple[float, ...] = ()
         self._doubts = 0
@@ -180,7 +179,7 @@ class PlaceCheck:
         axes : where they are, by name; name : of the target; seen : None begins anew
         """
         if seen is None:
-            self._still = self._from = self._stated = None
+            self._still = self._from = None
             self._doubts = 0
             return None
         stated = self._state_place(axes, name)
@@ -210,9 +209,9 @@ class PlaceCheck:
         return fault if self._doubts >= IN_A_ROW else None
 
     def _state_place(self, axes: dict[str, float], name: str) -> _Vector:
-        machine = self._machine
-        row = np.array([[axes.get(axis, 0.0) for axis in machine.axis_names]])
-        return observe_targets(machine, row, [machine.target(name)]).point_mm[0]
+        row = np.array([[axes.get(axis, 0.0) for axis in self._machine.axis_names]])
+        target = self._machine.target(name)
+        return observe_targets(self._machine, row, [target]).point_mm[0]
 
     def _find_frozen(self, stated: _Vector, seen: SeenPlace) -> Fault | None:
         """Return a fault where new samples stay the same while the target moves on."""
@@ -231,12 +230,11 @@ class PlaceCheck:
         self, axes: dict[str, float], stated: _Vector, place_mm: _Vector, now_s: float
     ) -> Fault | None:
         """Return a fault where the distances from the first look do not fit."""
-        before = stated if self._stated is None else self._stated
-        self._stated = stated
-        self._recent.append((now_s, float(np.linalg.norm(stated - before))))
-        while self._recent[0][0] < now_s - _LAG_S:
+        self._recent.append((now_s, stated))
+        while len(self._recent) > 2 and self._recent[1][0] < now_s - _LAG_S:
             self._recent.popleft()
-        recent_mm = sum(step for _, step in self._recent)
+        steps = np.diff([place for _, place in self._recent], axis=0)
+        recent_mm = float(np.linalg.norm(steps, axis=1).sum())
         turned = tuple(round(axes.get(a.name, 0.0)) for a in self._machine.rotary_axes)
         if self._from is None or turned != self._turned:
             self._from, self._turned = (stated, place_mm, recent_mm), turned

@@ -120,7 +120,7 @@ class TrackerControl:
                     raise make_silence_fault(self._settings.first_sample_s)
                 text = "the tracker sends no valid sample"
                 action = "lock the beam on the reflector, then measure again"
-                raise Fault("beam-lost", text, action, latched=False)
+                raise Fault("beam-lost", text, action)
             self._monitor.tick()
 
     def select_target(self, name: str) -> bool:
@@ -221,7 +221,10 @@ class TrackerControl:
         if not self.holds_target(target, point.position_mm):
             return False
         axes = dict(zip(self._monitor.motion.axes, here, strict=True))
-        if not self._is_possible(axes, target, point.position_mm):
+        good, fault = self._monitor.places.judge_point(axes, target, point.position_mm)
+        if fault is not None:
+            self._monitor.feed.hold(HoldReason.PLACE, fault)
+        if not good:
             return False
         if self._search is not None:
             self._search.remember(axes, target, point.position_mm, stands=True)
@@ -230,17 +233,6 @@ class TrackerControl:
         self._monitor.recorder.put_point(row, point, data)
         self._failures, self._point_s = 0, point.time_s
         return True
-
-    def _is_possible(
-        self, axes: dict[str, float], target: str, place_mm: NDArray[np.float64]
-    ) -> bool:
-        """Tell whether a point fits the one before it; hold where two do not."""
-        if self._monitor.places is None:
-            return True
-        good, fault = self._monitor.places.judge_point(axes, target, place_mm)
-        if fault is not None:
-            self._monitor.feed.hold(HoldReason.PLACE, fault)
-        return good
 
     def _bear(self, failure: Exception) -> None:
         """Hold the feed where the beam is lost; connect anew where the link is."""
