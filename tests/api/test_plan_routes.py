@@ -134,7 +134,7 @@ def test_more_time_is_foretold_to_tell_more(planned):
     assert told[1] < 0.8 * told[0]
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(200)
 def test_a_target_is_a_standard_uncertainty(planned):
     made = planned({"mode": "otf", "target_um": 3.0})
     document = made["document"]

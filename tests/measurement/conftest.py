@@ -348,7 +348,7 @@ class FakeMotion(MotionController):
             left_mm -= length
         self.here = self._rows[-1].copy()
         if self.runs_on and len(self._rows) > 2:
-            self.here -= [left_mm, 0.0, 0.0]
+            self.here -= [min(left_mm, 1.5), 0.0, 0.0]
             return len(self._rows) - 2
         self._state = MotionState.FINISHED
         return max(len(self._rows) - 2, 0)
