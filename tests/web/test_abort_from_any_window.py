@@ -112,7 +112,9 @@ def abort(page, rig):
 
 
 @pytest.mark.fault_row(46)
-@pytest.mark.parametrize("windows", [1, 6, pytest.param(8, marks=pytest.mark.long), 12])
+@pytest.mark.parametrize(
+    "windows", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (6, 8, 12))]
+)
 def test_abort_holds_the_machine_with_many_windows(
     rig, client, context, windows, measured
 ):
@@ -139,6 +141,7 @@ OCCUPY = {
 
 
 @pytest.mark.fault_row(46)
+@pytest.mark.long
 @pytest.mark.parametrize("occupied", OCCUPY)
 def test_abort_waits_for_no_other_request_of_its_browser(
     rig, client, context, occupied, measured
