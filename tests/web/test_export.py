@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -86,7 +87,7 @@ def test_an_unsettled_sign_and_ranges_without_measurement_are_said(
     expect(card).to_contain_text("2.90 µm ± 0.09 µm (k = 2)")
     card.get_by_role("button", name="Fade to 0").click()
     expect(card.get_by_role("link")).to_have_attribute(
-        "href", FILES.format("heidenhain-10-fade")
+        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
     )
     card.get_by_role("button", name="Refuse").click()
     expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
@@ -116,7 +117,9 @@ def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
     with page.expect_response("**/compensations"):
         held[0].continue_()
     page.evaluate("() => new Promise(requestAnimationFrame)")
-    expect(link).to_have_attribute("href", FILES.format("linuxcnc-10-hold"))
+    expect(link).to_have_attribute(
+        "href", re.compile(FILES.format("linuxcnc-10-hold") + "$")
+    )
 
 
 def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
