@@ -73,16 +73,17 @@ def test_the_tool_stands_where_it_should_at_any_angle(erring, choice):
 
 def test_the_account_states_the_error_over_all_axes(erring):
     _, errors = erring
-    for name, share in (("isg-csv", 0.03), ("linuxcnc", 1.0)):
+    # LinuxCNC has 256 rows for the turn that was measured and its two neighbours.
+    for name, share, left in (("isg-csv", 0.03, 0.03), ("linuxcnc", 1.0, 0.05)):
         account = export_result(errors, name, "c", spacing_mm=5.0).account
         stated = account["over_all_axes_um"]
         assert stated["before"] > 5.0
         assert stated["after"] < share * stated["before"]
         for axis in errors.machine.rotary_axes:
             one = account["rotary"][axis.name]
-            assert one["at_tool_um"]["after"] < 0.03 * one["at_tool_um"]["before"]
+            assert one["at_tool_um"]["after"] < left * one["at_tool_um"]["before"]
             angle = one["positioning_urad"]
-            is_turned = angle["after"] < 0.03 * angle["before"]
+            is_turned = angle["after"] < left * angle["before"]
             assert is_turned == (name == "linuxcnc")
             assert bool(one["not_in_files"]) == is_turned
 
