@@ -76,7 +76,9 @@ def test_pause_and_abort_reach_the_machine_with_every_other_thread_taken(
 def test_the_feed_is_held_at_the_end_with_every_other_thread_taken(monkeypatch):
     held = threading.Event()
     service = SimpleNamespace(
-        dispatcher=SimpleNamespace(close=held.set), end_streams=lambda: None
+        dispatcher=SimpleNamespace(close=held.set),
+        end_streams=lambda: None,
+        max_streams=1,
     )
 
     async def end_at_once(*_):
