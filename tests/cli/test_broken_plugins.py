@@ -67,7 +67,7 @@ POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
 
 @pytest.fixture(autouse=True)
 def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plugins, "left_out", set(), raising=False)
+    plugins.left_out.clear()
     site = install(
         tmp_path / "site",
         POINTS,
