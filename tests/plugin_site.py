@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import dedent
@@ -24,5 +25,6 @@ def install(
         lines += [f"[truepath.{group}]", *(f"{n} = {v}" for n, v in points.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
     for module, source in modules.items():
+        sys.modules.pop(module, None)  # of a test before
         (site / f"{module}.py").write_text(dedent(source))
     return site
