@@ -102,6 +102,7 @@ def is_on_path(cnc):
 
 def abort(page, rig):
     """Touch ABORT; return how long the control then went on, in s."""
+    page.bring_to_front()  # one that nobody sees is drawn, and clicked, once a second
     begun_s = time.monotonic()
     page.locator("#abort").click(no_wait_after=True)
     while rig.read_state()["cnc"]["state"] == "running":
