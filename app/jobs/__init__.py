@@ -13,8 +13,8 @@ between stations of the tracker (`station_steps.py`) it waits for a person.
 
 Threads and processes:
 
-- the *job thread* (`jobs_under_way.py`) runs `workflow.py` and alone ends its job
-  (`active_job.py` is what it shares with other threads);
+- the *job thread*, started by `dispatcher.py`, runs `workflow.py` and alone ends its
+  job (`active_job.py` is what it shares with other threads);
 - the *cell thread* (`cell_supervisor.py`) alone speaks to the cell process;
 - *worker processes* (`executor.py`) compute, niced below the cell process;
 - request threads of `api` call the verbs of `dispatcher.py`, which wait for no motion.

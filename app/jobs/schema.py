@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlalchemy as sa
+from sqlalchemy import event
 
 metadata = sa.MetaData()
 
@@ -192,4 +193,4 @@ _FORBID_CHANGES = {
 for _dialect, _statements in _FORBID_CHANGES.items():
     for _statement in _statements:
         _made = sa.DDL(_statement).execute_if(dialect=_dialect)
-        sa.event.listen(audit, "after_create", _made)
+        event.listen(audit, "after_create", _made)
