@@ -8,8 +8,8 @@ transaction, checked against the version (compare and set). So two operators, a 
 request and a late worker cannot both succeed.
 
 A request becomes a job in `requested_job.py`, `dispatcher.py` starts it, `workflow.py`
-says what it does from top to bottom, step by step, and `job_end.py` how it ended;
-between stations of the tracker (`station_steps.py`) it waits for a person.
+says what it does from top to bottom, step by step, and how it ended; between stations
+of the tracker (`station_steps.py`) it waits for a person.
 
 Threads and processes:
 
@@ -22,7 +22,7 @@ Threads and processes:
 After a restart nothing moves: every measurement that had not ended becomes
 `interrupted`, and what its Run had recorded is added to the catalogue
 (`reconciliation.py`, which goes on looking for Runs that no row names). Jobs that only
-compute are queued again (`restart.py`).
+compute are queued again (`job_changes.py`).
 
 RFC 9110 (conditional requests), section 13; draft-ietf-httpapi-idempotency-key-header.
 """

@@ -20,7 +20,6 @@ from truepath.app.jobs.arming import (
     summarise_motion,
 )
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.ended_measurement import catalogue_runs, interrupt_job
 from truepath.app.jobs.errors import (
     CellDown,
     NotInControl,
@@ -31,12 +30,14 @@ from truepath.app.jobs.errors import (
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Job
-from truepath.app.jobs.job_changes import require_version
+from truepath.app.jobs.job_changes import leave_end, put_back, require_version
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.pausing import pause
-from truepath.app.jobs.reconciliation import reconcile
+from truepath.app.jobs.reconciliation import (
+    catalogue_runs,
+    interrupt_job,
+    reconcile,
+)
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
-from truepath.app.jobs.restart import leave_end, put_back
 from truepath.app.jobs.resumability import (
     require_machine_file,
     require_resumable,
@@ -50,7 +51,7 @@ from truepath.app.motion.configurations import Commanded
 log = structlog.get_logger(__name__)
 
 MAX_WAITING = 100
-BOOKS_S = 0.7  # that whoever stops the machine waits for the catalogue
+BOOKS_S = 0.7  # that a client which stops the machine waits for the catalogue
 
 
 class Dispatcher:
@@ -187,7 +188,7 @@ class Dispatcher:
             raise IllegalTransition(
                 f"cannot pause a job that is {active.stage}: nothing moves any more"
             )
-        return pause(active, self._context.machines.choose(active.job.machine).cell)
+        return active.pause(self._context.machines.choose(active.job.machine).cell)
 
     def take_control(self, job_id: str, by: str | None) -> tuple[Job, str | None]:
         """Let only this user arm and resume a job; also return who could before.
@@ -388,7 +389,6 @@ class _JobsUnderWay:
         return list(self._active.values())
 
     def require(self, job_id: str, verb: Verb) -> ActiveJob:
-        """Return a job to apply a verb to. Raises NotFound, IllegalTransition."""
         active = self._active.get(job_id)
         if active is not None:
             return active
