@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 
 from truepath.app.errors import MeasurementFailed
+from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import Aborted, Cancelled, Interrupted, StorageUnavailable
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.executor import Computing
@@ -24,11 +25,17 @@ from truepath.app.jobs.job import (
     Stage,
     encode_job,
 )
-from truepath.app.jobs.job_changes import ask_for, end_job, enter_state, set_failure
+from truepath.app.jobs.job_changes import (
+    ask_for,
+    end_job,
+    enter_state,
+    put_back,
+    set_failure,
+)
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.store import Store
 from truepath.app.jobs.transitions import MOVE_STATES, State, Verb
+from truepath.app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
@@ -110,10 +117,22 @@ class ActiveJob:
             self._armed = plan_sha256
             self._changed.notify_all()
 
-    def keep_pause(self) -> None:
-        """Insist on a pause that could not be stored, until the state changes."""
-        with self._changed:
-            self.wants_pause = True
+    def pause(self, cell: CellSupervisor) -> Job:
+        """Hold the feed, then store that it was asked for.
+
+        The cell gets the command even if it has paused: it might continue by itself.
+        A pause that cannot be stored is wanted until the state changes.
+
+        Raises IllegalTransition, StorageUnavailable; the cell has been asked even then.
+        """
+        if self.may_move:
+            cell.send(CellVerb.PAUSE)
+        try:
+            return self.apply_verb(Verb.PAUSE)
+        except StorageUnavailable:
+            with self._changed:
+                self.wants_pause = True
+            raise
 
     def wish(self, what: OnNotice) -> None:
         """Say what is to be done about the newest notice."""

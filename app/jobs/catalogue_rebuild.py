@@ -71,7 +71,7 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
     """Set a damaged catalogue aside, and add to the catalogue what it lacks.
 
     A whole catalogue stays, with all that it holds. Nobody may work on it meanwhile.
-    Raises CatalogueReadOnly, StorageUnavailable.
+    Raises CatalogueReadOnly, SchemaTooOld, StorageUnavailable.
     """
     aside = _set_aside(database)
     database.migrate()
@@ -100,7 +100,8 @@ def check_against_disk(
 
     with_hashes : read every Run, and name those that are not as they were catalogued
 
-    Changes nothing. Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew.
+    Changes nothing. Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew,
+    SchemaTooOld.
     """
     revision = database.check()
     if revision is None:

@@ -63,8 +63,8 @@ def import_tables(
 
     tables : lines by table, in the order of the export
 
-    Raises BadInput where the catalogue is not empty, SchemaTooNew, and ValueError where
-    a line is not a row.
+    Raises BadInput where the catalogue is not empty, SchemaTooNew, SchemaTooOld, and
+    ValueError where a line is not a row.
     """
     if database.check() is not None:
         raise BadInput(

@@ -276,7 +276,6 @@ class CellMeasurement:
         self._cell.kill()
 
     def _raise_outcome(self) -> None:
-        """Return if the measurement has finished, else raise what its end means."""
         fault = self._fault or FaultReported("", "", "")
         code, text, action = fault.code, fault.text, fault.action
         if self._outcome is CellState.FAULTED and not self._is_stopped:

@@ -8,9 +8,10 @@ own watchdog has held the feed meanwhile.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, suppress
 from dataclasses import asdict, replace
@@ -19,11 +20,9 @@ from typing import Any
 import structlog
 
 from truepath.app.errors import MeasurementFailed, TruepathError
-from truepath.app.jobs.cell_commands import CellCommands, Command, refuse_command
 from truepath.app.jobs.cell_counters import CellCounters
 from truepath.app.jobs.cell_status import MOVING, CellStatus, ControllerLevels, Devices
 from truepath.app.jobs.errors import CellDown, DeviceSettings
-from truepath.app.jobs.hearing_at_rest import hear_at_rest
 from truepath.app.jobs.sample_feed import SampleFeed
 from truepath.app.jobs.stream_watch import StreamWatch
 from truepath.app.measurement.cell import Cell
@@ -42,6 +41,7 @@ from truepath.app.measurement.messages import (
     TrackerTried,
 )
 from truepath.app.motion.configurations import Commanded
+from truepath.drivers.interfaces.errors import DeviceError, NotHomed
 from truepath.drivers.interfaces.records import TrackerSamples
 
 log = structlog.get_logger(__name__)
@@ -50,8 +50,10 @@ POLL_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S, END_TIMEOUT_S = 30.0, 10.0
+HEAR_S, HEAR_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
 BEAT_S = 0.2  # by which the cell knows that it can be told to stop
 
+Command = Callable[[Cell], Any]
 EventHandler = Callable[[CellEvent | None], None]
 """Receives each event, None when the cell has died; must return at once."""
 
@@ -73,7 +75,8 @@ class CellSupervisor:
         self, make: Callable[[], Cell], *, first_pause_s: float = FIRST_PAUSE_S
     ) -> None:
         self._make, self._first_pause_s = make, first_pause_s
-        self._commands = CellCommands()
+        self._commands: queue.SimpleQueue[tuple[Command, Future[Any]]]
+        self._commands = queue.SimpleQueue()
         self._on_event: EventHandler | None = None
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
@@ -128,7 +131,7 @@ class CellSupervisor:
 
         def hear(cell: Cell) -> None:
             if self._on_event is None and self.status.connected:
-                hear_at_rest(cell, self.stream, rate_hz, aims=aims)
+                self._hear_at_rest(cell, rate_hz, aims=aims)
 
         self._ask(hear)
 
@@ -184,9 +187,21 @@ class CellSupervisor:
             raise CellDown("the cell process does not answer; see the log") from error
 
     def _put(self, command: Command) -> Future[Any]:
+        future: Future[Any] = Future()
         if self._closing.is_set():
-            return refuse_command("the service is ending")
-        return self._commands.put(command)
+            future.set_exception(CellDown("the service is ending"))
+        else:
+            self._commands.put((command, future))
+        return future
+
+    def _take_commands(self) -> Iterator[tuple[Command, Future[Any]]]:
+        with suppress(queue.Empty):
+            while True:
+                yield self._commands.get_nowait()
+
+    def _refuse_commands(self, text: str) -> None:
+        for _, future in self._take_commands():
+            future.set_exception(CellDown(text))
 
     def _run(self) -> None:
         pause_s = self._first_pause_s
@@ -199,7 +214,7 @@ class CellSupervisor:
             pause_s = self._first_pause_s if has_lived_long else pause_s
             self._wait(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
-        self._commands.refuse("the service is ending")
+        self._refuse_commands("the service is ending")
 
     def _run_one_cell(self) -> None:
         try:
@@ -223,7 +238,11 @@ class CellSupervisor:
     def _serve(self, cell: Cell) -> None:
         beat_s = 0.0
         while not self._closing.is_set() and not self._must_kill.is_set():
-            self._commands.run(cell)
+            for command, future in self._take_commands():
+                try:
+                    future.set_result(command(cell))
+                except Exception as error:
+                    future.set_exception(error)
             if time.monotonic() - beat_s > BEAT_S and cell.alive:
                 beat_s = time.monotonic()
                 with suppress(MeasurementFailed):  # it has just died: seen below
@@ -291,17 +310,29 @@ class CellSupervisor:
         self._set_status("ready", devices=devices)
         return devices
 
+    def _hear_at_rest(self, cell: Cell, rate_hz: float, *, aims: bool) -> None:
+        try:
+            duration_s = max(HEAR_S, HEAR_SAMPLES / rate_hz)
+            trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
+            self.stream.hear(cell.try_tracker(trial), rate_hz, aims=aims)
+        except NotHomed:
+            log.debug("the tracker is heard once the measurement has homed it")
+        except DeviceError as error:
+            self.stream.hear_failure(str(error))
+        except MeasurementFailed as error:
+            raise CellDown(str(error)) from error
+
     def _go_down(self, text: str) -> None:
         self.status = CellStatus("down", text, self.status.restarts + 1)
         self.controller = None
         on_event, self._on_event = self._on_event, None
         if on_event is not None:
             on_event(None)
-        self._commands.refuse(text)
+        self._refuse_commands(text)
 
     def _wait(self, pause_s: float) -> None:
         deadline = time.monotonic() + pause_s
         while (left_s := deadline - time.monotonic()) > 0:
             if self._closing.wait(min(left_s, POLL_S)):
                 return
-            self._commands.refuse(self.status.text)
+            self._refuse_commands(self.status.text)

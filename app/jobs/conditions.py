@@ -1,7 +1,7 @@
 """What has to be so before the machine may be let move, as levels and not as events.
 
 Each condition is read from what the cell has read in its own cycle: a device that does
-not answer delays nobody (`condition_findings`). The board looks once a second, so that
+not answer delays nobody (`condition_board`). The board looks once a second, so that
 `since` is when a level changed and not when somebody asked (`condition_board`). What a
 device does not tell is unknown; only what is known to be wrong stands in the way, and a
 controller that the cell has not read for a while is wrong. The measurement looks at

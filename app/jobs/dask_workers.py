@@ -148,7 +148,6 @@ class _Blocks:
                 future.cancel()
 
     def close(self) -> None:
-        """Let go of what is under way."""
         self._cluster.executor.shutdown(wait=False, cancel_futures=True)
         if self._home is not None:
             self._home.shutdown(cancel_futures=True)
@@ -208,7 +207,6 @@ class _SentOnce(Executor):
     def submit(
         self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
     ) -> Future[Any]:
-        """Call a function of a module on one of the workers."""
         if isinstance(fn, partial):
             return self._executor.submit(
                 fn.func, *self._bound(fn), *args, **fn.keywords, **kwargs

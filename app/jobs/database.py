@@ -19,7 +19,6 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from alembic.util import CommandError
 from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.exc import (
     ArgumentError,
@@ -31,7 +30,12 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from truepath.app.errors import BadInput
 from truepath.app.jobs.catalogue_file import check_catalogue
-from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
+from truepath.app.jobs.errors import (
+    SchemaTooNew,
+    SchemaTooOld,
+    StorageFull,
+    StorageUnavailable,
+)
 from truepath.app.jobs.seldom import Seldom
 
 log = structlog.get_logger(__name__)
@@ -91,19 +95,19 @@ class Database:
                 then(result)
             return result
 
-    def migrate(self, revision: str = "head") -> None:
+    def migrate(self, revision: str | None = None) -> None:
         """Bring the tables up to this version; a SQLite file is copied first.
 
-        revision : an earlier one, to put back what has been exported from it
+        revision : that of a backup, to put its rows back; else the newest
 
-        Raises SchemaTooNew if a newer version of the service wrote the catalogue,
-        CatalogueDamaged, CatalogueReadOnly.
+        Raises SchemaTooNew, SchemaTooOld, CatalogueDamaged, CatalogueReadOnly.
         """
         before = self.check()
-        config, head = _read_migrations()
-        if revision != "head":
-            _refuse_newer(config, revision)
-        if before == (head if revision == "head" else revision):
+        script = ScriptDirectory(str(_MIGRATIONS))
+        if revision is None:
+            revision = script.get_current_head() or ""
+        _require_known(script, revision, "the backup")
+        if before == revision:
             return
         if before is not None:
             self._copy_aside(before)
@@ -112,7 +116,8 @@ class Database:
                 from truepath.app.jobs.postgres_connection import wait_for_migration
 
                 wait_for_migration(connection)
-            config.attributes["connection"] = connection
+            config = Config(attributes={"connection": connection})
+            config.set_main_option("script_location", str(_MIGRATIONS))
             command.upgrade(config, revision)
         self.engine.dispose()  # that connection is more patient than any request
         log.info("catalogue migrated", before=before, now=revision)
@@ -127,16 +132,18 @@ class Database:
     def check(self) -> str | None:
         """Return the schema of the catalogue, None where there is none yet.
 
-        Changes nothing. Raises SchemaTooNew, CatalogueDamaged, CatalogueReadOnly.
+        Changes nothing. Raises SchemaTooNew, SchemaTooOld, CatalogueDamaged,
+        CatalogueReadOnly.
         """
-        config, head = _read_migrations()
+        script = ScriptDirectory(str(_MIGRATIONS))
         if self.file is not None:
-            check_catalogue(self.file, head)
+            check_catalogue(self.file, script.get_current_head() or "")
             if not self.file.exists():
                 return None
         with _as_storage_errors(), self.engine.connect() as connection:
             revision = MigrationContext.configure(connection).get_current_revision()
-        _refuse_newer(config, revision)
+        if revision is not None:
+            _require_known(script, revision, str(self.file or self.engine.url))
         return revision
 
     def ready(self) -> bool:
@@ -214,23 +221,20 @@ def _busy_text(error: OperationalError) -> str:
     return f"the catalogue does not answer: {error.orig}"
 
 
-def _read_migrations() -> tuple[Config, str]:
-    """Return the migrations, and the newest of them."""
-    config = Config()
-    config.set_main_option("script_location", str(_MIGRATIONS))
-    return config, ScriptDirectory.from_config(config).get_current_head() or ""
-
-
-def _refuse_newer(config: Config, revision: str | None) -> None:
-    if revision is None:
+def _require_known(script: ScriptDirectory, revision: str, place: str) -> None:
+    if revision in {step.revision for step in script.walk_revisions()}:
         return
-    try:
-        ScriptDirectory.from_config(config).get_revision(revision)
-    except CommandError as error:
-        raise SchemaTooNew(
-            f"the catalogue has schema {revision}, newer than this version knows; "
-            "start the version that wrote it, or give another data folder"
-        ) from error
+    oldest = script.get_base() or ""
+    if revision < oldest:  # they are numbered in four digits
+        raise SchemaTooOld(
+            f"{place} has schema {revision}, older than {oldest}, the first that this "
+            "version opens; it is left as it is. Open it once with the version of "
+            f"Truepath before this one, which brings it to {oldest}, then with this one"
+        )
+    raise SchemaTooNew(
+        f"{place} has schema {revision}, newer than this version knows; "
+        "start the version that wrote it, or give another data folder"
+    )
 
 
 def _engine(url: str) -> Engine:

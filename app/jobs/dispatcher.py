@@ -2,46 +2,56 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import structlog
 
 from truepath.app.errors import IllegalTransition
-from truepath.app.jobs.aborting import write_aborts
-from truepath.app.jobs.arm_tokens import ArmTokens
-from truepath.app.jobs.arming import Arming, list_commanded
-from truepath.app.jobs.arming_rules import (
-    make_purpose,
-    prepare_arming,
-    require_control,
-    require_order,
+from truepath.app.jobs.active_job import ActiveJob
+from truepath.app.jobs.arm_tokens import ArmingPurpose, ArmTokens
+from truepath.app.jobs.arming import (
+    Arming,
+    hash_commanded,
+    list_commanded,
+    summarise_motion,
 )
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.ended_measurement import interrupt_job
-from truepath.app.jobs.errors import CellDown, QueueFull
+from truepath.app.jobs.errors import (
+    CellDown,
+    NotInControl,
+    NotInOrder,
+    QueueFull,
+    StorageUnavailable,
+)
 from truepath.app.jobs.event_bus import EventBus
 from truepath.app.jobs.idempotency import IdempotencyKey
 from truepath.app.jobs.job import Job
-from truepath.app.jobs.job_changes import require_version
-from truepath.app.jobs.jobs_under_way import JobsUnderWay
+from truepath.app.jobs.job_changes import leave_end, put_back, require_version
 from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.pausing import pause
-from truepath.app.jobs.reconciliation import reconcile
+from truepath.app.jobs.reconciliation import (
+    catalogue_runs,
+    interrupt_job,
+    reconcile,
+)
 from truepath.app.jobs.requested_job import RequestedJob, check_requested_job
-from truepath.app.jobs.restart import leave_end, put_back
 from truepath.app.jobs.resumability import (
     require_machine_file,
     require_resumable,
     require_targets_apart,
 )
 from truepath.app.jobs.transitions import State, Verb, apply_verb
+from truepath.app.jobs.workflow import run_job
 from truepath.app.measurement.messages import CellVerb
+from truepath.app.motion.configurations import Commanded
 
 log = structlog.get_logger(__name__)
 
 MAX_WAITING = 100
+BOOKS_S = 0.7  # that a client which stops the machine waits for the catalogue
 
 
 class Dispatcher:
@@ -54,7 +64,7 @@ class Dispatcher:
         arm_tokens: ArmTokens | None = None,
     ) -> None:
         self._context, self._arm_tokens = context, arm_tokens or ArmTokens()
-        self._under_way = JobsUnderWay(context, event_bus)
+        self._under_way = _JobsUnderWay(context, event_bus)
 
     def interrupt_unfinished_jobs(self) -> None:
         """Mark measurements that an earlier service left unfinished. Moves nothing.
@@ -127,8 +137,23 @@ class Dispatcher:
         Raises IllegalTransition, NotInControl.
         """
         active = self._under_way.require(job_id, Verb.ARM)
-        require_control(active, by)
-        return prepare_arming(job_id, self._context, self._arm_tokens, by)
+        _require_control(active, by)
+        job = self._context.store.get(job_id)
+        apply_verb(Verb.ARM, job.state)
+        driven = self._context.machines.choose(job.machine)
+        parts = list_commanded(self._context.store.read_plan(job_id))
+        board, read = driven.conditions, driven.cell.controller
+        here = {} if read is None else read.position_by_axis
+        purpose = self._make_purpose(job, parts, by)
+        return Arming(
+            job,
+            driven,
+            summarise_motion(driven.machine, job.kind, parts, here),
+            () if board is None else tuple(board.read()),
+            purpose.plan_sha256,
+            self._arm_tokens.issue(purpose),
+            self._arm_tokens.valid_s,
+        )
 
     def arm(
         self, job_id: str, version: int, token: str, *, by: str | None = None
@@ -141,13 +166,13 @@ class Dispatcher:
         ArmTokenExpired, ArmTokenUsed, ArmTokenOther.
         """
         active = self._under_way.require(job_id, Verb.ARM)
-        require_control(active, by)
+        _require_control(active, by)
         job = self._context.store.get(job_id)
         apply_verb(Verb.ARM, job.state)
         require_version(job, version)
-        require_order(job, self._context)
+        self._require_conditions(job)
         parts = list_commanded(self._context.store.read_plan(job_id))
-        purpose = make_purpose(job, parts, self._context, by)
+        purpose = self._make_purpose(job, parts, by)
         self._arm_tokens.use(token, purpose)
         job = active.apply_verb(Verb.ARM, version)
         active.arm(purpose.plan_sha256)
@@ -163,7 +188,7 @@ class Dispatcher:
             raise IllegalTransition(
                 f"cannot pause a job that is {active.stage}: nothing moves any more"
             )
-        return pause(active, self._context.machines.choose(active.job.machine).cell)
+        return active.pause(self._context.machines.choose(active.job.machine).cell)
 
     def take_control(self, job_id: str, by: str | None) -> tuple[Job, str | None]:
         """Let only this user arm and resume a job; also return who could before.
@@ -195,9 +220,9 @@ class Dispatcher:
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
         active = self._under_way.require(job_id, Verb.RESUME)
-        require_control(active, by)
+        _require_control(active, by)
         if self._context.store.get(job_id).state is State.PAUSED:
-            require_order(active.job, self._context)
+            self._require_conditions(active.job)
         job = active.apply_verb(Verb.RESUME, version)
         if then is not OnNotice.NOTE:
             active.wish(then)
@@ -253,7 +278,7 @@ class Dispatcher:
         active.abort()
         if active.kind.measures:
             self._command_cell(active.job, CellVerb.ABORT)
-        return write_aborts([active])[0]
+        return _write_aborts([active])[0]
 
     def stop(self, machine_id: str | None = None) -> list[Job]:
         """Stop all motion, whichever job it belongs to, and those jobs with it.
@@ -271,7 +296,7 @@ class Dispatcher:
         ]
         for active in under_way:
             active.abort()
-        return write_aborts(under_way)
+        return _write_aborts(under_way)
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Stop motion, end every job as interrupted, wait for their threads."""
@@ -293,3 +318,119 @@ class Dispatcher:
 
     def _command_cell(self, job: Job, verb: CellVerb) -> None:
         self._context.machines.choose(job.machine).cell.send(verb)
+
+    def _make_purpose(
+        self, job: Job, parts: Sequence[Commanded], by: str | None
+    ) -> ArmingPurpose:
+        driven = self._context.machines.choose(job.machine)
+        plan_sha256 = hash_commanded(parts)
+        return ArmingPurpose(
+            job.id, job.version, by, driven.id, driven.version, plan_sha256
+        )
+
+    def _require_conditions(self, job: Job) -> None:
+        board = self._context.machines.choose(job.machine).conditions
+        obstacles = [] if board is None else board.list_obstacles()
+        if obstacles:
+            raise NotInOrder(obstacles)
+
+
+def _require_control(active: ActiveJob, by: str | None) -> None:
+    if by is not None and active.controller not in (None, by):
+        raise NotInControl(active.controller or "")
+
+
+def _write_aborts(aborted: Sequence[ActiveJob]) -> list[Job]:
+    """Store that the jobs are aborted: the machine is stopped already.
+
+    The client is answered in time even where the catalogue does not answer: jobs are
+    then as they were stored last, and their own threads store how they end.
+    """
+    written: dict[str, Job] = {}
+    writers = [
+        threading.Thread(target=_write_abort, args=(active, written), daemon=True)
+        for active in aborted
+    ]
+    for writer in writers:
+        writer.start()
+    end = time.monotonic() + BOOKS_S
+    for writer in writers:
+        writer.join(max(0.0, end - time.monotonic()))
+    return [written.get(one.job_id) or one.show(one.job) for one in aborted]
+
+
+def _write_abort(active: ActiveJob, written: dict[str, Job]) -> None:
+    try:
+        written[active.job_id] = active.apply_verb(Verb.ABORT)
+    except StorageUnavailable as error:
+        log.warning("an abort is not written down", job=active.job_id, why=error)
+
+
+class _JobsUnderWay:
+    """The jobs under way and their threads; no lock is held while one is stored.
+
+    is_closing : whether no job is begun any more
+    """
+
+    def __init__(self, context: JobContext, event_bus: EventBus) -> None:
+        self._context, self._event_bus = context, event_bus
+        self._lock = threading.Lock()
+        self._active: dict[str, ActiveJob] = {}
+        self._threads: list[threading.Thread] = []
+        self.is_closing = False
+
+    def __len__(self) -> int:
+        return len(self._active)
+
+    def get(self, job_id: str) -> ActiveJob | None:
+        return self._active.get(job_id)
+
+    def list_all(self) -> list[ActiveJob]:
+        return list(self._active.values())
+
+    def require(self, job_id: str, verb: Verb) -> ActiveJob:
+        active = self._active.get(job_id)
+        if active is not None:
+            return active
+        job = self._context.store.get(job_id)
+        apply_verb(verb, job.state)
+        raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
+
+    def begin(self, job: Job) -> None:
+        """Give a job a thread of its own, unless the service ends."""
+        active = ActiveJob(job, self._context.store, self._event_bus)
+        name = f"job-{job.id[-6:]}"
+        thread = threading.Thread(target=self._work, args=(job, active), name=name)
+        with self._lock:
+            if self.is_closing:
+                return  # the next start finds it queued and marks it as interrupted
+            self._active[job.id] = active
+            self._threads = [t for t in self._threads if t.is_alive()] + [thread]
+            thread.start()
+
+    def interrupt_all(self) -> None:
+        """Begin no more, and end those under way because the service ends."""
+        with self._lock:
+            self.is_closing = True
+            under_way = list(self._active.values())
+        for active in under_way:
+            active.interrupt()
+
+    def join(self, deadline_s: float) -> None:
+        """Wait for their threads, until a time of the monotonic clock."""
+        with self._lock:
+            threads = list(self._threads)
+        for thread in threads:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+
+    def _work(self, job: Job, active: ActiveJob) -> None:
+        try:
+            run_job(job, active, self._context)
+            if job.kind.measures:
+                catalogue_runs(job, self._context)
+            if job.kind.analyses and job.machine and self._context.calibrations:
+                self._context.calibrations.judge(job.machine)
+        finally:
+            with self._lock:  # acknowledged meanwhile, it has another thread
+                if self._active.get(job.id) is active:
+                    del self._active[job.id]

@@ -213,6 +213,10 @@ class SchemaTooNew(BadInput):
     """The catalogue was written by a newer version of the service."""
 
 
+class SchemaTooOld(BadInput):
+    """The catalogue is of an older version, from which no migration leads here."""
+
+
 class CatalogueDamaged(BadInput):
     """The file of the catalogue holds none, or no whole one. It is left as it is."""
 

@@ -72,5 +72,4 @@ def delete_old_keys(connection: Connection) -> None:
 
 
 def _find_oldest_s() -> int:
-    """Return since when a key counts, in seconds of the epoch."""
     return int(time.time()) - KEEP_KEYS_S

@@ -137,7 +137,6 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
 def _tell(
     link: Connection, live: LiveEstimator, chooser: _PartChooser, stream: _Stream
 ) -> None:
-    """Send the estimate as it is now, if there is one."""
     now, begun_s = live.estimate(), stream.begun_s or 0.0
     if now is None:
         return
@@ -208,7 +207,6 @@ class _Stream:
         self._parts: list[Commanded] = []
 
     def take_parts(self) -> list[Commanded]:
-        """Return the parts that have been announced since they were last taken."""
         parts, self._parts = self._parts, []
         return parts
 

@@ -206,7 +206,6 @@ class MachineSetup:
                 raise CellBusy(job.id, job.state)
 
     def _get_changeable(self, machine_id: str, version: int | None) -> MachineRecord:
-        """Return a machine whose configuration may change now."""
         record = self.registry.get(machine_id)
         if record.origin == REMOVED:
             raise NotFound(f"machine {machine_id} was removed; add it again")

@@ -17,7 +17,6 @@ from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.cell_supervisor import CellSupervisor
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.live_notice import LiveNotice, OnNotice, decode_notice
-from truepath.app.jobs.pausing import pause
 from truepath.app.jobs.planned_rows import PlannedRows
 
 log = structlog.get_logger(__name__)
@@ -90,7 +89,7 @@ class NoticeBoard:
     def _act(self, notice: LiveNotice) -> None:
         if self._policy is OnNotice.PAUSE:
             try:
-                pause(self._active, self._cell)
+                self._active.pause(self._cell)
             except (IllegalTransition, StorageUnavailable) as error:
                 log.warning("no pause is stored for a notice", reason=str(error))
         else:

@@ -236,7 +236,6 @@ def check_plan_to_drive(
 
 
 def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
-    """Return a plan of the first rows alone. Raises PlanningError."""
     document, left = dict(plan["document"]), count
     whole = plan.get("stations") or [plan]
     kept = list[dict[str, Any]]()
@@ -250,8 +249,8 @@ def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
         raise PlanningError(
             f"the plan has {count - left} rows, not {count}; give fewer"
         )
-    told = [point for point in document["curve"] if point["row"] <= count][-1:]
-    last = told[0] if told else {}
+    driven = [point for point in document["curve"] if point["row"] <= count]
+    last = driven[-1] if driven else {}
     predicted_um = last.get("volumetric_uncertainty_um")
     plan = {**plan, **kept[0], "document": document, "predicted_um": predicted_um}
     if len(whole) == 1:

@@ -45,7 +45,6 @@ class _PatientConnection(psycopg.Connection[Any]):
     def wait(
         self, gen: PQGen[RV], interval: float = 0.1, timeout: float | None = None
     ) -> RV:
-        """Wait for one answer of the server."""
         limit_s = self.answer_s if timeout is None else timeout
         try:
             return super().wait(gen, interval, limit_s)

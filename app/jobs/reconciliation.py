@@ -16,10 +16,11 @@ import structlog
 
 from truepath.app.errors import NotFound
 from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.jobs.job import Job
+from truepath.app.jobs.errors import Interrupted, StorageUnavailable
+from truepath.app.jobs.job import Failure, Job
 from truepath.app.jobs.resumption import list_part_ids
 from truepath.app.jobs.station_steps import list_run_ids
+from truepath.app.jobs.transitions import State
 
 log = structlog.get_logger(__name__)
 
@@ -28,31 +29,26 @@ LONGEST_PAUSE_S = 600.0
 MOST_RUNS = 4  # that are read in one pass
 
 
-def name_runs(job: Job, context: JobContext) -> Job:
-    """Return the job with the Runs that the catalogue has of it; else the same."""
-    plan = context.store.read_plan(job.id) or {}
-    if "stations" in plan:
-        known = context.runs.find(list_run_ids(plan))
-        if not known or job.run_ids == tuple(known):
-            return job
-        return replace(job, run_id=known[0], further_run_ids=tuple(known[1:]))
-    made = dict.fromkeys((job.id, *list_part_ids(plan)))
-    for run_id in context.runs.find(list(made)):
-        job = job if run_id in job.run_ids else job.add_run(run_id)
-    return job
+def interrupt_job(job: Job, context: JobContext) -> None:
+    """Mark a measurement that an earlier service left unfinished, its Runs named."""
+    _add_runs(job, context)
+    text = f"the service ended while the job was {job.state}"
+    after = replace(
+        _name_runs(job, context),
+        state=State.INTERRUPTED,
+        failure=Failure(Interrupted.__name__, text),
+    )
+    context.store.change(job.id, lambda _: after, version=job.version)
+    log.warning("job found unfinished", job_id=job.id, was=str(job.state))
 
 
-def store_runs(job_id: str, context: JobContext) -> None:
-    """Name in a job that measured the Runs that are catalogued. Raises NotFound."""
-    named = name_runs(context.store.get(job_id), context)
-
-    def change(job: Job) -> Job:
-        runs = named.run_id, named.further_run_ids
-        if runs == (job.run_id, job.further_run_ids):
-            return job
-        return replace(job, run_id=runs[0], further_run_ids=runs[1])
-
-    context.store.change(job_id, change)
+def catalogue_runs(job: Job, context: JobContext) -> None:
+    """Catalogue and name the Runs of a job that could not be while it lasted."""
+    try:
+        _add_runs(job, context)
+        _store_runs(job.id, context)
+    except StorageUnavailable as error:
+        log.warning("the Runs are not named yet", job_id=job.id, reason=str(error))
 
 
 def reconcile(
@@ -78,13 +74,45 @@ def reconcile(
             log.info("a Run on disk is catalogued", run_id=run_id)
             _join_job(run_id, context)
     for job in context.store.list_without_run():
-        store_runs(job.id, context)
+        _store_runs(job.id, context)
     return failed
+
+
+def _add_runs(job: Job, context: JobContext) -> None:
+    plan = context.store.read_plan(job.id) or {}
+    stations = (*list_run_ids(plan), *list_run_ids(plan, "points_id"))
+    for run_id in dict.fromkeys((job.id, *list_part_ids(plan), *stations)):
+        context.runs.add_measured(run_id)
+
+
+def _name_runs(job: Job, context: JobContext) -> Job:
+    plan = context.store.read_plan(job.id) or {}
+    if "stations" in plan:
+        known = context.runs.find(list_run_ids(plan))
+        if not known or job.run_ids == tuple(known):
+            return job
+        return replace(job, run_id=known[0], further_run_ids=tuple(known[1:]))
+    made = dict.fromkeys((job.id, *list_part_ids(plan)))
+    for run_id in context.runs.find(list(made)):
+        job = job if run_id in job.run_ids else job.add_run(run_id)
+    return job
+
+
+def _store_runs(job_id: str, context: JobContext) -> None:
+    named = _name_runs(context.store.get(job_id), context)
+
+    def change(job: Job) -> Job:
+        runs = named.run_id, named.further_run_ids
+        if runs == (job.run_id, job.further_run_ids):
+            return job
+        return replace(job, run_id=runs[0], further_run_ids=runs[1])
+
+    context.store.change(job_id, change)
 
 
 def _join_job(run_id: str, context: JobContext) -> None:
     try:
-        store_runs(context.runs.read_job_id(run_id), context)
+        _store_runs(context.runs.read_job_id(run_id), context)
     except NotFound:
         log.warning("no job has recorded this Run", run_id=run_id)
 

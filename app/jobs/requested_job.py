@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from truepath.app.errors import (
     BadInput,
+    BundleError,
     IllegalTransition,
     NotFound,
     NotUsable,
@@ -16,11 +18,11 @@ from truepath.app.files.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
+from truepath.app.files.one_machine import one_machine
 from truepath.app.files.runs_in_time import order_in_time
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.job import Job, JobKind, Json
-from truepath.app.jobs.keep_out import KEEP_OUT_REMEDY, add_workspace
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.measurable_rows import command_measurable_rows
 from truepath.app.jobs.plan_orders import (
@@ -30,12 +32,9 @@ from truepath.app.jobs.plan_orders import (
     refuse_several_targets,
 )
 from truepath.app.jobs.station_steps import count_measured, list_analysed_ids
-from truepath.app.jobs.verification_orders import (
-    require_arcs,
-    require_compensation,
-    require_machine_of_result,
-)
+from truepath.app.kinematics.machine import Machine
 from truepath.app.motion.commanded_rows import Row
+from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.default_points import default_points
 from truepath.app.motion.feeds import check_feed
 from truepath.app.motion.travel import check_travel
@@ -43,6 +42,13 @@ from truepath.app.motion.verification_kinds import VerificationKind
 from truepath.app.motion.verification_points import make_verification_rows
 from truepath.app.numerics.adaptive_trials import TrialPlan
 from truepath.app.results.model_history import find_model_file
+from truepath.drivers.interfaces.records import Path
+
+_KEEP_OUT_REMEDY = (
+    "ask for other lines or points, or, where a box is gone, state those that hold now "
+    "as keep_out with keep_out_replaces"
+)
+_KEEP_OUT_KEYS = ("keep_out", "keep_out_replaces")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +67,8 @@ class RequestedJob:
         `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
         reanalysis `since`, where it names no Runs; of a verification
         `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`; of that and of
-        extra lines `keep_out`, `keep_out_replaces`, as `add_workspace` reads them
+        extra lines `keep_out`, which hold beside those of the Runs it builds on, or,
+        with `keep_out_replaces`, alone
     on_notice : what is done where the live estimate notices a change
     control_compensation : `on` or `off`, which the control has to say; None for either
     machine : that is measured or planned for; without it the only one, or that of
@@ -163,7 +170,6 @@ def _make_computing_job(request: RequestedJob, context: JobContext) -> tuple[Job
 
 
 def _choose_runs(request: RequestedJob, context: JobContext) -> list[str]:
-    """Return the Runs to analyse again. Raises NotFound, BadInput where none is."""
     if request.run_ids:
         found = context.runs.find(request.run_ids)
         missing = [run_id for run_id in request.run_ids if run_id not in set(found)]
@@ -190,7 +196,6 @@ def _find_machine(run_ids: Sequence[str], context: JobContext) -> str | None:
 
 
 def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:
-    """Raise BadInput where the Runs do not follow one machine in time."""
     at_h = (request.plan_request or {}).get("at_h")
     order_in_time([context.runs.read_times(i) for i in request.run_ids], at_h)
 
@@ -272,7 +277,6 @@ def _forget_runs(station: Json) -> Json:
 
 
 def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
-    """Return the job that drives the extra lines and discovers in all Runs."""
     machine = context.require_machine()
     context.require_cell()
     job = context.store.get(request.discovery_id or "")
@@ -281,34 +285,123 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Js
     model_id = context.store.read_plan_request(job.id).get("model_id")
     rows = plan_extra_lines(machine, context.results / job.id, job.id)
     order = {**(request.plan_request or {}), "model_id": model_id}
-    order = add_workspace(order, job, context)
+    order = _add_workspace(order, job, context)
     workspace = workspace_from_json(order.get("workspace") or {})
-    workspace.refuse(machine, decode_commanded_json(rows), KEEP_OUT_REMEDY)
+    workspace.refuse(machine, decode_commanded_json(rows), _KEEP_OUT_REMEDY)
     extra = Job(JobKind.MEASURE_EXTRA, further_run_ids=job.run_ids)
     return extra, {**rows, "request": order}
 
 
 def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
-    """Return the job that drives points of verification and holds a result to them."""
     machine, order = context.require_machine(), dict(request.plan_request or {})
     context.require_cell()
     job = context.store.get(order["result_id"])
     find_model_file(context.results, job.id)
     if not (job.has_result or job.has_discovery):
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
-    require_machine_of_result(job, machine, context)
+    _require_machine_of_result(job, machine, context)
     if order.get("compensation_id") is not None:
         wish = request.control_compensation
-        require_compensation(order["compensation_id"], job, wish, context)
+        _require_compensation(order["compensation_id"], job, wish, context)
     kinds = [VerificationKind(kind) for kind in order["what"]]
-    order = add_workspace(order, job, context)
+    order = _add_workspace(order, job, context)
     workspace = workspace_from_json(order.get("workspace") or {})
     rows = make_verification_rows(machine, kinds, order["seed"], workspace)
     check_travel(machine, rows)
-    workspace.refuse(machine, rows, KEEP_OUT_REMEDY)
-    require_arcs(rows, context)
+    workspace.refuse(machine, rows, _KEEP_OUT_REMEDY)
+    _require_arcs(rows, context)
     new = Job(JobKind.VERIFY)
     return new, {**encode_commanded_json(rows), "request": order}
+
+
+def _require_compensation(
+    name: str, job: Job, wish: str | None, context: JobContext
+) -> None:
+    """Raise NotFound or BadInput where the control cannot apply these files.
+
+    wish : what the control has to say, `on` or `off`; None for either
+
+    Which files a control applies is known of a simulated one alone.
+    """
+    folder = context.results / job.id / "compensations"
+    if not (folder / name / "compensation.json").is_file():
+        raise NotFound(f"job {job.id} keeps no compensation {name}")
+    if wish == "off":
+        raise BadInput(
+            f"compensation_id {name} asks for a control that corrects by these files, "
+            "and control_compensation is off; leave one of the two out"
+        )
+    machine = context.driven or context.machines.choose(None)
+    loaded = context.read_loaded_files(machine.id)
+    if loaded.compensation_id is None:  # that the control says itself
+        return
+    if (loaded.job_id, loaded.compensation_id) != (job.id, name):
+        raise BadInput(
+            f"the simulated control of machine {machine.id} has the files "
+            f"{loaded.compensation_id} of job {loaded.job_id}, not {name} of job "
+            f"{job.id}; load those first, or name the ones that it has"
+        )
+
+
+def _require_arcs(rows: Commanded, context: JobContext) -> None:
+    """Raise BadInput for arcs where the control that answers does not drive them.
+
+    One that has not answered yet refuses them itself, before it moves along the path.
+    """
+    motion = context.require_cell().status.devices.get("motion")
+    has_arcs = isinstance(rows, Path) and any(rows.arc)
+    if has_arcs and motion is not None and not motion.get("drives_arcs"):
+        raise BadInput(
+            "this control does not drive arcs, which circles-in-motion are; ask for "
+            "circles, which are measured at standstills"
+        )
+
+
+def _require_machine_of_result(job: Job, machine: Machine, context: JobContext) -> None:
+    # Imported where it is needed: the service itself carries no science.
+    from truepath.app.files.result_file import read_result_machine
+
+    file = find_model_file(context.results, job.id)
+    try:
+        one_machine(
+            [read_result_machine(file), machine], ["the result", "the machine now"]
+        )
+    except BundleError as error:
+        raise BadInput(
+            f"the result of job {job.id} cannot be verified on {machine.name}: "
+            f"{error.problem}; name its own machine, described "
+            "as it was measured, or another result"
+        ) from error
+
+
+def _add_workspace(order: Json, based_on: Job, context: JobContext) -> Json:
+    """Return the order of a job based on another one's answer, with the boxes of both.
+
+    A box that is not stated again is still there, unless the request replaces them all.
+    Boxes of an uploaded Run are unknown; so are those of a catalogue that was rebuilt.
+    """
+    rest = {key: value for key, value in order.items() if key not in _KEEP_OUT_KEYS}
+    known = () if order.get("keep_out_replaces") else _find_boxes(based_on, context)
+    boxes: list[Json] = []
+    for box in (*known, *(order.get("keep_out") or ())):
+        stated = {key: value for key, value in box.items() if value is not None}
+        if stated not in boxes:
+            boxes.append(stated)
+    return {**rest, "workspace": {"keep_out": boxes}} if boxes else rest
+
+
+def _find_boxes(based_on: Job, context: JobContext) -> Iterator[Json]:
+    for job_id in _list_jobs(based_on, context):
+        with suppress(NotFound):
+            workspace = context.store.read_plan_request(job_id).get("workspace") or {}
+            yield from workspace.get("keep_out") or ()
+
+
+def _list_jobs(based_on: Job, context: JobContext) -> Iterator[str]:
+    """Yield the job, and those that have recorded its Runs."""
+    yield based_on.id
+    for run_id in based_on.run_ids:
+        yield context.runs.read_job_id(run_id)
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:

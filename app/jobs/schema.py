@@ -1,8 +1,9 @@
-"""Tables of the catalogue. Migrations make them; a test holds the two together."""
+"""The tables of the catalogue, with users, tokens and the audit log."""
 
 from __future__ import annotations
 
 import sqlalchemy as sa
+from sqlalchemy import event
 
 metadata = sa.MetaData()
 
@@ -125,3 +126,71 @@ idempotency_keys = sa.Table(
     sa.Column("job_id", sa.String(36), sa.ForeignKey("jobs.id"), nullable=False),
     sa.Column("created_s", sa.BigInteger, nullable=False),
 )
+
+users = sa.Table(
+    "users",
+    metadata,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("password_hash", sa.String(200), nullable=False),
+    sa.Column("created", sa.String(32), nullable=False),
+)
+
+tokens = sa.Table(
+    "tokens",
+    metadata,
+    sa.Column("sha256", sa.String(64), primary_key=True),
+    sa.Column("kind", sa.String(16), nullable=False),  # session, key
+    sa.Column("name", sa.String(64), nullable=False),  # of the user, of the key
+    sa.Column("role", sa.String(16), nullable=True),  # of a key
+    sa.Column("created", sa.String(32), nullable=False),
+    sa.Column("created_s", sa.Float, nullable=False),
+    sa.Column("boot_id", sa.String(64), nullable=False),
+    sa.Column("boot_s", sa.Float, nullable=False),
+    sa.Column("lifetime_s", sa.Float, nullable=True),
+    sa.Index("tokens_by_name", "kind", "name"),
+)
+
+audit = sa.Table(
+    "audit",
+    metadata,
+    sa.Column("seq", sa.BigInteger, primary_key=True, autoincrement=False),
+    sa.Column("at", sa.String(32), nullable=False),
+    sa.Column("who", sa.String(64), nullable=False),
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("source", sa.String(64), nullable=False),
+    sa.Column("request_id", sa.String(64), nullable=False),
+    sa.Column("what", sa.String(400), nullable=False),
+    sa.Column("outcome", sa.String(32), nullable=False),
+    sa.Column("old", sa.JSON, nullable=True),
+    sa.Column("new", sa.JSON, nullable=True),
+    sa.Column("hash", sa.String(64), nullable=False),
+)
+
+audit_head = sa.Table(
+    "audit_head",
+    metadata,
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("seq", sa.BigInteger, nullable=False),
+    sa.Column("hash", sa.String(64), nullable=False),
+)
+"""One row: the newest row of the audit log, so that none is cut off its end."""
+
+_KEPT = "rows of the audit log are never changed"
+_FORBID_CHANGES = {
+    "sqlite": [
+        f"CREATE TRIGGER audit_no_{verb.lower()} BEFORE {verb} ON audit "
+        f"BEGIN SELECT RAISE(ABORT, '{_KEPT}'); END"
+        for verb in ("UPDATE", "DELETE")
+    ],
+    "postgresql": [
+        "CREATE FUNCTION audit_keep() RETURNS trigger LANGUAGE plpgsql AS "
+        f"$$ BEGIN RAISE EXCEPTION '{_KEPT}'; END $$",
+        "CREATE TRIGGER audit_keep BEFORE UPDATE OR DELETE ON audit "
+        "FOR EACH ROW EXECUTE FUNCTION audit_keep()",
+    ],
+}
+for _dialect, _statements in _FORBID_CHANGES.items():
+    for _statement in _statements:
+        _made = sa.DDL(_statement).execute_if(dialect=_dialect)
+        event.listen(audit, "after_create", _made)

@@ -264,7 +264,6 @@ class StationSteps:
         return now or _show(self._read_plan()["stations"], number)
 
     def _keep(self, number: int, **values: Any) -> None:
-        """Keep with the plan what a station has made."""
         plan = dict(self._read_plan())
         plan["stations"] = [
             {**station, **values} if k == number else station

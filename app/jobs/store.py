@@ -12,16 +12,19 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import (
+    Connection,
+    RowMapping,
+    Select,
+    delete,
+    func,
+    insert,
+    select,
+    update,
+)
 
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.jobs.event_rows import (
-    find_first_event,
-    find_last_event_id,
-    insert_event,
-    select_events_after,
-)
 from truepath.app.jobs.idempotency import (
     IdempotencyKey,
     delete_old_keys,
@@ -36,7 +39,9 @@ from truepath.app.jobs.job import (
     Json,
     Progress,
     Stage,
+    encode_job,
     format_utc,
+    format_utc_now,
     make_id,
 )
 from truepath.app.jobs.job_changes import (
@@ -60,6 +65,7 @@ from truepath.app.jobs.schema import events, jobs
 from truepath.app.jobs.transitions import State, check_transition
 
 KEEP_EVENTS = 20_000
+_MOST_EVENTS = 500  # that are read at once
 Listener = Callable[[JobEvent], None]
 
 
@@ -86,7 +92,7 @@ class Store:
         identified = replace(new, id=make_id())
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
-            added = find_first_event(connection, identified.id)
+            added = _find_first_event(connection, identified.id)
             if added is not None:  # the word that it was committed got lost
                 return read_job(connection, identified.id), added
             earlier = find_job_by_key(connection, key) if key else None
@@ -97,7 +103,7 @@ class Store:
             job = insert_job(connection, identified, plan)
             if key is not None:
                 insert_key(connection, key, job.id)
-            return job, insert_event(connection, job)
+            return job, _insert_event(connection, job)
 
         job, event = self._database.write(change, self._publish)
         return job, event is not None
@@ -245,7 +251,7 @@ class Store:
         """
         written: list[tuple[Job, JobEvent]] = []
         unstored = None if ends else self._ended.get(job_id)
-        if unstored is not None:  # nobody waits for the catalogue to hear that
+        if unstored is not None:  # seen as ended without waiting for the catalogue
             if change(unstored) is unstored:
                 return unstored
             raise StorageUnavailable(f"the end of job {job_id} is not stored yet")
@@ -270,7 +276,7 @@ class Store:
                 refuse_to_measure_again(after)
             after = stamp_times(before, replace(after, version=before.version + 1))
             update_job(connection, before, after)
-            written.append((after, insert_event(connection, after)))
+            written.append((after, _insert_event(connection, after)))
             return written[-1]
 
         job = self._database.write(apply, self._publish)[0]
@@ -292,7 +298,7 @@ class Store:
             if after == before:  # the word that it was committed may have got lost
                 return before, written[-1] if written else None
             connection.execute(update(jobs).where(jobs.c.id == job_id).values(**values))
-            written.append(insert_event(connection, after))
+            written.append(_insert_event(connection, after))
             return after, written[-1]
 
         return self._database.write(change, self._publish)[0]
@@ -307,14 +313,21 @@ class Store:
     def read_events_after(
         self, event_id: int, *, job_id: str | None = None
     ) -> list[JobEvent]:
-        """Return kept events in order, at most 500 after `event_id`."""
+        """Return kept events in order, at most 500 after `event_id`.
+
+        job_id : of the one job whose events are asked for; None for all
+        """
+        query = select(events).where(events.c.id > event_id).order_by(events.c.id)
+        if job_id is not None:
+            query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
-            return select_events_after(connection, event_id, job_id)
+            kept = connection.execute(query.limit(_MOST_EVENTS)).mappings()
+            return [_decode_event(row) for row in kept]
 
     def read_last_event_id(self) -> int:
         """Return the identifier of the newest event, 0 if there is none."""
         with self._database.read() as connection:
-            return find_last_event_id(connection)
+            return connection.execute(select(func.max(events.c.id))).scalar() or 0
 
     def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
         """Forget events and idempotency keys that nobody can still ask for."""
@@ -342,3 +355,21 @@ class Store:
     def _publish(self, outcome: tuple[Job, JobEvent | None]) -> None:
         if (event := outcome[1]) is not None:
             self._listener(event)
+
+
+def _insert_event(connection: Connection, job: Job) -> JobEvent:
+    body = encode_job(job)
+    row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
+    done = connection.execute(insert(events).values(**row))
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return JobEvent("job", job.id, body, done.inserted_primary_key[0])
+
+
+def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
+    query = select(events).where(events.c.job_id == job_id).order_by(events.c.id)
+    row = connection.execute(query.limit(1)).mappings().first()
+    return None if row is None else _decode_event(row)
+
+
+def _decode_event(row: RowMapping) -> JobEvent:
+    return JobEvent(row["type"], row["job_id"], row["body"], row["id"])

@@ -212,7 +212,6 @@ class StreamWatch:
 
 
 def _judge_trial(tried: TrackerTried, rate_hz: float, *, aims: bool) -> StreamLevels:
-    """Return what a moment of a stream at rest says."""
     if not tried.streams:
         return StreamLevels()
     if not tried.samples:

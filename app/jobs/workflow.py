@@ -5,18 +5,20 @@ The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import structlog
 
+from truepath.app.errors import TruepathError
 from truepath.app.files.commanded_file import decode_commanded_json
 from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.analysis_steps import AnalysisSteps, find_model
 from truepath.app.jobs.arming import (
     hash_commanded,
     judge_approach,
@@ -26,24 +28,38 @@ from truepath.app.jobs.arming import (
 from truepath.app.jobs.conditions import NO_JOB
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.driving_steps import DrivingSteps
-from truepath.app.jobs.errors import CellDown, Interrupted, StorageUnavailable
-from truepath.app.jobs.executor import Task
-from truepath.app.jobs.job import Job, JobKind, Json, Progress, Stage
-from truepath.app.jobs.job_end import (
-    TRY_AGAIN,
-    can_be_tried_again,
-    classify_error,
-    find_cause,
-    store_end,
+from truepath.app.jobs.errors import (
+    Aborted,
+    Cancelled,
+    CellDown,
+    Interrupted,
+    LineUnfinished,
+    MachineFault,
+    MeasurementEnded,
+    StorageUnavailable,
+    TaskFailed,
 )
+from truepath.app.jobs.executor import Task
+from truepath.app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
+from truepath.app.jobs.notices import add_to_result
 from truepath.app.jobs.plan_orders import order_first_part
+from truepath.app.jobs.reanalysis import Reanalysis, list_orders, write_summary
 from truepath.app.jobs.resumption import ResumedSteps, Resumption
 from truepath.app.jobs.station_steps import StationSteps, begin_at_station
 from truepath.app.jobs.transitions import State
+from truepath.app.jobs.unchanged_runs import OfUnchangedRuns
 from truepath.app.motion.configurations import Commanded
 from truepath.app.motion.travel import check_travel
+from truepath.app.results.model_history import RESULT, find_model_file
+from truepath.drivers.interfaces.errors import DeviceError
 
 log = structlog.get_logger(__name__)
+
+TRY_AGAIN_S = 0.5
+TRY_AGAIN = (
+    "Clear the cause, then acknowledge the job again; nothing has moved, and what was "
+    "recorded is kept."
+)
 
 
 def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
@@ -54,18 +70,17 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         try:
             _JobSteps(job, active, _choose_machine(job, context)).run()
         except Exception as error:
-            cause = find_cause(error, active)
+            cause = _find_cause(error, active)
             if isinstance(cause, Interrupted) and not job.kind.measures:
                 _put_back(active)
                 return
-            state, failure = classify_error(cause)
-        if failure is not None and can_be_tried_again(job, active, state):
+            state, failure = _classify_error(cause)
+        if failure is not None and _can_be_tried_again(job, active, state):
             state, failure = State.FAULTED, replace(failure, action=TRY_AGAIN)
-        store_end(active, state, failure)
+        _store_end(active, state, failure)
 
 
 def _choose_machine(job: Job, context: JobContext) -> JobContext:
-    """Return the context with the machine of the job, where it has one."""
     return context if job.machine is None else context.of_machine(job.machine)
 
 
@@ -74,6 +89,62 @@ def _put_back(active: ActiveJob) -> None:
         active.put_back()
     except StorageUnavailable as error:  # the next start of the service will find it
         log.warning("the job cannot be queued again yet", reason=str(error))
+
+
+def _find_cause(error: Exception, active: ActiveJob) -> Exception:
+    """Return why the job ended: what a cancelled job trips over is its cancelling."""
+    if isinstance(error, TruepathError | DeviceError):
+        return error
+    try:
+        active.checkpoint()
+    except (Aborted, Cancelled, Interrupted) as cancelled:
+        log.warning("job cancelled", reason=repr(error))
+        return cancelled
+    return error
+
+
+def _classify_error(error: Exception) -> tuple[State, Failure | None]:
+    family, text = type(error).__name__, str(error)
+    match error:
+        case Aborted():
+            return State.ABORTED, None
+        case Cancelled():
+            return State.CANCELLED, None
+        case Interrupted():
+            return State.INTERRUPTED, Failure(family, text)
+        case LineUnfinished():
+            return State.ABORTED, Failure(family, text, error.code, error.action)
+        case MeasurementEnded():
+            state = State.FAULTED if isinstance(error, MachineFault) else State.FAILED
+            return state, Failure(family, text, error.code, error.action)
+        case TaskFailed():
+            log.warning("task failed", trace=error.trace)
+            return State.FAILED, Failure(error.family, error.text)
+    if not isinstance(error, TruepathError | DeviceError):
+        log.error("job failed unexpectedly", exc_info=error)
+    return State.FAILED, Failure(family, text)
+
+
+def _can_be_tried_again(job: Job, active: ActiveJob, state: State) -> bool:
+    """Whether a measurement failed before its remaining rows could be armed."""
+    goes_on = job.kind.measures and job.started is not None
+    unarmed = active.state in (State.PREPARING, State.READY)
+    return state is State.FAILED and goes_on and unarmed
+
+
+def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:
+    """Store the end as soon as the catalogue accepts it."""
+    while True:
+        try:
+            job = active.end(state, failure)
+        except StorageUnavailable:
+            if active.is_interrupted:
+                active.forget_end()
+                return
+            time.sleep(TRY_AGAIN_S)
+        else:
+            log.info("job ended", state=str(job.state), reason=failure)
+            return
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +156,6 @@ class _JobSteps:
     context: JobContext
 
     def run(self) -> None:
-        """Plan, measure, analyse, discover, follow: as the kind of the job asks."""
         job, context, run_ids = self.job, self.context, self.job.run_ids
         if job.kind.measures:
             context.require_cell()
@@ -99,21 +169,19 @@ class _JobSteps:
             self.active.enter(State.RUNNING, Stage.PLANNING)
         if job.kind.measures:
             run_ids = self._measure_all(self._wait_until_armed())
-        steps = AnalysisSteps(job, self.active, context, self._compute)
         if job.kind.analyses:
             how = job.perpendicular_only, job.monte_carlo, context.workers
-            steps.conclude(run_ids, Stage.ALIGNING, context.science, *how)
+            self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
         if job.kind.discovers:
-            steps.conclude(run_ids, Stage.DISCOVERING, context.discoverer)
+            self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
         if job.kind is JobKind.TREND:
-            steps.follow()
+            self._follow()
         if job.kind is JobKind.REANALYSE:
-            steps.reanalyse()
+            self._reanalyse()
         if job.kind is JobKind.VERIFY:
-            steps.verify(run_ids)
+            self._verify(run_ids)
 
     def _plan(self) -> None:
-        """Choose what to drive, or the first part of it, and store it with the job."""
         state = State.PREPARING if self.job.kind.measures else State.RUNNING
         machine, order = self.context.require_machine(), self._plan_order()
         if self._is_adaptive:
@@ -123,7 +191,7 @@ class _JobSteps:
         self.context.store.keep_plan(self.job.id, plan)
 
     def _prepare_rest(self) -> None:
-        """Find what is left of a measurement that was cut short."""
+        """Find the remaining rows of a measurement that was interrupted."""
         plan = self.context.store.read_plan(self.job.id) or {}
         steps = self._station_steps if "stations" in plan else self._resumed_steps
         steps.prepare()
@@ -189,6 +257,93 @@ class _JobSteps:
         steps.run(commanded)
         return tuple(dict.fromkeys((*before, run_id)))
 
+    def _conclude(
+        self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
+    ) -> None:
+        """Let a task write its files about Runs and, where one is named, a model.
+
+        The state of the verdict that it returns is stored with the job.
+        """
+        files, task = self._name_files(run_ids), self._guard(task, run_ids)
+        folder = str(self.context.results / self.job.id)
+        model = self._find_model()
+        verdict = self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+        notices = self.context.store.get(self.job.id).notices
+        add_to_result(Path(folder) / RESULT, notices)
+        self.active.store_values(verdict=verdict)
+
+    def _follow(self) -> None:
+        """Let a task write what the Runs say of the machine over time."""
+        context, job = self.context, self.job
+        files = self._name_files(job.run_ids)
+        names = [context.runs.get(run_id).name for run_id in job.run_ids]
+        asked = context.store.read_plan_request(job.id)
+        inputs = files, names, str(context.results / job.id), asked
+        follower = self._guard(context.follower, job.run_ids)
+        verdict = self._compute(State.RUNNING, Stage.ESTIMATING, follower, *inputs)
+        self.active.store_values(verdict=verdict)
+
+    def _reanalyse(self) -> None:
+        """Analyse many Runs, each for itself, and write what has changed."""
+        context, job = self.context, self.job
+        folder = context.results / job.id
+        orders = list_orders(
+            context.store.read_plan_request(job.id)["run_ids"],
+            folder,
+            runs=context.runs,
+            store=context.store,
+            results=context.results,
+        )
+        reanalysis = Reanalysis(
+            context.executor,
+            context.reanalyser,
+            orders,
+            (job.perpendicular_only,),
+            started=lambda: self.active.enter(State.RUNNING, Stage.ESTIMATING),
+            report=self.active.report_progress,
+        )
+        outcomes = self.active.compute(reanalysis)
+        self.active.checkpoint()
+        # Where all was done before the service ended, no task has begun.
+        self.active.enter(State.RUNNING, Stage.ESTIMATING)
+        write_summary(folder, outcomes)
+
+    def _verify(self, run_ids: Sequence[str]) -> None:
+        """Let a task hold the result that was named against the job's own Runs."""
+        context, job = self.context, self.job
+        asked = context.store.read_plan_request(job.id)
+        result_id, files = asked["result_id"], asked.get("compensation_id")
+        kept = context.results / result_id / "compensations"
+        parts = (context.store.read_plan(job.id) or {}).get("parts", ())
+        first_row = {part["run_id"]: part["first_row"] for part in parts}
+        inputs = (
+            self._name_files(run_ids),
+            [first_row.get(run_id, 0) for run_id in run_ids],
+            str(context.results / job.id),
+            str(find_model_file(context.results, result_id)),
+            None if files is None else str(kept / files),
+            asked,
+        )
+        verifier = self._guard(context.verifier, run_ids)
+        verdict = self._compute(State.RUNNING, Stage.ALIGNING, verifier, *inputs)
+        self.active.store_values(verdict=verdict)
+
+    def _name_files(self, run_ids: Sequence[str]) -> list[str]:
+        return [str(self.context.runs.file(run_id)) for run_id in run_ids]
+
+    def _guard(self, task: Task, run_ids: Sequence[str]) -> Task:
+        """Return the task, which refuses files that have been changed."""
+        digests = [self.context.runs.get(run_id).sha256 for run_id in run_ids]
+        files = self._name_files(run_ids)
+        return OfUnchangedRuns(task, dict(zip(files, digests, strict=True)))
+
+    def _find_model(self) -> tuple[str | None, str | None]:
+        """Return file and identifier of the model that the job builds on, if any."""
+        model_id = self.context.store.read_plan_request(self.job.id).get("model_id")
+        if model_id is None:
+            return None, None
+        return str(find_model_file(self.context.results, model_id)), model_id
+
     @property
     def _resumed_steps(self) -> ResumedSteps:
         return ResumedSteps(self.job, self.active, self.context, self._compute)
@@ -210,7 +365,7 @@ class _JobSteps:
 
     def _plan_order(self) -> Json:
         """Return what is asked of a plan, with the file of the model it builds on."""
-        file, _ = find_model(self.job, self.context)
+        file, _ = self._find_model()
         request = self.context.store.read_plan_request(self.job.id)
         return {**request, "model_file": file}
 

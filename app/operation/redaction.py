@@ -84,7 +84,6 @@ def _is_secret(key: str, value: Any) -> bool:
 
 
 def _list_secrets(settings: Settings) -> Iterator[str]:
-    """Yield the secrets that the settings hold or lead to."""
     for value in settings.model_dump(mode="json").values():
         yield from _find_secrets(value)
     from sqlalchemy import make_url

@@ -10,10 +10,10 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 from truepath.app.errors import BadInput, NotFound
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.job import format_utc_now
+from truepath.app.jobs.schema import tokens, users
 from truepath.app.users.errors import UserConflict
 from truepath.app.users.passwords import hash_password
 from truepath.app.users.roles import PERSONAL_ROLES, Role
-from truepath.app.users.tables import tokens, users
 
 _NAME = re.compile(r"^\w[\w.@-]{0,63}$")
 

@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.job import format_utc_now
-from truepath.app.users.tables import audit, audit_head
+from truepath.app.jobs.schema import audit, audit_head
 
 FIRST = "0" * 64
 _BLOCK = 500

@@ -13,11 +13,11 @@ from sqlalchemy import Connection, Row, delete, insert, select
 from truepath.app.errors import BadInput, NotFound
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.job import format_utc_now
+from truepath.app.jobs.schema import tokens, users
 from truepath.app.users.accounts import check_name
 from truepath.app.users.boot_clock import Moment, read_moment
 from truepath.app.users.errors import UserConflict
 from truepath.app.users.roles import KEY_ROLES, Actor, Role
-from truepath.app.users.tables import tokens, users
 
 _PREFIX = "tp_"  # by which scanners find a key where none should be
 _DAY_S = 86400.0

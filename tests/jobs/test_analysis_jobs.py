@@ -15,7 +15,7 @@ from truepath.app.errors import BundleError, NotFound
 from truepath.app.files.bundle import write_bundle
 from truepath.app.files.run import Run
 from truepath.app.jobs import dispatcher as dispatching
-from truepath.app.jobs import job_end
+from truepath.app.jobs import workflow
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import Aborted, QueueFull
 from truepath.app.jobs.job import JobKind
@@ -274,7 +274,7 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     )
     bare = replace(context, machines=Machines(), executor=executor)
     dispatcher, errors = Dispatcher(bare, event_bus), []
-    monkeypatch.setattr(job_end.log, "error", lambda *told, **_: errors.append(told))
+    monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))
     job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).state == "running")
     if verb == "abort":

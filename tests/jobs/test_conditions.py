@@ -13,8 +13,7 @@ from truepath.app.files.workspace_file import workspace_from_json
 from truepath.app.jobs.arming import judge_approach, judge_path, list_commanded
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
-from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.condition_findings import LATE_S, find_conditions
+from truepath.app.jobs.condition_board import LATE_S, ConditionBoard, find_conditions
 from truepath.app.jobs.conditions import REQUIRED, ConditionType, Level, Observed
 from truepath.app.jobs.stream_watch import StreamLevels, Temperature
 from truepath.app.motion.commanded_rows import command_rows

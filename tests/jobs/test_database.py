@@ -1,32 +1,24 @@
 from __future__ import annotations
 
-import json
 import sqlite3
 import threading
 import time
-from pathlib import Path
 
 import pytest
-from alembic import command
 from alembic.autogenerate import compare_metadata
-from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError, OperationalError
 
 from truepath.app.errors import BadInput
 from truepath.app.jobs import database as databases
-from truepath.app.jobs import migrations
 from truepath.app.jobs.database import Database
 from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
 from truepath.app.jobs.schema import metadata
-from truepath.app.jobs.store import Store
 from truepath.app.users.accounts import Accounts
 from truepath.app.users.audit import AuditLog, Entry
 from truepath.app.users.roles import Actor, Role
 from truepath.app.users.tokens import Tokens
-
-MIGRATIONS = Path(migrations.__file__).parent
 
 
 @pytest.fixture
@@ -70,54 +62,6 @@ def test_a_newer_schema_is_refused(sqlite_database):
     )
     with pytest.raises(SchemaTooNew, match="schema 9999, newer than this version"):
         sqlite_database.migrate()
-
-
-@pytest.fixture
-def first_catalogue(sqlite_file):
-    """A catalogue of the first schema with one job, its target in its plan."""
-    database = Database(f"sqlite:///{sqlite_file}")
-    with database.engine.begin() as connection:
-        config = Config()
-        config.set_main_option("script_location", str(MIGRATIONS))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
-    row = {
-        "id": "j",
-        "kind": "measure-otf",
-        "state": "aborted",
-        "desired_state": "aborted",
-        "version": 1,
-        "stage": "measuring",
-        "perpendicular_only": False,
-        "plan": json.dumps({"kind": "path", "target_um": 2.5}),
-        "progress": json.dumps({"position": []}),
-        "health": "{}",
-        "created": "2026-05-04T09:30:00.000Z",
-    }
-    names, blanks = ", ".join(row), ", ".join(f":{name}" for name in row)
-    insert = text(f"INSERT INTO jobs ({names}) VALUES ({blanks})")
-    database.write(lambda connection: connection.execute(insert, row))
-    yield database
-    database.close()
-
-
-def test_an_older_catalogue_is_copied_before_it_is_migrated(
-    first_catalogue, sqlite_file
-):
-    first_catalogue.migrate()
-    copies = list(sqlite_file.parent.glob("catalogue.before-0001-*.sqlite"))
-    assert len(copies) == 1
-    with sqlite3.connect(copies[0]) as copy:
-        assert copy.execute("SELECT version_num FROM alembic_version").fetchall()
-    copy.close()
-
-
-def test_a_target_that_stood_in_the_plan_is_the_jobs_own_after_migration(
-    first_catalogue,
-):
-    first_catalogue.migrate()
-    job = Store(first_catalogue, print).get("j")
-    assert (job.target_um, job.early_end) == (2.5, None)
 
 
 def test_a_write_waits_for_another_program_and_then_succeeds(sqlite_file):

@@ -19,7 +19,7 @@ from truepath.app.files.commanded_file import (
     encode_commanded_json,
 )
 from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.jobs import active_job, cell_measurement, job_end
+from truepath.app.jobs import active_job, cell_measurement, workflow
 from truepath.app.jobs import database as databases
 from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
@@ -1066,7 +1066,7 @@ VERBS = {
 def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
     dispatcher, running, make_cell, until, full, context, monkeypatch, end
 ):
-    monkeypatch.setattr(job_end, "TRY_AGAIN_S", 0.05)
+    monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.05)
     store = context.store
 
     def read_states():
@@ -1142,9 +1142,9 @@ def test_progress_that_could_not_be_kept_is_shown_until_it_is(
 def test_a_full_disk_is_logged_once_not_ten_times_a_second(
     dispatcher, running, make_cell, until, full, monkeypatch
 ):
-    monkeypatch.setattr(job_end, "TRY_AGAIN_S", 0.005)
+    monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.005)
     lines, tries = [], []
-    for module in (active_job, job_end, databases):
+    for module in (active_job, workflow, databases):
         for level in ("warning", "exception"):
             monkeypatch.setattr(module.log, level, lambda text, **_: lines.append(text))
     full.set()

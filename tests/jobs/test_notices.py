@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from truepath.app.jobs.active_job import ActiveJob
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.notices import NoticeBoard
 from truepath.app.jobs.planned_rows import PlannedRows
@@ -27,6 +28,7 @@ class Followed:
         self.kept = notices
 
     may_move = True
+    pause = ActiveJob.pause
 
     def apply_verb(self, verb):
         self.asked.append(str(verb))

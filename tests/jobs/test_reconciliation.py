@@ -15,10 +15,10 @@ from truepath.app.jobs import reconciliation as reconciling
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import StorageUnavailable
 from truepath.app.jobs.job import Job, JobKind
+from truepath.app.jobs.job_changes import put_back
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.reconciliation import Reconciliation
 from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.restart import put_back
 from truepath.app.jobs.transitions import State
 from truepath.app.measurement import run_file
 from truepath.app.measurement.recorder import Recorder

@@ -1,7 +1,8 @@
-"""A data folder of an earlier version, opened by this one and by the next."""
+"""A data folder of today, opened by this version and the next; an older one refused."""
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import sqlite3
 import sys
@@ -10,11 +11,17 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from starlette.testclient import TestClient
 
 from truepath.app.api.application import create_application
 from truepath.app.jobs import database as database_module
+from truepath.app.jobs import schema
+from truepath.app.jobs.catalogue_rebuild import rebuild_catalogue
+from truepath.app.jobs.database import Database
+from truepath.app.jobs.errors import SchemaTooOld
 from truepath.app.main import open_service
 from truepath.app.operation.backup import make_backup, restore_backup
 from truepath.app.settings import load_settings
@@ -23,7 +30,8 @@ from truepath.app.users.roles import Role
 sys.path.append(str(Path(__file__).parent / "data"))
 from make_data_folder import PASSWORD
 
-FIXTURE = Path(__file__).parent / "data" / "data_folder_v0009.zip"
+DATA = Path(__file__).parent / "data"
+COLUMNS = "SELECT * FROM pragma_table_info(?)"
 NEXT = '''
 """The next version."""
 import sqlalchemy as sa
@@ -53,10 +61,20 @@ def logged_plainly(plain_log):
 
 @pytest.fixture
 def folder(tmp_path):
+    """The data folder of schema 0014."""
+    return unpack("0014", tmp_path / "data")
+
+
+@pytest.fixture
+def old_folder(tmp_path):
     """The data folder of schema 0009."""
-    with zipfile.ZipFile(FIXTURE) as archive:
-        archive.extractall(tmp_path / "data")
-    return tmp_path / "data"
+    return unpack("0009", tmp_path / "old")
+
+
+def unpack(revision, place):
+    with zipfile.ZipFile(DATA / f"data_folder_v{revision}.zip") as archive:
+        archive.extractall(place)
+    return place
 
 
 @pytest.fixture
@@ -119,11 +137,65 @@ def require_all(folder):
         assert service.access.audit_log.verify() == []
 
 
-def test_everything_of_schema_0009_is_read_by_this_version(folder):
+def read_files(folder):
+    return {
+        str(file): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file() and file.name != ".lock"
+    }
+
+
+def read_schema(file):
+    """Tables with columns whatever their order, indexes and triggers."""
+    with closing(sqlite3.connect(file)) as database:
+        rows = database.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+        return {
+            (kind, name): {row[1:] for row in database.execute(COLUMNS, [name])}
+            if kind == "table"
+            else (table, sql)
+            for kind, name, table, sql in rows
+        }
+
+
+def test_a_new_catalogue_is_made_like_one_of_the_first_release(folder, tmp_path):
+    """Else a table was changed without a migration."""
+    new = tmp_path / "new.sqlite"
+    with closing(Database(f"sqlite:///{new}")) as database:
+        database.migrate()
+        with database.read() as connection:
+            context = MigrationContext.configure(connection)
+            assert compare_metadata(context, schema.metadata) == []
+    with closing(Database(f"sqlite:///{folder / 'catalogue.sqlite'}")) as database:
+        database.migrate()
+    assert read_schema(new) == read_schema(folder / "catalogue.sqlite")
+
+
+def test_everything_of_schema_0014_is_read_by_this_version(folder):
     require_all(folder)
-    copies = list(folder.glob("catalogue.before-0009-*.sqlite"))
-    migrated = read_revision(folder / "catalogue.sqlite") != "0009"
-    assert len(copies) == migrated
+    assert list(folder.glob("catalogue.before-*")) == []
+
+
+def test_a_folder_of_an_older_schema_is_refused_and_left_as_it_is(old_folder):
+    before = read_files(old_folder)
+    with pytest.raises(SchemaTooOld) as refusal:
+        require_all(old_folder)
+    file = old_folder / "catalogue.sqlite"
+    assert str(refusal.value) == (
+        f"{file} has schema 0009, older than 0014, the first that this version opens; "
+        "it is left as it is. Open it once with the version of Truepath before this "
+        "one, which brings it to 0014, then with this one"
+    )
+    assert read_files(old_folder) == before
+
+
+def test_an_older_catalogue_is_not_made_anew_from_what_is_on_disk(old_folder):
+    before = read_files(old_folder)
+    with (
+        closing(Database(f"sqlite:///{old_folder / 'catalogue.sqlite'}")) as database,
+        pytest.raises(SchemaTooOld),
+    ):
+        rebuild_catalogue(database, old_folder / "runs", old_folder / "results")
+    assert read_files(old_folder) == before
 
 
 def test_the_next_version_migrates_it_and_keeps_a_copy_of_before(folder, next_version):
@@ -131,7 +203,7 @@ def test_the_next_version_migrates_it_and_keeps_a_copy_of_before(folder, next_ve
     next_version()
     require_all(folder)
     assert read_revision(folder / "catalogue.sqlite") == "9999"
-    (copy,) = folder.glob("catalogue.before-0009-*.sqlite")
+    (copy,) = folder.glob("catalogue.before-0014-*.sqlite")
     assert dump(copy) == before
 
 
@@ -144,18 +216,32 @@ def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
     with pytest.raises(RuntimeError, match="midway"):
         require_all(folder)
     assert dump(folder / "catalogue.sqlite") == before
-    assert read_revision(folder / "catalogue.sqlite") == "0009"
+    assert read_revision(folder / "catalogue.sqlite") == "0014"
     monkeypatch.setattr(database_module, "_MIGRATIONS", own)
     require_all(folder)
 
 
-def test_a_backup_of_schema_0009_is_restored_by_the_next_version(
+def test_a_backup_of_schema_0014_is_restored_by_the_next_version(
     folder, next_version, tmp_path
 ):
     make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
     next_version()
     target = tmp_path / "elsewhere"
     kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
-    assert kept.revision == "0009"
+    assert kept.revision == "0014"
     assert read_revision(target / "catalogue.sqlite") == "9999"
     require_all(target)
+
+
+def test_a_backup_of_an_older_schema_is_refused_and_nothing_changed(folder, tmp_path):
+    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
+    manifest = tmp_path / "kept" / "manifest.json"
+    text = manifest.read_text("utf-8").replace('"0014"', '"0009"')
+    manifest.write_text(text, "utf-8")
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    manifest.with_suffix(".sha256").write_text(digest, "ascii")
+    before = read_files(folder)
+    settings = load_settings(data_dir=folder)
+    with pytest.raises(SchemaTooOld, match=r"the backup has schema 0009, older than"):
+        restore_backup(settings, tmp_path / "kept", force=True)
+    assert read_files(folder) == before

@@ -16,7 +16,7 @@ from fastapi.testclient import TestClient
 from truepath.app.api.problems import BY_STATUS, PROBLEM_KINDS
 from truepath.app.api.security import Guard
 from truepath.app.compensation.installed import list_formats
-from truepath.app.jobs import condition_findings
+from truepath.app.jobs import condition_board
 from truepath.app.jobs.conditions import ConditionType
 from truepath.app.kinematics.effects.catalogue import list_families
 from truepath.app.web.pages import (
@@ -209,7 +209,7 @@ def test_every_problem_has_a_title_and_a_way_out_in_every_language():
 def test_every_condition_has_its_words():
     types = {f"condition.{kind}" for kind in ConditionType}
     reasons = {f"condition.reason.{state}" for state in UNABLE}
-    source = inspect.getsource(condition_findings)
+    source = inspect.getsource(condition_board)
     stated = re.findall(r'Finding\(\s*Level\.FALSE, "([a-z-]+)"', source)
     assert len(stated) > 10
     reasons |= {f"condition.reason.{reason}" for reason in stated}
