@@ -20,7 +20,7 @@ from truepath.drivers.thermometers.modbus_registers.driver import (
     Register,
 )
 from truepath.simulators.faults import Schedule, parse_fault
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.modbus_ports import ModbusRtuPort, ModbusTcpPort
 from truepath.simulators.scenario import load_machine
