@@ -180,7 +180,6 @@ def _split_piece(timeline: Timeline, piece: int) -> Timeline:
 
 
 def _find_time(own: Timeline, run: float, end_s: float) -> float:
-    """Return when a length of a single piece is gone."""
     low, high = float(own.start_s[0]), end_s
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

@@ -176,7 +176,6 @@ def _motion(program: Program, setting: Setting) -> Timeline:
 def _sample_times(
     machine: MachineFile, timeline: Timeline, seed: int, setting: Setting
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of all samples on the tracker's clock and in truth."""
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
     clock = _clock(seed, setting)
     begin = setting.defects.late_start_s

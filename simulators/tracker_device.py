@@ -304,7 +304,6 @@ class TrackerDevice:
 
 
 def _explain(body: bytes) -> NakCode:
-    """Return why a body is no command."""
     if body[0] != VERSION:
         return NakCode.VERSION_NOT_SPOKEN
     if Type.HELLO <= body[1] <= Type.GET_AIR:

@@ -109,7 +109,6 @@ class TrackerSight:
     def _locate_target_mm(
         self, timeline: Timeline, moments_s: np.ndarray
     ) -> np.ndarray:
-        """Return where the target is that the tracker looks at."""
         reflectors = self._parts.truth.machine.reflectors
         targets = self.verbs.list_targets(moments_s)
         targets[targets == None] = reflectors[0].name  # noqa: E711
@@ -129,7 +128,6 @@ class TrackerSight:
         return locate_target_mm(parts.truth, motion, moments_s, names, parts.hidden)
 
     def _locate_direction(self, name: str, true_s: float) -> tuple[float, float]:
-        """Return azimuth and elevation of a target by the newest that is known."""
         if self._timeline is None:
             return 0.0, 0.0
         place_mm = self._locate_mm(self._timeline, np.array([true_s]), [name])

@@ -227,7 +227,6 @@ def _fit_ramps(
     nested: NestedModels,
     known: KnownEffects,
 ) -> Fit:
-    """Return the fit in which ramps count by how far they are off."""
     fit = _fit(inputs, seen, nested, known)
     for _ in range(_RAMP_ROUNDS):
         left = [

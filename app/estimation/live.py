@@ -212,7 +212,6 @@ class LiveEstimator:
         return self._astray_s > before_s and self._sums is not None
 
     def _state_check(self) -> LiveCheck:
-        """Return what is said so far, with what is at no place of the path."""
         astray = self._alignment.list_astray()
         return replace(self._check, left_out=(*self._check.left_out, *astray))
 

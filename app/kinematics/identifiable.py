@@ -336,7 +336,6 @@ def _remove(
 
 
 def _pose_columns(each_run: Sequence[Conditions]) -> Float64[np.ndarray, "m q"]:
-    """Return the columns of the tracker's poses, a pose a Run."""
     poses: list[Float64[np.ndarray, "_ 6"]] = []
     for at in each_run:
         x, y, z = (float(v) for v in at.point_mm.mean(axis=0))

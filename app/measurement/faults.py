@@ -58,7 +58,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
 )
 
 
-def classify_fault(error: Exception) -> Fault:
+def classify_fault(error: BaseException) -> Fault:
     """Return the fault that an error of a device or of the service amounts to."""
     if isinstance(error, Fault):
         return error

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.app.driver_border import Call
 from truepath.app.measurement.controller_monitor import ControllerMonitor
 from truepath.app.measurement.event_log import EventLog
 from truepath.app.measurement.faults import (
@@ -42,7 +43,6 @@ from truepath.app.measurement.rows_to_repeat import RowsToRepeat
 from truepath.app.measurement.stream_reader import StreamReader, StreamState
 from truepath.app.measurement.target_search import SearchStep, Sight, TargetSearch
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
-from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.drivers.interfaces.errors import DeviceError
 from truepath.drivers.interfaces.motion import MotionController
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
@@ -168,7 +168,7 @@ class MeasurementMonitor:
 
     def wait_for_tracker(
         self, verb: Callable[[], None], limit_s: float
-    ) -> Exception | None:
+    ) -> BaseException | None:
         """Look on while the tracker does something; return why it was not done.
 
         It may lose its beam meanwhile. Raises as `tick`, and Fault if it does not end.
@@ -176,7 +176,7 @@ class MeasurementMonitor:
         limit_s : in which its driver ends it, or gives up
         """
         limit_s += _SPARE_S
-        task, late_s = TrackerTask(verb), self.clock() + limit_s
+        task, late_s = Call(verb), self.clock() + limit_s
         self._is_task_under_way = True
         try:
             while not task.is_over:

@@ -111,7 +111,6 @@ class MeasurementSteps(ABC):
         """Make the whole measurement."""
 
     def _choose_target(self, name: str) -> None:
-        """Have the tracker measure this target, if it is another one."""
         if name in ("", self._target):
             return
         while not self._tracker.select_target(name):

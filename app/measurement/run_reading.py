@@ -118,7 +118,6 @@ def _describe_machine(header: RunHeader) -> dict[str, str]:
 
 
 def _describe_control(header: RunHeader) -> dict[str, str]:
-    """Return whether the control corrected its axes, where it has told, and by what."""
     if header.control_compensation is None:
         return {}
     if not header.control_compensation:
@@ -184,7 +183,6 @@ def _join_points(
 
 
 def _read_air(points: NDArray[np.void] | None) -> dict[str, NDArray[np.float64]]:
-    """Return the air that the tracker told with its points."""
     if points is None or not len(points):
         return {}
     told = {name: points[field].copy() for name, field in _AIR_OF_POINTS.items()}

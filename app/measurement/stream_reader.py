@@ -123,7 +123,6 @@ class StreamReader:
         return gap_s
 
     def _run(self) -> None:
-        """Body of the thread."""
         try:
             while not self._stopping.is_set():
                 self._fill_batch()

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.app.driver_border import Call
 from truepath.app.kinematics.conditions import observe_targets
 from truepath.app.kinematics.machine import Machine
 from truepath.app.measurement.timing import EngineSettings, Stopwatch
-from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.app.numerics.rigid import fit_rigid
 from truepath.drivers.interfaces.errors import DeviceError, NotOffered
 from truepath.drivers.interfaces.tracker import TargetFinder
@@ -55,7 +55,7 @@ class TargetSearch:
         self._places = SeenPlaces(machine)
         self._lost, self._waiting = (Stopwatch(settings.clock) for _ in range(2))
         self._found = Counter[int]()
-        self._task: TrackerTask | None = None
+        self._task: Call | None = None
         self._expected: ExpectedPlace | None = None
         self._tries = 0
         self._is_over, self._is_able = False, True
@@ -105,7 +105,7 @@ class TargetSearch:
             return self._give_up("the tracker is not asked to search again")
         self._tries += 1
         self._expected = expected
-        self._task = TrackerTask(lambda: self._aim_and_search(expected))
+        self._task = Call(lambda: self._aim_and_search(expected))
         self._waiting.reset()
         return None
 
@@ -114,7 +114,7 @@ class TargetSearch:
         self._tracker.search()
 
     def _follow(
-        self, task: TrackerTask, key: int, see: Sight | None, lost_s: float
+        self, task: Call, key: int, see: Sight | None, lost_s: float
     ) -> SearchStep | None:
         if not task.is_over:
             return None
@@ -150,7 +150,7 @@ class TargetSearch:
         """Turn the beam off it: whoever resumes must not measure it."""
         expected, tracker = self._expected, self._tracker
         if expected is not None:
-            TrackerTask(lambda: tracker.aim(*expected.direction_rad))
+            Call(lambda: tracker.aim(*expected.direction_rad))
 
     def _fail(self, text: str) -> SearchStep:
         self._task = None

@@ -370,7 +370,6 @@ def greet(
 def _explain_silence(
     receiver: Receiver, port_name: str, error: DeviceTimeout
 ) -> DeviceError:
-    """Tell silence from bytes that are not ours."""
     if receiver.echoes:
         return WrongDevice(
             f"{port_name}: our own bytes come back; a loop-back plug, "
