@@ -303,10 +303,6 @@ def _options() -> argparse.ArgumentParser:
     return parser
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 _USUAL_DEGC = 20.0
 _SIGMA_K = 0.02
 _PERIOD_S = 1.0
@@ -328,3 +324,7 @@ def read_sensors(
         for column, name in enumerate(names):
             celsius[:, column] += effect.warming_degc(name, clock.true_s(time_s))
     return Temperatures(names, time_s, celsius)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
