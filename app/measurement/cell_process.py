@@ -149,7 +149,7 @@ class _CellServer:
     def is_spoilt(self) -> bool:
         """Whether another process has to begin anew: a call of a driver does not end.
 
-        Who connects or measures has been told so.
+        Who connects or measures has the answer.
         """
         tried = self._has_tried and not self._measuring
         return tried and bool(find_stuck(self._tracker, self._motion))

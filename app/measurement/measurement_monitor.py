@@ -28,10 +28,10 @@ from truepath.app.measurement.faults import (
     Aborted,
     Fault,
     classify_fault,
+    make_beam_fault,
     make_position_fault,
     make_silence_fault,
     make_unable_fault,
-    make_unfound_fault,
 )
 from truepath.app.measurement.feed_hold import FeedHold
 from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
@@ -258,7 +258,7 @@ class DiskMonitor:
         if recorder.failure or recorder.is_space_low:
             text = recorder.failure or "the disk is almost full"
             action = "free some space, then measure again"
-            raise Fault("storage", text, action, latched=False)
+            raise Fault("storage", text, action)
         if recorder.is_strained:
             self._feed.hold(HoldReason.DISK, SLOW_DISK)
         self._follow_hold()
@@ -445,4 +445,5 @@ class TargetRecovery:
             self._rows.repeat_loss()
             self._feed.release(HoldReason.BEAM, "the target was found again")
         elif step.is_last:
-            self._events.report_fault(make_unfound_fault(step.text))
+            fault = make_beam_fault(f"{BEAM_LOST.text}; {step.text}")
+            self._events.report_fault(fault)

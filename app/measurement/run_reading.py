@@ -73,11 +73,11 @@ def open_run(file: str | Path) -> Run:
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
     tracker, points = _join_points(read_samples(content.batches), content.batches)
-    told, doubted = gate_columns(
+    shown, doubted = gate_columns(
         tracker.device_time_s, _read_air(points), header.machine.altitude_m
     )
     temperature, air = tabulate_channels(
-        {name: (tracker.device_time_s, values) for name, values in told.items()}
+        {name: (tracker.device_time_s, values) for name, values in shown.items()}
         | _read_channels(content.batches, header.channels)
     )
     refraction, tracker = correct_refraction(
