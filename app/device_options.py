@@ -1,7 +1,7 @@
-"""The options of drivers, held against what each driver takes.
+"""The options of drivers, checked against what each driver takes.
 
 They are the parameters of its factory: names, types and defaults are those of its
-signature, and settings are held against them before anything is opened.
+signature, and settings are checked against them before anything is opened.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def make_device(
     options: Mapping[str, Any],
     limits_s: Mapping[str, float] | None = None,
 ) -> Any:
-    """Return a device of a driver, its options held against what the driver takes.
+    """Return a device of a driver, its options checked against what the driver takes.
 
     word : `tracker`, `motion` or `thermometer`; limits_s : as `guard` takes them
 

@@ -1,16 +1,14 @@
 """The border of the service to a driver: what comes of it in time and as it was agreed.
 
-Each call is made in a thread of the border, and whoever calls waits no longer than the
+Each call is made in a thread of its own, and whoever calls waits no longer than the
 service allows, whatever the driver promises. What a driver raises beside device errors,
 and what it must not answer, is one DriverFault that names it.
 """
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -75,21 +73,33 @@ _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
 }
 
 
-class _Lane:
-    """A thread that makes calls one at a time; left alone with one that hangs."""
+class Call:
+    """A call under way in a thread of its own. Begins at once.
 
-    def __init__(self) -> None:
-        self.calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
-        self.answers: queue.SimpleQueue[tuple[Any, BaseException | None]]
-        self.answers = queue.SimpleQueue()
-        threading.Thread(target=self._run, name="driver", daemon=True).start()
+    answer : once it is over; failure : what it raised instead
+    """
+
+    def __init__(self, verb: Callable[[], Any]) -> None:
+        self._verb = verb
+        self.answer: Any = None
+        self.failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="driver", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has returned or failed."""
+        return not self._thread.is_alive()
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for its end, at most so long."""
+        self._thread.join(timeout_s)
 
     def _run(self) -> None:
-        while (call := self.calls.get()) is not None:
-            try:
-                self.answers.put((call(), None))
-            except BaseException as error:
-                self.answers.put((None, error))
+        try:
+            self.answer = self._verb()
+        except BaseException as error:
+            self.failure = error
 
 
 def guard(
@@ -116,8 +126,7 @@ class _Border:
     ) -> None:
         self._device, self._who = device, describe_plugin(point)
         self._limits_s = _LIMITS_S | dict(limits_s)
-        self._idle: deque[_Lane] = deque()
-        self._overdue: dict[str, _Lane] = {}
+        self._overdue: dict[str, Call] = {}
         self._known: dict[str, Any] = {}  # of properties, the newest
 
     @property
@@ -139,7 +148,7 @@ class _Border:
     def list_stuck(self) -> list[str]:
         """Return the calls that are overdue and have not ended since."""
         overdue = self._overdue.copy().items()
-        return [call for call, lane in overdue if lane.answers.empty()]
+        return [name for name, call in overdue if not call.is_over]
 
     def _call(self, name: str, verb: Callable[[], Any], *given: Any) -> Any:
         stuck = self.list_stuck()
@@ -147,37 +156,21 @@ class _Border:
             return self._known[name]
         if stuck and (name not in _STOPS or name in stuck):
             raise self._fault(f"still has not returned from {stuck[0]}()")
-        limit_s = self._find_limit_s(name, given)
-        try:
-            lane = self._idle.pop()
-        except IndexError:
-            lane = _Lane()
-        lane.calls.put(lambda: self._check(name, verb()))
-        answer, error = self._wait(lane, name, limit_s)
-        self._idle.append(lane)
-        if name == "close":
-            while self._idle:
-                self._idle.pop().calls.put(None)
-        if error is not None:
-            raise self._translate(error, name) from error
-        if name in _PROPERTIES:
-            self._known[name] = answer
-        return answer
-
-    def _wait(
-        self, lane: _Lane, name: str, limit_s: float
-    ) -> tuple[Any, BaseException | None]:
-        left_s = limit_s
-        while left_s > 0.0:
+        left_s = limit_s = self._find_limit_s(name, given)
+        call = Call(lambda: self._check(name, verb()))
+        while not call.is_over:
+            if left_s <= 0.0:
+                self._overdue[name] = call
+                raise self._fault(f"has not returned from {name}() in {limit_s:g} s")
             begin_s = time.monotonic()
-            try:
-                return lane.answers.get(timeout=min(left_s, _SLICE_S))
-            except queue.Empty:
-                # A process that did not run has not let the driver run either.
-                left_s -= min(time.monotonic() - begin_s, 2.0 * _SLICE_S)
-        self._overdue[name] = lane
-        lane.calls.put(None)  # it ends, should the call ever return
-        raise self._fault(f"has not returned from {name}() in {limit_s:g} s")
+            call.wait(min(left_s, _SLICE_S))
+            # A process that did not run has not let the driver run either.
+            left_s -= min(time.monotonic() - begin_s, 2.0 * _SLICE_S)
+        if call.failure is not None:
+            raise self._translate(call.failure, name) from call.failure
+        if name in _PROPERTIES:
+            self._known[name] = call.answer
+        return call.answer
 
     def _find_limit_s(self, name: str, given: tuple[Any, ...]) -> float:
         if name == "load":

@@ -22,11 +22,10 @@ from truepath.app.files.bundle import read_bundle
 from truepath.app.results.discovery_json import discovery_json
 from truepath.simulators import paths, synthetic
 from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.elastic_sag import ElasticSag
-from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
-from truepath.simulators.hidden.settling_stand import SettlingStand
+from truepath.simulators.hidden.guides import ElasticSag
+from truepath.simulators.hidden.screws import Backlash, ScrewCyclic
+from truepath.simulators.hidden.setup import SettlingStand
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
 

@@ -41,12 +41,12 @@ from truepath.app.planning.design_state import DesignState, inverse
 from truepath.app.planning.initial_design import choose_station, start_design
 from truepath.app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from truepath.app.planning.next_configuration import (
+    PointDesignState,
     next_configuration,
     search_space,
 )
 from truepath.app.planning.plan_making import make_plan
 from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.planning.point_design import PointDesignState
 from truepath.drivers.interfaces.records import Path as MachinePath
 from truepath.simulators import synthetic
 from truepath.simulators.program import Program

@@ -33,8 +33,7 @@ from truepath.app.planning.plan_order import PlanOrder
 from truepath.drivers.interfaces.records import Path as MachinePath
 from truepath.simulators import synthetic
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
-from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from truepath.simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording

@@ -251,7 +251,6 @@ class Controller:
         self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
 
     def _go_on(self, begin_s: float) -> None:
-        """Go on with the row that the machine stands in."""
         self._begin_s = begin_s
         if self._is_stalled:
             return
@@ -276,7 +275,6 @@ class Controller:
         return self._timeline.since(now_s - _KEPT * self._lead_s)
 
     def _fed(self) -> Program:
-        """Return the running program at the present override."""
         if self._running is None:
             raise RuntimeError("nothing runs")
         feed = self._running.feed_mm_s * self._override

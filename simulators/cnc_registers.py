@@ -300,7 +300,6 @@ class CncRegisters(Registers):
         return np.array(words, np.uint16).reshape(count, regmap.ROW_WORDS)
 
     def _program(self, rows: np.ndarray) -> Program:
-        """Return rows of registers as waypoints of this machine's axes."""
         values = rows.astype(">u2").view(">i4").astype(float)
         axes = len(self._controller.machine.axes)
         return Program(
@@ -310,7 +309,6 @@ class CncRegisters(Registers):
         )
 
     def _arc(self, words: np.ndarray) -> Arc:
-        """Return the registers of an arc as an arc of this machine's axes."""
         *centre, turn, _ = words.astype(">u2").view(">i4").astype(float)
         first, second = int(words[-2]), int(words[-1])
         return Arc(

@@ -96,7 +96,6 @@ def _bench(options: argparse.Namespace) -> Bench:
 def _control(
     options: argparse.Namespace, bench: DeviceProcesses
 ) -> Iterator[ControlSocket | None]:
-    """Yield the control socket, if one is asked for."""
     if options.control is None:
         yield None
         return
@@ -107,7 +106,6 @@ def _control(
 def _serve(
     bench: DeviceProcesses, signalled: int, control: ControlSocket | None
 ) -> int:
-    """Wait for a signal, obeying standard input and the control socket meanwhile."""
     lines = _LineReader(sys.stdin.fileno()) if sys.stdin else None
     while True:
         listening = lines is not None and lines.ours

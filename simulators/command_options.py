@@ -56,7 +56,6 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _add_simulation(add: Callable[..., object]) -> None:
-    """Add what is simulated or repeated, and what goes wrong."""
     add(
         "--machine",
         default="demo",
@@ -89,7 +88,6 @@ def _add_simulation(add: Callable[..., object]) -> None:
 
 
 def _add_compensation(add: Callable[..., object]) -> None:
-    """Add what tables the controller has, and how it takes them."""
     add(
         "--compensation",
         nargs="+",
@@ -120,7 +118,6 @@ def _add_compensation(add: Callable[..., object]) -> None:
 
 
 def _add_links(add: Callable[..., object]) -> None:
-    """Add where the devices listen."""
     add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
     add(
         "--protocol",

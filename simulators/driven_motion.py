@@ -12,8 +12,7 @@ import numpy as np
 
 from truepath.simulators.profile import Limits, Stretch, rest_to_rest
 from truepath.simulators.program import SHORTEST_MM, Program, path_length
-from truepath.simulators.reversals import split_at_reversals
-from truepath.simulators.timeline import State, Timeline, bend, standing, turn
+from truepath.simulators.timeline import State, Timeline, bend, join, standing, turn
 
 _ROUNDED_MM = 0.01  # of an arc: its ends are rounded, so that it never quite ends
 
@@ -130,3 +129,62 @@ def _laid_out(
     last = lines.target[-1] if count else origin
     motion = motion.then(standing(last, end, int(lines.row[-1]) if count else 0))
     return split_at_reversals(motion)
+
+
+_BISECTIONS = 50  # of a piece of some minutes: to a picosecond
+
+
+def split_at_reversals(timeline: Timeline) -> Timeline:
+    """Return the motion with its arcs divided where an axis turns back."""
+    parts: list[Timeline] = []
+    first = 0
+    for piece in np.flatnonzero(timeline.curvature.any(axis=1)).tolist():
+        parts.append(timeline.select(slice(first, piece)))
+        parts.append(_split_piece(timeline, piece))
+        first = piece + 1
+    if not parts:
+        return timeline
+    return join([*parts, timeline.select(slice(first, None))])
+
+
+def _split_piece(timeline: Timeline, piece: int) -> Timeline:
+    """Return one piece on an arc as pieces in which no axis turns back."""
+    begin_s, end_s = timeline.start_s[piece : piece + 2].tolist()
+    own = timeline.select(slice(piece, piece + 1))
+    direction, curvature = own.direction[0], own.curvature[0]
+    bend_per_mm = float(np.linalg.norm(curvature))
+    whole = float(own.state(end_s).gone - own.gone[0])
+    at: set[float] = set()
+    for d, c in zip(direction, curvature / bend_per_mm, strict=True):
+        if np.hypot(d, c) > SHORTEST_MM:  # d cos x + c sin x = 0
+            x = float(np.arctan2(-d, c)) % np.pi
+            at |= {
+                run
+                for k in range(int(bend_per_mm * whole / np.pi) + 1)
+                if 0.0 < (run := (x + k * np.pi) / bend_per_mm) < whole
+            }
+    times = [begin_s, *(_find_time(own, run, end_s) for run in sorted(at))]
+    times = [t for t in times if begin_s <= t < end_s]
+    states = [own.state(t) for t in times]
+    return Timeline(
+        np.array(times),
+        np.array([s.position for s in states]),
+        np.array([s.direction for s in states]),
+        np.array([s.speed for s in states]),
+        np.array([s.acceleration for s in states]),
+        np.repeat(own.jerk, len(times)),
+        np.repeat(own.row, len(times)),
+        np.array([s.curvature for s in states]),
+        np.array([s.gone for s in states]),
+    )
+
+
+def _find_time(own: Timeline, run: float, end_s: float) -> float:
+    low, high = float(own.start_s[0]), end_s
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if own.state(middle).gone - own.gone[0] < run:
+            low = middle
+        else:
+            high = middle
+    return high

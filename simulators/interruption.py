@@ -62,7 +62,6 @@ def with_feed(
 def _rest_of_line(
     timeline: Timeline, program: Program, state: State, time_s: float, limits: Limits
 ) -> Timeline:
-    """Return the motion up to the end of the line under way, standing there."""
     target = program.position[state.row]
     length = float(path_length((target - state.position)[None])[0])
     arc = program.arc[state.row] if program.arc else None

@@ -191,7 +191,6 @@ class LinkProxy:
                 select.select([*near, *far], [], [], wait_s)
 
     def _pass_on(self) -> None:
-        """Move what has come, and what has arrived, in both directions."""
         now_s = time.monotonic()
         sent = self._port.receive()
         if sent is None and self._is_tcp:  # a host has come or gone

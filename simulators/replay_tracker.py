@@ -114,7 +114,6 @@ class ReplayTracker:
         return Ack(start.transaction, Type.START, self._run.opening)
 
     def _fill(self, wall_s: float) -> bytes:
-        """Return samples that are not valid: the host waits for time to pass."""
         self._ended_s = self._ended_s or wall_s
         rate_hz = self._run.opening.rate_hz
         due = int((wall_s - self._ended_s - _AFTER_S) * rate_hz)

@@ -75,7 +75,6 @@ class RotaryJoint(Joint):
         return turn @ motion if self.on_workpiece else motion @ turn
 
     def _express_about_origin(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Return rigid motions given in local directions about the origin."""
         frame = local_frame(self.axis)
         turn, shift = frame @ turn @ frame.T, shift @ frame.T
         return _about(np.array(self.axis.origin_mm), turn, shift)

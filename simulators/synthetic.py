@@ -31,8 +31,7 @@ from truepath.simulators.profile import Limits
 from truepath.simulators.program import Program
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.randomness import generator
-from truepath.simulators.recording import Recording
-from truepath.simulators.scale_sensors import read_sensors
+from truepath.simulators.recording import Recording, Temperatures
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.timeline import Timeline
 from truepath.simulators.tracker_head import Air, TrackerClock, TrackerPose
@@ -177,7 +176,6 @@ def _motion(program: Program, setting: Setting) -> Timeline:
 def _sample_times(
     machine: MachineFile, timeline: Timeline, seed: int, setting: Setting
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of all samples on the tracker's clock and in truth."""
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
     clock = _clock(seed, setting)
     begin = setting.defects.late_start_s
@@ -303,6 +301,29 @@ def _options() -> argparse.ArgumentParser:
     )
     parser.add_argument("--csv", action="store_true", help="tracker.csv, not parquet")
     return parser
+
+
+_USUAL_DEGC = 20.0
+_SIGMA_K = 0.02
+_PERIOD_S = 1.0
+
+
+def read_sensors(
+    machine: MachineFile,
+    device_s: np.ndarray,
+    clock: TrackerClock,
+    seed: int,
+    hidden: Sequence[HiddenEffect],
+) -> Temperatures:
+    """Return what they show during a recording: constant but for noise and effects."""
+    rng = generator(seed, "environment")
+    names = tuple(axis.name for axis in machine.linear_axes)
+    time_s = np.arange(device_s[0], device_s[-1], _PERIOD_S)
+    celsius = _USUAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
+    for effect in hidden:
+        for column, name in enumerate(names):
+            celsius[:, column] += effect.warming_degc(name, clock.true_s(time_s))
+    return Temperatures(names, time_s, celsius)
 
 
 if __name__ == "__main__":

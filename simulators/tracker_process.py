@@ -89,7 +89,6 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
 
 
 def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None:
-    """Stand elsewhere, or see the machine driven by other tables."""
     if "compensation" in order:
         machine = parse_machine(orders["machine"])
         device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))

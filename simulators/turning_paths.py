@@ -87,8 +87,6 @@ def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
 
 
 def _find_moving_targets(machine: MachineFile) -> list[str]:
-    """Return the targets that move where the tracker stands."""
-
     def moves(reflector: Reflector) -> bool:
         on_base = machine.tracker.stands_on == "base"
         return reflector.on == "tool" or (on_base and bool(machine.workpiece_side))

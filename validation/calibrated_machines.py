@@ -11,7 +11,7 @@ from truepath.app.files.file_model import encode_json
 from truepath.app.results.analysis import analyse
 from truepath.app.results.result_json import result_json
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.random_machine import random_machine
 from truepath.simulators.truth_machine import TruthMachine

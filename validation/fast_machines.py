@@ -24,7 +24,7 @@ from truepath.app.planning.plan import Plan
 from truepath.app.planning.plan_making import make_plan
 from truepath.app.planning.plan_order import PlanOrder
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.inertial_bend import InertialBend
+from truepath.simulators.hidden.dynamics import InertialBend
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.paths import chord_path
 from truepath.simulators.profile import Limits

@@ -19,7 +19,7 @@ from truepath.simulators import paths, synthetic
 from truepath.simulators.driven_motion import follow
 from truepath.simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
 from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.program import Program
 from truepath.simulators.recording import Recording

@@ -26,12 +26,11 @@ from truepath.app.estimation.live import LiveEstimator
 from truepath.app.files.run import Run
 from truepath.simulators import paths, synthetic
 from truepath.simulators.driven_motion import follow
-from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.effect import HiddenEffect
 from truepath.simulators.hidden.motion import Motion
-from truepath.simulators.hidden.setup_step import SetupStep
-from truepath.simulators.hidden.table_drift import TableDrift
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.screws import Backlash
+from truepath.simulators.hidden.setup import SetupStep, TableDrift
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.recording import Recording
 from truepath.simulators.synthetic import Setting

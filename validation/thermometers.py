@@ -22,7 +22,7 @@ from truepath.app.files.result_file import result_from_json
 from truepath.app.files.run import Run
 from truepath.app.results.discovery import discover_runs
 from truepath.app.results.prediction import predict
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting, record
 

@@ -136,7 +136,6 @@ def fit_baseline(
 
 
 def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel:
-    """Return the model with knots as close as its error motions need."""
     while any(map(can_refine, model.error_motions)):
         data = combine_runs(collect_information(runs, model))
         prior, result = guess_whole_prior(model).fit(data)

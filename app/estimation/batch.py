@@ -16,6 +16,7 @@ from truepath.app.estimation.extrapolation import (
     find_measured_ranges,
     soften_ends,
 )
+from truepath.app.estimation.information import Posterior
 from truepath.app.estimation.knots import (
     add_hidden_variance,
     find_intervals,
@@ -23,7 +24,7 @@ from truepath.app.estimation.knots import (
     refine_motions,
 )
 from truepath.app.estimation.known_effects import KnownEffects
-from truepath.app.estimation.large_errors import is_linear, linearise_about
+from truepath.app.estimation.noise import split_sigma_mm
 from truepath.app.estimation.noise_fit import guess_noise, refine_runs
 from truepath.app.estimation.observability import (
     Observability,
@@ -31,7 +32,6 @@ from truepath.app.estimation.observability import (
     name_undetermined,
 )
 from truepath.app.estimation.prior import widen_by_unknown_precision
-from truepath.app.estimation.ramp_noise import widen_ramps
 from truepath.app.estimation.run_estimate import (
     RunEstimate,
     compute_residuals,
@@ -41,6 +41,7 @@ from truepath.app.estimation.runs import RunInformation, RunInput
 from truepath.app.kinematics.coarse_model import NestedModels, RunModels
 from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.kinematics.model import MachineModel
+from truepath.app.kinematics.second_order import adds_up, compute_second_order_mm
 from truepath.app.kinematics.volumetric_map import ShapeModel
 from truepath.app.progress import ShareProgress, ignore_progress
 
@@ -226,7 +227,6 @@ def _fit_ramps(
     nested: NestedModels,
     known: KnownEffects,
 ) -> Fit:
-    """Return the fit in which ramps count by how far they are off."""
     fit = _fit(inputs, seen, nested, known)
     for _ in range(_RAMP_ROUNDS):
         left = [
@@ -268,3 +268,118 @@ def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
     seen = run.observations
     turned = seen.direction @ run.linearisation.pose.rotation.T
     return np.einsum("nij,nj->ni", seen.beam_frame, turned)
+
+
+# A Run of a machine with large errors as one whose small errors add. The estimate takes
+# error motions where the command was, and adds their displacements: of a machine that
+# errs by a millimetre neither holds to micrometres. A first estimate shows both: where
+# on its line the machine was, and what its motions do to one another.
+def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
+    """Tell whether the errors of the machine are small enough to add."""
+    return adds_up(model, seen.at, machine.theta)
+
+
+def linearise_about(
+    seen: Observations, run: RunInformation, model: MachineModel, machine: Posterior
+) -> Observations:
+    """Return the Run with its cells at their places, and second order taken off.
+
+    run : a first estimate of its own pose; machine : of the machine
+    """
+    theta = machine.theta
+    pose = run.linearisation.correct_pose(run.own.restore(machine)[0])
+    added_mm = compute_second_order_mm(model, seen.at, theta)
+    moved_mm = added_mm + model.displacement_mm(seen.at, theta)
+    rest_mm = pose.invert().apply(seen.tracker_mm) - seen.at.point_mm - moved_mm
+    position = seen.at.position_mm + _find_lead(seen, rest_mm)
+    return replace(
+        seen,
+        at=replace(seen.at, position_mm=position),
+        tracker_mm=seen.tracker_mm - added_mm @ pose.rotation.T,
+        pose=pose,
+    )
+
+
+def _find_lead(
+    seen: Observations, rest_mm: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n a"]:
+    """Return how far the axes were beyond where cells on straight lines were placed.
+
+    rest_mm : measured less modelled. At constant feed a cell is ahead by a constant and
+        by another every second; on ramps each by its own.
+    """
+    at, lead = seen.at, np.zeros_like(seen.at.position_mm)
+    ahead = np.einsum("ni,ni->n", rest_mm, seen.direction)
+    is_rotary = np.isin(at.machine.axis_names, [a.name for a in at.machine.rotary_axes])
+    for first, last in seen.stretches:
+        ends = [first, last - 1]
+        moved = np.diff(at.position_mm[ends], axis=0)[0]
+        way_mm = float(np.diff(at.point_mm[ends], axis=0)[0] @ seen.direction[first])
+        if at.line[first] < 0 or last - first < 3 or moved[is_rotary].any():
+            continue
+        own: Float64[np.ndarray, " k"] = ahead[first:last]
+        if not seen.is_ramp[first]:
+            root = np.sqrt(seen.count[first:last])
+            law = np.column_stack([np.ones(last - first), at.line_time_s[first:last]])
+            own = law @ np.linalg.lstsq(law * root[:, None], own * root, rcond=None)[0]
+        lead[first:last] = own[:, None] * moved / way_mm
+    return lead
+
+
+# How far ramps scatter beyond the noise: a machine that swings after each jerk, say.
+# What is in proportion to the acceleration is solved for beside the error motions. What
+# else acceleration does has no model: data of ramps then count by how far they are off.
+_TOLERATED = 0.3  # of the variance of noise: less is chance
+_CLOSE = 0.1  # of the variance that ramps have already
+
+
+def widen_ramps(
+    inputs: Sequence[RunInput],
+    runs: Sequence[RunInformation],
+    across_mm: Sequence[Float64[np.ndarray, " _n"]],
+    travel: Sequence[Float64[np.ndarray, "_n 3"]],
+) -> tuple[RunInput, ...] | None:
+    """Return the Runs with the scatter of their ramps; None where it is known already.
+
+    runs : as they were solved; across_mm : what that leaves across the travel of cells
+    """
+    found: list[RunInput] = []
+    for given, run, across, along in zip(inputs, runs, across_mm, travel, strict=True):
+        sigma_mm = _find_scatter_mm(run, across, along)
+        noise = replace(run.noise, ramp_sigma_mm=sigma_mm)
+        found.append(replace(given, noise=noise))
+    changes = [
+        abs(new.noise.ramp_sigma_mm**2 - old.noise.ramp_sigma_mm**2)
+        > _CLOSE * old.noise.ramp_sigma_mm**2
+        for new, old in zip(found, runs, strict=True)
+    ]
+    return tuple(found) if any(changes) else None
+
+
+def _find_scatter_mm(
+    run: RunInformation,
+    across_mm: Float64[np.ndarray, " n"],
+    travel: Float64[np.ndarray, "n 3"],
+) -> float:
+    """Return the standard deviation of a ramp's cell beyond the noise.
+
+    All cells of a ramp may be off together, and so each counts for less.
+    """
+    seen = run.observations
+    ramp = seen.is_ramp
+    if not ramp.any():
+        return 0.0
+    white, ou = split_sigma_mm(seen, replace(run.noise, ramp_sigma_mm=0.0))
+    stated = ((white**2 + ou**2) * (1.0 - travel**2)).sum(axis=1)
+    usual = max(1.0, float((across_mm[~ramp] ** 2).mean() / stated[~ramp].mean()))
+    noise = usual * float(stated[ramp].mean())
+    excess = float((across_mm[ramp] ** 2).mean()) - noise
+    if excess < _TOLERATED * noise:
+        return 0.0
+    return float(np.sqrt(0.5 * excess * _count_cells_of_ramp(seen)))
+
+
+def _count_cells_of_ramp(seen: Observations) -> float:
+    ramp = seen.is_ramp
+    begins = [first for first, _ in seen.stretches if ramp[first]]
+    return float(np.count_nonzero(ramp)) / len(begins)

@@ -227,7 +227,6 @@ class ChangeSearch:
         return float(np.sum(chdtri(np.array(parts, np.float64), risk)))
 
     def _measure(self, chosen: Trial) -> tuple[float, float]:
-        """Return the size of a change and its standard deviation."""
         course, sums = chosen.course, self._sums
         root, value = chosen.score[0][0], chosen.value[0]
         moved = course.factor[0] > 0.0

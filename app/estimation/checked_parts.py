@@ -71,7 +71,6 @@ class CheckedParts:
         return self.runs[part].linearisation.correct_pose(self.restore(part))
 
     def _list_knocks(self) -> tuple[Knock, ...]:
-        """Return the steps between the parts."""
         poses = [self.find_pose(k) for k in range(len(self.parts))]
         centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
         return tuple(

@@ -53,7 +53,6 @@ def find_contributions(estimate: Estimate, given: Sequence[int]) -> Contribution
 
 
 def _predict_left_mm(fit: Fit, runs: Sequence[int]) -> float:
-    """Return what some of the Runs leave."""
     data = fit.known.add_to(combine_runs([fit.runs[k] for k in runs]), fit.model)
     precision = fit.prior.precision_matrix(fit.model.size)
     try:

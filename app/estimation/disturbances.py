@@ -169,7 +169,6 @@ def _split_at_hidden_steps(
 
 
 def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
-    """Return the parts cut at the steps of their misfits."""
     parts: list[RunPart] = []
     for part, joined, misfit in zip(
         solved.parts, _list_fitted(solved.found), misfits, strict=True
@@ -264,7 +263,6 @@ def _confirm(
 def _leave_out_lines(
     solved: _Solved, lines: list[Bool[np.ndarray, " l"]]
 ) -> list[RunPart]:
-    """Return the parts without some of their lines."""
     fewer: list[RunPart] = []
     for part, fitted, misfit, chosen in zip(
         solved.parts, _list_fitted(solved.found), solved.misfits, lines, strict=True

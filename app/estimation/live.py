@@ -9,12 +9,12 @@ What contradicts the rest does not go in (`live_gate`, `checked_parts`). Where t
 set-up has moved, what came before goes on as knowledge of the machine, its own pose
 integrated out.
 
-A weak prior keeps tables finite before the lines determine them (`weak_prior`).
+A weak prior keeps tables finite before the lines determine them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,13 +50,13 @@ from truepath.app.estimation.notices import ChangeWatch, Notice
 from truepath.app.estimation.prior import widen_by_unknown_precision
 from truepath.app.estimation.run_parts import RunPart
 from truepath.app.estimation.runs import RunInput
-from truepath.app.estimation.weak_prior import list_weak_precisions
 from truepath.app.files.run import PointBlock
 from truepath.app.kinematics.coarse_model import (
     add_bends,
     add_half_widths,
     build_coarse_model,
 )
+from truepath.app.kinematics.effects.base import Effect, Parameter, Role
 from truepath.app.kinematics.effects.nuisance import TrackerPose
 from truepath.app.kinematics.identifiable import (
     build_identifiable_model,
@@ -212,7 +212,6 @@ class LiveEstimator:
         return self._astray_s > before_s and self._sums is not None
 
     def _state_check(self) -> LiveCheck:
-        """Return what is said so far, with what is at no place of the path."""
         astray = self._alignment.list_astray()
         return replace(self._check, left_out=(*self._check.left_out, *astray))
 
@@ -356,3 +355,25 @@ def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
     middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
     x, y, z = (*middle, 0.0, 0.0)[:3]
     return x, y, z
+
+
+# A hundred times what errors are known to at the end.
+_WEAK = {"mm": 0.1, "rad": 1e-3}
+# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
+# that it drowns in the rounding of what is known.
+_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
+_WEAK_SPEED = 10.0
+
+
+def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
+    """Return the precision of each parameter, in the order of the effects.
+
+    1/mm², 1/rad² and so on, in the unit of the parameter.
+    """
+    return np.array([_find_sigma(e, p) ** -2 for e in effects for p in e.parameters])
+
+
+def _find_sigma(effect: Effect, parameter: Parameter) -> float:
+    if effect.role is Role.NUISANCE:
+        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
+    return _WEAK.get(parameter.unit, 1.0)

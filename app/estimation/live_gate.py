@@ -1,7 +1,13 @@
-"""New lines of a measurement under way, held against what the lines before foretell.
+"""New lines of a measurement under way, compared with what earlier lines predict.
 
-So a burst or a moved reflector does not get into the numbers shown (`innovation`). What
-does not fit is held back until all lines are looked at together (`checked_parts`).
+So a burst or a moved reflector does not get into the numbers shown. What does not fit
+is held back until all lines are looked at together (`checked_parts`).
+
+The innovation of a line scatters by its own noise and by what the estimate does not
+know yet: S = V + A P Aᵀ (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, 5.4). Of each cell by itself, its square shows a burst;
+of a shift of all of the line it shows that tracker or reflector has moved. Limits are
+those of the whole measurement (`disturbances`).
 """
 
 from __future__ import annotations
@@ -9,14 +15,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.observations import Observations
 from truepath.app.estimation.contradictions import MOST, stand_out
 from truepath.app.estimation.design_matrix import Linearisation
 from truepath.app.estimation.information import Posterior
-from truepath.app.estimation.innovation import compute_innovation
+from truepath.app.estimation.misfit_blocks import explain_timing, weigh
+from truepath.app.estimation.noise import raise_noise, total_precision
 from truepath.app.estimation.run_parts import Knock, leave_out
+from truepath.app.estimation.score import compute_score
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,3 +85,60 @@ class LineGate:
         )
         bad = np.ones(len(line), bool)
         return gate, leave_out(line, bad, found.off_mm, edges)
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """What one line or standstill shows beyond what was foretold.
+
+    cell : (n,) squares of its cells, in units of their variance; off_mm : their size
+    line : square of a shift of all of it, likewise; moved_mm : its size
+    """
+
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    line: float
+    moved_mm: float
+
+
+def compute_innovation(
+    about: Linearisation, foretold: Posterior, seen: Observations
+) -> Innovation:
+    """Return what the cells of one line or standstill show beyond what was foretold.
+
+    foretold : machine and pose by the lines before
+    """
+    noise = raise_noise(about.noise)
+    design = about.build(seen)
+    whitener, A = design.whiten(noise), design.columns
+    rest = design.residual - A @ foretold.theta
+    P, m = foretold.covariance, about.machine_model.size
+    shift = A[:, :, m : m + 3]
+    weighted = weigh(design, whitener, shift).reshape(-1, 3)
+    F = shift.reshape(-1, 3).T @ weighted
+    G = weighted.T @ A.reshape(len(weighted), -1)
+    pulled = rest.reshape(-1) @ weighted
+    root, own = compute_score(F[None], F[None], pulled[None])
+    _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
+    left = rest - explain_timing(design, whitener, rest)
+    along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
+    left -= along[:, None] * design.travel  # a ramp tells nothing along its way
+    return Innovation(
+        _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
+        np.linalg.norm(left, axis=1),
+        float(np.sum(score**2)),
+        float(np.linalg.norm(root[0] @ own[0])),
+    )
+
+
+def _measure_cells(
+    left: Float64[np.ndarray, "n 3"],
+    precision: Float64[np.ndarray, "n 3 3"],
+    A: Float64[np.ndarray, "n 3 p"],
+    P: Float64[np.ndarray, "p p"],
+) -> Float64[np.ndarray, " n"]:
+    """Return rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
+    spread = (A @ P) @ A.transpose(0, 2, 1)
+    pulled = np.einsum("nij,nj->ni", precision, left)
+    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
+    return np.einsum("ni,nij,nj->n", left, whitened, pulled)

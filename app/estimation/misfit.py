@@ -208,7 +208,6 @@ class _Examination:
 
     @property
     def _width(self) -> int:
-        """Number of columns of fit, drift and residual."""
         return self.about.size + _DRIFT + 1
 
     def _build(self, cells: slice) -> MisfitBlock:

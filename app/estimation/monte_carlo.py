@@ -176,7 +176,6 @@ def _draw_some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, 
 def _solve_again(
     trials: Trials, pulled: Float64[np.ndarray, "m t"], rng: np.random.Generator
 ) -> Float64[np.ndarray, "m t"]:
-    """Solve trials again under precisions drawn for them."""
     H, right = trials.data.copy(order="F"), pulled.copy(order="F")
     for one in trials.prior:
         part = one.part

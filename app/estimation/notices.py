@@ -129,7 +129,6 @@ def _describe(change: Change, number: int, row: Sequence[int], time_s: float) ->
 
 
 def _is_same(old: Notice, new: Notice) -> bool:
-    """Tell whether two notices are of one change."""
     if old.kind == new.kind and old.kind in LASTING:
         return True
     return abs(old.since_row - new.since_row) <= _NEAR

@@ -94,7 +94,6 @@ def _follow_lines(
 def _find_sample_sigma_mm(
     own: RunEstimate, frame: Float64[np.ndarray, "3 3"]
 ) -> Float64[np.ndarray, "3"]:
-    """Return the noise of one sample in the directions of the machine."""
     sigma = own.tracker.sigma_mm(np.array([own.distance_mm]))[0, [0, 1, 1]]
     beam, across = own.noise.white
     towards = frame @ own.pose.rotation

@@ -202,7 +202,6 @@ def _join(first: RunPart, second: RunPart) -> RunPart:
 
 
 def _tells_pose(seen: Observations) -> bool:
-    """Tell whether points lie on no straight line."""
     if len(seen) < _FEWEST_CELLS:
         return False
     away = seen.at.point_mm - seen.at.point_mm.mean(axis=0)

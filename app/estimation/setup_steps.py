@@ -128,7 +128,6 @@ class StepSearch:
     def _place_again(
         self, found: Sequence[Prospects], *, drifts: bool
     ) -> list[Prospects]:
-        """Return each step where it is best beside the others."""
         placed = list(found)
         for k in list(range(len(placed))) * _SWEEPS:
             others = placed[:k] + placed[k + 1 :]

@@ -173,7 +173,6 @@ class TermEquations:
         )
 
     def _pair(self, one: _Term, other: _Term) -> Float64[np.ndarray, "f o p"]:
-        """Return the products of the columns of two effects."""
         if one.effect not in other.pairs:
             other.pairs[one.effect] = self.lines.multiply(one.blocks, other.blocks)
         return other.pairs[one.effect]

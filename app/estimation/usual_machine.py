@@ -149,7 +149,6 @@ def _list_shifts(
 
 
 def _cut(run: RunInformation) -> Iterator[DesignMatrix]:
-    """Yield the rows of each line by itself, with its own timing."""
     for design in run.linearisation.split(run.observations):
         timing = slice(design.fixed + 1, None)
         for first, last in design.observations.lines:

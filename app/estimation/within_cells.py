@@ -94,7 +94,6 @@ class CellDeviations:
         return {}
 
     def _of(self, effect: Effect) -> _Fast | None:
-        """Return a fast effect's columns, made once while it is looked at."""
         found = self._known.pop(effect, None) or self._build(effect)
         if found is not None:
             self._known[effect] = found  # the newest is last

@@ -109,7 +109,6 @@ class NominalChain:
 
     @cached_property
     def _base_mm(self) -> Float64[np.ndarray, "n 3"]:
-        """Where the target is in the base."""
         tool = self._through(self.machine.tool_side, self.offset_mm)
         if not self.on_workpiece.any():
             return tool

@@ -48,7 +48,6 @@ def adds_up(
 
 
 def _group_by_axis(model: MachineModel) -> dict[str, list[Effect]]:
-    """Return the effects that sit at an axis, by its name."""
     found: dict[str, list[Effect]] = {}
     for effect in model.effects:
         curve = effect.half_difference

@@ -190,7 +190,6 @@ def _fit_rigid(
     centre_mm: Float64[np.ndarray, "3"],
     moved: Float64[np.ndarray, "n 3 ..."],
 ) -> Float64[np.ndarray, "6 ..."]:
-    """Return the rigid motions that fit displacements best."""
     root = np.repeat(np.sqrt(weight), 3)
     rigid = _rigid_columns(at, centre_mm).reshape(-1, 6) * root[:, None]
     # A pseudo-inverse of six columns: quick, however many displacements there are.

@@ -2,7 +2,7 @@
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
 time. There are two ways to measure: the controller drives a path (`path_steps`) by
-itself while the tracker streams, or the machine stands (`point_steps`). All waiting is
+itself while the tracker streams, or the machine stands. All waiting is
 the `tick` of `measurement_monitor`, which feeds the controller's watchdog: if the
 engine hangs, the machine holds. What the tracker is asked for meanwhile is in
 `tracker_control`.

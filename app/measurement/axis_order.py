@@ -26,7 +26,6 @@ def arrange_axes(
             "wrong-device",
             f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
             "check the machine file and the controller",
-            latched=False,
         )
     position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
     for column, name in enumerate(commanded.axes):

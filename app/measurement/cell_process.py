@@ -12,6 +12,7 @@ import os
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from multiprocessing import connection, parent_process
@@ -29,22 +30,25 @@ from truepath.app.measurement.channel_judge import ChannelJudge
 from truepath.app.measurement.faults import classify_fault
 from truepath.app.measurement.measurement import Measurement
 from truepath.app.measurement.messages import (
+    BlockRecorded,
     CellCommand,
     CellConfig,
+    CellEvent,
     CellState,
     CellVerb,
     Connected,
     ConnectRefused,
     ControllerRead,
     FaultReported,
+    LivePoints,
     MeasurementOrder,
+    MeasurementProgress,
     RunClosed,
     SensorsTried,
     StateChanged,
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.app.measurement.outbox import Outbox
 from truepath.app.measurement.timing import EngineSettings
 from truepath.app.measurement.tracker_trial import try_tracker
 from truepath.drivers.interfaces.errors import DeviceError, Refused
@@ -145,7 +149,7 @@ class _CellServer:
     def is_spoilt(self) -> bool:
         """Whether another process has to begin anew: a call of a driver does not end.
 
-        Who connects or measures has been told so.
+        Who connects or measures has the answer.
         """
         tried = self._has_tried and not self._measuring
         return tried and bool(find_stuck(self._tracker, self._motion))
@@ -349,3 +353,59 @@ class _CellServer:
             step()
         except DeviceError as error:
             log.warning("on the way out: %s", error)
+
+
+_LATEST_ONLY = (LivePoints, MeasurementProgress)
+MAX_BLOCKS = 100
+
+
+class Outbox:
+    """A thread that sends, so that nobody else ever waits for the parent.
+
+    While the parent is slow, only the latest LivePoints and MeasurementProgress wait
+    and about ten seconds of blocks. Every other event is kept, in order, however many:
+    a state or a fault is never dropped.
+    """
+
+    def __init__(self, link: Connection) -> None:
+        self._link = link
+        self._waiting: deque[CellEvent] = deque()
+        self._changed = threading.Condition()
+        self._closing = False
+        self.dropped_blocks = 0
+        self._thread = threading.Thread(target=self._send, name="outbox", daemon=True)
+        self._thread.start()
+
+    def report(self, event: CellEvent) -> None:
+        """Send an event as soon as the parent takes it. Any thread; never waits."""
+        with self._changed:
+            blocks = sum(isinstance(e, BlockRecorded) for e in self._waiting)
+            if isinstance(event, BlockRecorded) and blocks >= MAX_BLOCKS:
+                self.dropped_blocks += 1
+                return
+            if isinstance(event, _LATEST_ONLY):
+                kind = type(event)
+                self._waiting = deque(e for e in self._waiting if type(e) is not kind)
+            self._waiting.append(event)
+            self._changed.notify()
+
+    def close(self, timeout_s: float) -> None:
+        """Send what waits, then end."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+
+    def _send(self) -> None:
+        """Body of the thread. Ends with the parent, too."""
+        while (event := self._next()) is not None:
+            try:
+                self._link.send(event)
+            except OSError:
+                return
+
+    def _next(self) -> CellEvent | None:
+        with self._changed:
+            while not self._waiting and not self._closing:
+                self._changed.wait()
+            return self._waiting.popleft() if self._waiting else None

@@ -62,7 +62,7 @@ class ChannelJudge:
         self._told = kind
         self._said.add(kind)
         text = f"{self.channel.name}: {text}"
-        return math.nan, Fault(kind, text, _ACTIONS[kind], latched=False)
+        return math.nan, Fault(kind, text, _ACTIONS[kind])
 
     def _end_fault(self) -> Fault | None:
         self._bad_since_s = None
@@ -70,7 +70,7 @@ class ChannelJudge:
         if not told:
             return None
         text = f"{self.channel.name} shows readings again"
-        return Fault(BACK, text, "", latched=False)
+        return Fault(BACK, text, "")
 
     def _find_fault(self, reading: Reading) -> tuple[str, str]:
         value = reading.value

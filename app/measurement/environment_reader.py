@@ -146,7 +146,7 @@ class EnvironmentReader:
         for gate in self._gates.values() if is_first else ():
             if gate.left_out:
                 text = gate.describe()
-                self._on_notice(Fault(IMPLAUSIBLE, text, "", latched=False))
+                self._on_notice(Fault(IMPLAUSIBLE, text, ""))
 
     def _run(self, group: Thermometers) -> None:
         try:
@@ -160,7 +160,7 @@ class EnvironmentReader:
             log.exception("the driver of the sensors has failed")
             text = f"the driver of the sensors has failed: {error}"
             action = "the measurement goes on without them; the log has the details"
-            self._on_notice(Fault("sensor-silent", text, action, latched=False))
+            self._on_notice(Fault("sensor-silent", text, action))
 
     def _record(self, readings: Sequence[Reading]) -> None:
         if not readings or self._stopping.is_set():

@@ -58,7 +58,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
 )
 
 
-def classify_fault(error: Exception) -> Fault:
+def classify_fault(error: BaseException) -> Fault:
     """Return the fault that an error of a device or of the service amounts to."""
     if isinstance(error, Fault):
         return error
@@ -181,13 +181,8 @@ STILL_HELD = Fault(
 
 
 def make_beam_fault(text: str) -> Fault:
-    """Return the fault of a polled tracker that finds no target, in its own words."""
+    """Return the fault of a lost beam, in words of its own."""
     return Fault(BEAM_LOST.code, text, BEAM_LOST.action)
-
-
-def make_unfound_fault(text: str) -> Fault:
-    """Return the fault of a lost target that the tracker does not find by itself."""
-    return Fault(BEAM_LOST.code, f"{BEAM_LOST.text}; {text}", BEAM_LOST.action)
 
 
 def make_override_fault(override: float) -> Fault:

@@ -72,7 +72,6 @@ class FeedHold:
         self._insist_on_resume(status)
 
     def _report_machine_hold(self, hold_reason: str) -> None:
-        """Report once that somebody has to release the machine itself."""
         waits = HoldReason.MACHINE in self._state.holds
         if waits and not self._is_machine_hold_reported:
             late = self._late if hold_reason == "watchdog" else None

@@ -35,7 +35,7 @@ from truepath.app.measurement.faults import (
 )
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_state import MeasurementState
-from truepath.app.measurement.measurement_steps import MeasurementSteps
+from truepath.app.measurement.measurement_steps import MeasurementSteps, PointSteps
 from truepath.app.measurement.messages import (
     CellState,
     CellVerb,
@@ -47,7 +47,6 @@ from truepath.app.measurement.messages import (
 )
 from truepath.app.measurement.path_steps import PathSteps
 from truepath.app.measurement.plausibility import PlaceCheck, find_impossible
-from truepath.app.measurement.point_steps import PointSteps
 from truepath.app.measurement.progress import LiveView, schedule_rows
 from truepath.app.measurement.recorder import Recorder
 from truepath.app.measurement.run_file import RunHeader

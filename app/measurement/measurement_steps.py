@@ -10,6 +10,7 @@ import contextlib
 import queue
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from truepath.app.measurement.faults import (
     make_ended_early_fault,
     make_runs_on_fault,
 )
-from truepath.app.measurement.last_line import OVERSHOT, LastLine
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
 from truepath.app.measurement.measurement_state import HoldReason
 from truepath.app.measurement.messages import (
@@ -37,6 +37,37 @@ from truepath.app.motion.configurations import Commanded, Configurations, append
 from truepath.app.motion.travel import check_travel
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
+
+OVERSHOT = 1.0
+"""mm or deg; no servo goes so far beyond the end of a path."""
+
+
+@dataclass(frozen=True, slots=True)
+class LastLine:
+    """The line at whose end a motion ends.
+
+    number : of its row, as the controller counts
+    begin, end : positions of the axes, or corners of what they stay within on an arc
+    """
+
+    number: int
+    begin: NDArray[np.float64]
+    end: NDArray[np.float64]
+
+    def is_before(self, status: MotionStatus) -> bool:
+        """Whether the machine runs on an earlier line, or it is the only one."""
+        return self.number == 0 or (
+            status.state is MotionState.RUNNING and status.line < self.number
+        )
+
+    def is_left(self, status: MotionStatus) -> bool:
+        """Whether the machine runs on it, or says so, and is somewhere else."""
+        if status.state is not MotionState.RUNNING or status.line < self.number:
+            return False
+        low, high = np.sort([self.begin, self.end], axis=0)
+        here = np.array(status.position)
+        return bool(((here < low - OVERSHOT) | (here > high + OVERSHOT)).any())
+
 
 _STANDING = frozenset(MotionState) - {
     MotionState.RUNNING,
@@ -80,7 +111,6 @@ class MeasurementSteps(ABC):
         """Make the whole measurement."""
 
     def _choose_target(self, name: str) -> None:
-        """Have the tracker measure this target, if it is another one."""
         if name in ("", self._target):
             return
         while not self._tracker.select_target(name):
@@ -266,3 +296,82 @@ class MeasurementSteps(ABC):
                 return
             if self._clock() > stand_by_s:
                 raise UNSTOPPED
+
+
+class PointSteps(MeasurementSteps):
+    """The steps of a measurement at standstill.
+
+    points : in the controller's axes
+    """
+
+    def __init__(
+        self,
+        monitor: MeasurementMonitor,
+        tracker: TrackerControl,
+        order: MeasurementOrder,
+        start: tuple[float, ...],
+        points: Configurations,
+    ) -> None:
+        super().__init__(monitor, tracker, order, start)
+        self._points = points
+
+    def run(self) -> None:
+        """Stand at every point in turn while the stream runs, then at further ones.
+
+        A tracker that is polled measures once the machine stands; there is no stream.
+        Dwells are counted on the tracker's clock. A pause prolongs the standstill.
+        """
+        points = self._points
+        self.approach(points.position[0], *points.target[:1])
+        self.open_stream()
+        part: Commanded | None = points
+        while isinstance(part, Configurations):
+            if not self._stand_at_each(part, is_there=part is points):
+                break
+            part = self.request_part()
+        self.finish()
+
+    def _stand_at_each(self, points: Configurations, *, is_there: bool) -> bool:
+        """Stand at every point; tell whether none was left out.
+
+        is_there : the machine stands at the first one already
+        """
+        for row, position in enumerate(points.position):
+            self._progress.begin(self._progress.first_row + row)
+            name = points.target[row] if points.target else ""
+            if row > 0 or not is_there:
+                self.approach(position, name)
+            if self._tracker.is_polled:
+                self._poll_point(position, float(points.dwell_s[row]), name)
+            else:
+                self._record_point(position, float(points.dwell_s[row]), name)
+            until_s = f"until {self._tracker.device_s:.6f} s"
+            self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
+            if self.is_concluding and row + 1 < len(points):
+                self.leave_out_rest(is_row_done=True)
+                return False
+        return True
+
+    def _record_point(
+        self, position: NDArray[np.float64], dwell_s: float, name: str
+    ) -> None:
+        """Stand while the stream runs, until it has been there, of the right target."""
+        span_s = self.settings.settle_s + dwell_s
+        while not (
+            self.record_for(span_s, position) and self._tracker.holds_target(name, None)
+        ):
+            self.checkpoint()
+            self.wait_motion(position)
+
+    def _poll_point(
+        self, position: NDArray[np.float64], dwell_s: float, name: str
+    ) -> None:
+        """Let the tracker measure where the machine stands, until it has and stood."""
+        is_measured = False
+        while not is_measured:
+            self.checkpoint()
+            self.wait_motion(position)
+            begin_s = self._clock()
+            while self._clock() - begin_s < self.settings.settle_s:
+                self._monitor.tick()
+            is_measured = self._tracker.measure_point(self._progress.row, dwell_s, name)

@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from truepath.app.measurement.faults import NO_TIMES, POINTS_ONLY, STAYS_DAMAGED
-from truepath.app.measurement.last_line import LastLine
 from truepath.app.measurement.measurement_monitor import MeasurementMonitor
-from truepath.app.measurement.measurement_steps import MeasurementSteps
+from truepath.app.measurement.measurement_steps import LastLine, MeasurementSteps
 from truepath.app.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.app.measurement.tracker_control import TrackerControl
 from truepath.app.motion.by_target import Stretch, cut_by_target

@@ -27,12 +27,15 @@ IN_A_ROW = 2  # looks that are not to be believed, until the feed is held
 _Vector = NDArray[np.float64]
 _BEYOND = 10.0  # mm or deg outside the soft limits: reference marks lie there
 _STEP_MM, _CYCLE_S = 0.5, 0.1  # a controller may renew what it shows so rarely
-_FASTER, _FASTER_UNTOLD = 1.05, 1.5  # than the feed, where the override is told or not
+_FASTER, _FASTER_UNKNOWN = (
+    1.05,
+    1.5,
+)  # than the feed, where the override is known or not
 _JOG_MM_S = 1000.0  # of a machine that no row of ours moves
 _ASIDE = 2.0  # mm or deg off the rows: following errors are less
 _ROWS_NEAR = 5  # line and position may be read one after the other
 _BEGUN_S = 1.0  # until then a controller may show an earlier program
-_PACE_S = 0.5  # that tells how the tracker's clock goes against the host's
+_PACE_S = 0.5  # after which the pace of the tracker's clock is known
 _HASTENED = 1.5
 _MOVED_MM = 2.0  # much more than any tracker resolves
 _FROZEN_S = _LAG_S = 0.5  # stream and controller may be apart by so much
@@ -89,7 +92,7 @@ class PositionGate:
         doubt = (
             find_impossible(self._motion, status.position)
             or self._find_jump(here, status, now_s)
-            or self._find_astray(here, status, now_s)
+            or self._find_off_path(here, status, now_s)
         )
         self._is_doubted = bool(doubt)
         if not doubt:
@@ -100,8 +103,8 @@ class PositionGate:
         pace = self._measure_pace(now_s)
         if not len(self._here) or pace is None:
             return ""
-        told = status.override
-        faster = _FASTER_UNTOLD if told is None else _FASTER * max(told, 1.0)
+        share = status.override
+        faster = _FASTER_UNKNOWN if share is None else _FASTER * max(share, 1.0)
         speed_mm_s = faster * self._feed_mm_s
         if status.state is not MotionState.RUNNING:
             speed_mm_s = max(speed_mm_s, _JOG_MM_S)
@@ -128,7 +131,7 @@ class PositionGate:
         pace = (tracker_s - self._clocks[1]) / passed_s
         return None if pace > _HASTENED else max(pace, 1.0)
 
-    def _find_astray(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
+    def _find_off_path(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
         ran_s = 0.0 if self._running_s is None else now_s - self._running_s
         if ran_s < _BEGUN_S and not self._is_doubted:
             return ""
@@ -174,7 +177,7 @@ class PlaceCheck:
     def follow(
         self, axes: dict[str, float], name: str, seen: SeenPlace | None, now_s: float
     ) -> Fault | None:
-        """Compare one look at a stream; tell once two in a row disagree.
+        """Compare one look at a stream; return a fault once two in a row disagree.
 
         axes : where they are, by name; name : of the target; seen : None begins anew
         """
@@ -191,7 +194,7 @@ class PlaceCheck:
     def judge_point(
         self, axes: dict[str, float], name: str, place_mm: _Vector
     ) -> tuple[bool, Fault | None]:
-        """Compare a measured point with the last good one; tell whether it is good."""
+        """Compare a measured point with the last good one; say whether it is good."""
         stated = self._state_place(axes, name)
         fault = None
         if self._from is not None:

@@ -73,11 +73,11 @@ def open_run(file: str | Path) -> Run:
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
     tracker, points = _join_points(read_samples(content.batches), content.batches)
-    told, doubted = gate_columns(
+    shown, doubted = gate_columns(
         tracker.device_time_s, _read_air(points), header.machine.altitude_m
     )
     temperature, air = tabulate_channels(
-        {name: (tracker.device_time_s, values) for name, values in told.items()}
+        {name: (tracker.device_time_s, values) for name, values in shown.items()}
         | _read_channels(content.batches, header.channels)
     )
     refraction, tracker = correct_refraction(
@@ -118,7 +118,6 @@ def _describe_machine(header: RunHeader) -> dict[str, str]:
 
 
 def _describe_control(header: RunHeader) -> dict[str, str]:
-    """Return whether the control corrected its axes, where it has told, and by what."""
     if header.control_compensation is None:
         return {}
     if not header.control_compensation:
@@ -184,7 +183,6 @@ def _join_points(
 
 
 def _read_air(points: NDArray[np.void] | None) -> dict[str, NDArray[np.float64]]:
-    """Return the air that the tracker told with its points."""
     if points is None or not len(points):
         return {}
     told = {name: points[field].copy() for name, field in _AIR_OF_POINTS.items()}

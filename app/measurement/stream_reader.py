@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -15,7 +17,6 @@ from truepath.app.errors import MeasurementFailed
 from truepath.app.measurement.messages import StreamTimeouts
 from truepath.app.measurement.plausibility import SeenPlace
 from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.stream_damage import StreamDamage
 from truepath.app.measurement.timing import RunningClock
 from truepath.app.measurement.tracker_trial import drop_earlier_samples
 from truepath.drivers.interfaces.errors import DeviceError, DeviceTimeout
@@ -122,7 +123,6 @@ class StreamReader:
         return gap_s
 
     def _run(self) -> None:
-        """Body of the thread."""
         try:
             while not self._stopping.is_set():
                 self._fill_batch()
@@ -223,3 +223,52 @@ def _refuse_failures(reader: StreamReader, recorder: Recorder) -> None:
         raise MeasurementFailed(recorder.failure)
     if recorder.is_space_low:
         raise MeasurementFailed("too little room is left on the disk; free some")
+
+
+_WINDOW_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What one block has shown: samples lost before or in it, in how many gaps."""
+
+    device_time_s: float
+    lost: int
+    gaps: int
+    crc_errors: int
+
+
+class StreamDamage:
+    """Counts what is bad or lost in the last second of the tracker's clock.
+
+    One gap alone is a silence, however long, and not counted here.
+
+    share : above it the stream is damaged
+    """
+
+    def __init__(self, rate_hz: float, share: float) -> None:
+        self._limit = max(share * rate_hz * _WINDOW_S, 1.0)
+        self._looks: deque[_Look] = deque()
+        self._sequence: int | None = None
+        self._crc_errors: int | None = None
+
+    def note(self, samples: TrackerSamples, crc_errors: int) -> None:
+        """Take note of a block that is not empty, and of all CRC errors so far."""
+        first = int(samples.sequence[0])
+        before = first - 1 if self._sequence is None else self._sequence
+        missing = np.diff(samples.sequence, prepend=before) - 1
+        bad = 0 if self._crc_errors is None else crc_errors - self._crc_errors
+        self._sequence, self._crc_errors = int(samples.sequence[-1]), crc_errors
+        now_s = float(samples.device_time_s[-1])
+        lost, gaps = int(missing.sum()), int((missing > 0).sum())
+        self._looks.append(_Look(now_s, lost, gaps, bad))
+        while self._looks[0].device_time_s <= now_s - _WINDOW_S:
+            self._looks.popleft()
+
+    @property
+    def is_over_limit(self) -> bool:
+        """Whether more than the allowed share of a second is bad or lost."""
+        lost = sum(look.lost for look in self._looks)
+        gaps = sum(look.gaps for look in self._looks)
+        bad = sum(look.crc_errors for look in self._looks)
+        return max(lost if gaps > 1 else 0, bad) > self._limit

@@ -12,6 +12,7 @@ import contextlib
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.app.driver_border import Call
 from truepath.app.measurement.faults import (
     HOMED,
     POINTS_ONLY,
@@ -26,7 +27,6 @@ from truepath.app.measurement.measurement_state import HoldReason
 from truepath.app.measurement.stream_reader import StreamReader
 from truepath.app.measurement.target_check import BOUND_MM, TargetCheck
 from truepath.app.measurement.target_search import TargetSearch
-from truepath.app.measurement.tracker_task import TrackerTask
 from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -187,7 +187,7 @@ class TrackerControl:
         late_s = self._clock() + dwell_s + self._settings.timeouts.point_s
         self._monitor.tick()
         here, stood = self._monitor.position, True
-        reader = TrackerTask(lambda: tracker.measure(dwell_s))
+        reader = Call(lambda: tracker.measure(dwell_s))
         try:
             while stood and not reader.is_over:
                 stood = self._stands(self._monitor.tick(), here)
@@ -208,9 +208,8 @@ class TrackerControl:
         return not is_running and self._monitor.is_at(here)
 
     def _record_point(
-        self, reader: TrackerTask, row: int, here: tuple[float, ...], target: str
+        self, reader: Call, row: int, here: tuple[float, ...], target: str
     ) -> bool:
-        """Record the point if there is one, and it is of its target."""
         if reader.failure is not None:
             self._bear(reader.failure)
             return False
@@ -234,7 +233,7 @@ class TrackerControl:
         self._failures, self._point_s = 0, point.time_s
         return True
 
-    def _bear(self, failure: Exception) -> None:
+    def _bear(self, failure: BaseException) -> None:
         """Hold the feed where the beam is lost; connect anew where the link is."""
         if isinstance(failure, BeamLost):
             self._monitor.feed.hold(HoldReason.BEAM, make_beam_fault(str(failure)))

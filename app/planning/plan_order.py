@@ -22,7 +22,7 @@ from truepath.app.motion.workspace import Workspace
 from truepath.app.planning.design_state import DesignState
 from truepath.app.planning.forecast import Assumptions
 from truepath.app.planning.line_design import LineDesignState
-from truepath.app.planning.point_design import PointDesignState
+from truepath.app.planning.next_configuration import PointDesignState
 from truepath.app.planning.station_choice import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0

@@ -16,18 +16,22 @@ import numpy as np
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.alignment.observations import Driving
-from truepath.app.estimation.chain_order import find_better_order
+from truepath.app.estimation.confounded_prior import guess_whole_prior
 from truepath.app.estimation.direction import Fit
 from truepath.app.estimation.disturbances import CheckedEstimate
 from truepath.app.estimation.misfit import Misfit
 from truepath.app.estimation.prior_model import PriorModel
 from truepath.app.estimation.run_estimate import RunEstimate
 from truepath.app.estimation.run_parts import Knock
+from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
 from truepath.app.estimation.tracker_score import RangeOffsetScore
 from truepath.app.files.refraction import NOBODY, Refraction, find_cause
 from truepath.app.files.run import RunSummary, number_names, summarize_run
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import Reason, State, Value, Verdict
+from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.other_chains import list_orders
 from truepath.app.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
@@ -44,6 +48,9 @@ _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
+# White and correlated, of what the tracker states: correlated noise would take what is
+# wrong with the chain for the air's.
+_NOISE = (1.0, 1.0), (1e-3, 1e-3)
 _OTHER_CHAIN = 2.0, 4.0  # times χ² of the best order
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _BESIDE = ("before", "after")  # of the path
@@ -161,7 +168,7 @@ def judge_chain(fit: Fit) -> Verdict:
 
     fit : whose result is contradicted
     """
-    other, times = find_better_order(fit)
+    other, times = _find_better_order(fit)
     if times < _OTHER_CHAIN[0]:
         return Verdict()
     declared = fit.model.machine.chain
@@ -384,3 +391,29 @@ def _grade(value: float, limits: tuple[float, float]) -> State:
     limits : of what is usable, and of what is doubtful
     """
     return ("usable", "doubtful", "not-usable")[int(np.searchsorted(limits, value))]
+
+
+def _find_better_order(fit: Fit) -> tuple[str, float]:
+    """Return the chain that fits best, and by which factor χ² is less than declared.
+
+    The order moves no nominal point, only the levers of turns: alignment cannot see it,
+    and the fit bends, or takes it for an error of the tracker.
+    """
+    declared = fit.model.machine
+    names = [axis.name for axis in declared.linear_axes]
+    left = {m.chain: _fit_order(fit, m) for m in list_orders(declared, names)}
+    best = min(left, key=lambda chain: left[chain])
+    return best, left[declared.chain] / left[best]
+
+
+def _fit_order(fit: Fit, machine: Machine) -> float:
+    inputs: list[RunInput] = []
+    for run in fit.runs:
+        seen, (white, ou) = run.observations, _NOISE
+        seen = replace(seen, at=replace(seen.at, machine=machine))
+        noise = replace(run.noise, white=white, ou=ou)
+        inputs.append(RunInput(seen, run.linearisation.pose, noise))
+    offsets_mm = [each.observations.at.offset_mm for each in inputs]
+    model, _ = build_identifiable_model(machine, *offsets_mm)
+    data = combine_runs(collect_information(inputs, model))
+    return guess_whole_prior(model).fit(data)[1].misfit

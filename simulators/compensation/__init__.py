@@ -7,9 +7,8 @@ command plus that, and the machine does what it does there.
 
     correction     curves, products of curves, what they add to the axes
     rules          readings that no public text settles, as options
-    linuxcnc_tables, siemens_tables, heidenhain_tables, fanuc_tables, isg_tables,
-    etalon_tables
-    linuxcnc_kinematics    joints of a table on a trunnion, by the pins of its module
+    linuxcnc       its tables, and joints of a table on a trunnion by the module's pins
+    siemens_tables, heidenhain_tables, fanuc_tables, isg_tables, etalon_tables
     loading        files of any of these forms
 
 References: LinuxCNC `usrmotintf.cc`, `control.c`, `trtfuncs.c`; SINUMERIK Function

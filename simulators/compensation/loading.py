@@ -19,11 +19,11 @@ from truepath.simulators.compensation.etalon_tables import read_etalon
 from truepath.simulators.compensation.fanuc_tables import read_fanuc
 from truepath.simulators.compensation.heidenhain_tables import read_heidenhain
 from truepath.simulators.compensation.isg_tables import read_isg
-from truepath.simulators.compensation.linuxcnc_kinematics import (
+from truepath.simulators.compensation.linuxcnc import (
     is_kinematics,
     read_kinematics,
+    read_linuxcnc,
 )
-from truepath.simulators.compensation.linuxcnc_tables import read_linuxcnc
 from truepath.simulators.compensation.plain_tables import COLUMNS, read_plain
 from truepath.simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath.simulators.compensation.siemens_swivel import is_swivel, read_swivel

@@ -10,32 +10,44 @@ from typing import Any
 import numpy as np
 
 from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.backlash import Backlash
-from truepath.simulators.hidden.coolant_cycle import CoolantCycle
+from truepath.simulators.hidden.dynamics import (
+    InertialBend,
+    ReversalSpike,
+    ServoMismatch,
+    Vibration,
+)
 from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.elastic_sag import ElasticSag
-from truepath.simulators.hidden.floating_slide import FloatingSlide
-from truepath.simulators.hidden.inertial_bend import InertialBend
-from truepath.simulators.hidden.lateral_backlash import LateralBacklash
-from truepath.simulators.hidden.leaning_column import LeaningColumn
-from truepath.simulators.hidden.loose_nest import LooseNest
+from truepath.simulators.hidden.guides import (
+    ElasticSag,
+    FloatingSlide,
+    LeaningColumn,
+    Squareness,
+    Twist,
+    WavyGuide,
+)
 from truepath.simulators.hidden.motion import Motion
-from truepath.simulators.hidden.reversal_spike import ReversalSpike
-from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
-from truepath.simulators.hidden.settling_stand import SettlingStand
-from truepath.simulators.hidden.setup_step import SetupStep
-from truepath.simulators.hidden.spindle_growth import SpindleGrowth
-from truepath.simulators.hidden.squareness import Squareness
-from truepath.simulators.hidden.table_drift import TableDrift
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
-from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
-from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
-from truepath.simulators.hidden.twist import Twist
-from truepath.simulators.hidden.vibration import Vibration
-from truepath.simulators.hidden.warm_plume import WarmPlume
-from truepath.simulators.hidden.wavy_guide import WavyGuide
-from truepath.simulators.hidden.worn_screw import WornScrew
+from truepath.simulators.hidden.screws import (
+    Backlash,
+    LateralBacklash,
+    ScrewCyclic,
+    WornScrew,
+)
+from truepath.simulators.hidden.setup import (
+    LooseNest,
+    SettlingStand,
+    SetupStep,
+    TableDrift,
+)
+from truepath.simulators.hidden.tracker import (
+    TrackerEccentricity,
+    TrackerRangeOffset,
+    WarmPlume,
+)
+from truepath.simulators.hidden.warming import (
+    CoolantCycle,
+    SpindleGrowth,
+    ThermalGrowth,
+)
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.randomness import generator
 from truepath.simulators.timeline import standing

@@ -37,8 +37,8 @@ from truepath.simulators import paths, synthetic
 from truepath.simulators.bundle_files import write_bundle_files
 from truepath.simulators.hidden.drawing import as_json
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.lateral_backlash import LateralBacklash
-from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.hidden.guides import Squareness
+from truepath.simulators.hidden.screws import LateralBacklash
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting

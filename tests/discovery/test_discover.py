@@ -6,8 +6,7 @@ from truepath.app.discovery.discover import discover
 from truepath.app.discovery.findings import find_share
 from truepath.app.discovery.name_trial import CERTAIN
 from truepath.app.results.discovery_json import discovery_json
-from truepath.simulators.hidden.setup_step import SetupStep
-from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.hidden.setup import SetupStep, TableDrift
 from truepath.simulators.synthetic import Setting
 
 

@@ -9,7 +9,7 @@ from truepath.app.discovery.evidence import TermData, log_bayes
 from truepath.app.discovery.scan import scan_term
 from truepath.app.estimation.folded_lines import build_lines
 from truepath.app.estimation.term_equations import TermEquations
-from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.setup import SetupStep
 from truepath.simulators.synthetic import Setting
 
 ROWS = 30

@@ -4,7 +4,7 @@ import pytest
 
 from truepath.app.discovery.discover import discover
 from truepath.app.results.discovery_json import discovery_json
-from truepath.simulators.hidden.settling_stand import SettlingStand
+from truepath.simulators.hidden.setup import SettlingStand
 from truepath.simulators.synthetic import Setting
 
 

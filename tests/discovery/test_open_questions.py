@@ -33,11 +33,10 @@ from truepath.app.reporting.templating import render_part
 from truepath.app.results.discovery_json import ask_json, discovery_json
 from truepath.app.results.model_file import build_next_model
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.dynamics import ServoMismatch
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.lateral_backlash import LateralBacklash
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
-from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.screws import Backlash, LateralBacklash
+from truepath.simulators.hidden.setup import SetupStep
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine

@@ -15,9 +15,9 @@ from truepath.app.kinematics.estimated_model import EstimatedModel
 from truepath.app.planning.default_path import default_path
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.dynamics import ServoMismatch
 from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.hidden.turning import (
     GearCyclic,
     RotaryEccentricity,

@@ -3,7 +3,7 @@
 import pytest
 
 from truepath.app.discovery.discover import discover
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.synthetic import Setting
 
 TAU_S, RISE_K, PER_K = 70.0, 2.5, 10.0

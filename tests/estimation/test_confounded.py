@@ -14,7 +14,7 @@ from truepath.app.kinematics.volumetric_map import build_volumetric_map
 from truepath.app.motion.configurations import Configurations
 from truepath.app.motion.motion_times import Drive
 from truepath.app.planning.initial_design import start_design
-from truepath.app.planning.point_design import PointDesignState
+from truepath.app.planning.next_configuration import PointDesignState
 from truepath.app.results.error_tables import build_error_tables
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic, turning_paths

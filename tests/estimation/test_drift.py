@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from truepath.app.estimation.common_basis import CommonBasis
-from truepath.app.estimation.drift import DriftData, DriftPosterior, estimate_drift
+from truepath.app.estimation.drift import (
+    DriftData,
+    DriftPosterior,
+    build_drift_shapes,
+    estimate_drift,
+)
 from truepath.app.estimation.drift_course import Course, DriftSizes
-from truepath.app.estimation.drift_shapes import build_drift_shapes
 from truepath.app.estimation.information import Information
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.kinematics.effects.error_motion import make_error_motion

@@ -8,7 +8,7 @@ from truepath.app.estimation.disturbances import estimate_checked
 from truepath.app.estimation.misfit import assess_misfit
 from truepath.app.kinematics.coarse_model import build_run_models
 from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.simulators.hidden.inertial_bend import InertialBend
+from truepath.simulators.hidden.dynamics import InertialBend
 from truepath.simulators.profile import Limits
 from truepath.simulators.synthetic import Setting
 

@@ -5,7 +5,7 @@ import pytest
 
 from truepath.app.estimation import ripple
 from truepath.app.results.analysis import analyse
-from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
+from truepath.simulators.hidden.screws import ScrewCyclic
 from truepath.simulators.synthetic import Setting
 
 

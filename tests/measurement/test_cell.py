@@ -25,7 +25,7 @@ from truepath.app.files.bundle import read_bundle, write_bundle
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.measurement import cell as cell_module
 from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.cell_process import serve
+from truepath.app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
 from truepath.app.measurement.messages import (
     BlockRecorded,
     CellConfig,
@@ -44,7 +44,6 @@ from truepath.app.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.app.measurement.outbox import MAX_BLOCKS, Outbox
 from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.run_repair import repair_run
 from truepath.app.motion.configurations import Configurations

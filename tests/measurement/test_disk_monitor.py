@@ -8,9 +8,9 @@ from itertools import pairwise
 import pytest
 
 from truepath.app.measurement.controller_monitor import ControllerMonitor
-from truepath.app.measurement.disk_monitor import DiskMonitor
 from truepath.app.measurement.event_log import EventLog
 from truepath.app.measurement.feed_hold import FeedHold
+from truepath.app.measurement.measurement_monitor import DiskMonitor
 from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.app.measurement.timing import EngineSettings
 from truepath.drivers.interfaces.records import MotionState

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.measurement.seen_places import ExpectedPlace, SeenPlaces
+from truepath.app.measurement.target_search import ExpectedPlace, SeenPlaces
 from truepath.app.numerics.rigid import RigidTransform, build_rotation
 
 TO_TRACKER = RigidTransform(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from truepath.app.measurement.stream_damage import StreamDamage
+from truepath.app.measurement.stream_reader import StreamDamage
 from truepath.drivers.interfaces.records import TrackerSamples
 
 RATE_HZ = 500.0

@@ -26,7 +26,7 @@ from truepath.app.measurement.run_reading import open_run
 from truepath.app.measurement.run_repair import repair_run
 from truepath.app.planning.default_path import default_path
 from truepath.simulators.bench import Bench
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(240)]
 

@@ -15,8 +15,8 @@ from truepath.app.planning.design_state import DesignState
 from truepath.app.planning.forecast import Assumptions
 from truepath.app.planning.initial_design import start_design
 from truepath.app.planning.line_design import LineDesignState
+from truepath.app.planning.next_configuration import PointDesignState
 from truepath.app.planning.planner import Planner
-from truepath.app.planning.point_design import PointDesignState
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

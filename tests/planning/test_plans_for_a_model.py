@@ -22,9 +22,9 @@ from truepath.app.planning.plan_order import PlanOrder
 from truepath.app.reporting.plan_report import render_plan_report
 from truepath.app.results.plan_document import plan_document
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.backlash import Backlash
-from truepath.simulators.hidden.elastic_sag import ElasticSag
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
+from truepath.simulators.hidden.dynamics import ServoMismatch
+from truepath.simulators.hidden.guides import ElasticSag
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting

@@ -10,7 +10,7 @@ from truepath.app.reporting.discovery_report import (
     write_discovery,
 )
 from truepath.app.results.discovery import ASK, discover_runs
-from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.setup import SetupStep
 from truepath.simulators.synthetic import Setting
 
 

@@ -30,10 +30,10 @@ from truepath.app.results.model_file import build_next_model
 from truepath.app.results.prediction import predict
 from truepath.app.results.result_json import result_json
 from truepath.simulators import paths, synthetic
-from truepath.simulators.hidden.backlash import Backlash
-from truepath.simulators.hidden.elastic_sag import ElasticSag
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
-from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.hidden.dynamics import ServoMismatch
+from truepath.simulators.hidden.guides import ElasticSag
+from truepath.simulators.hidden.screws import Backlash
+from truepath.simulators.hidden.setup import TableDrift
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.scenario import load_machine
 from truepath.simulators.synthetic import Setting

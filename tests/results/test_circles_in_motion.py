@@ -35,9 +35,9 @@ from truepath.app.results.verification import verify
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.simulators import synthetic
 from truepath.simulators.arc import Arc
-from truepath.simulators.hidden.backlash import Backlash
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
-from truepath.simulators.hidden.squareness import Squareness
+from truepath.simulators.hidden.dynamics import ServoMismatch
+from truepath.simulators.hidden.guides import Squareness
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.program import Program
 from truepath.simulators.scenario import load_machine
 

@@ -7,7 +7,7 @@ import pytest
 
 from truepath.app.results.analysis import analyse
 from truepath.app.results.result_json import result_json
-from truepath.simulators.hidden.table_drift import TableDrift
+from truepath.simulators.hidden.setup import TableDrift
 from truepath.simulators.synthetic import Setting
 
 

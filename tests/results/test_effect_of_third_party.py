@@ -22,7 +22,7 @@ from truepath.app.results.analysis import analyse
 from truepath.app.results.discovery import ASK, discover_runs
 from truepath.app.results.plan_document import plan_document
 from truepath.app.web.pages import catalogue
-from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.guides import ElasticSag
 from truepath.simulators.synthetic import Setting
 
 PAGE = Path(__file__).parents[2] / "docs" / "write-an-effect.md"

@@ -14,7 +14,7 @@ from truepath.app.files.result_file import CalibrationResult, result_from_json
 from truepath.app.kinematics.model import CatalogueEffect
 from truepath.app.results.model_file import build_next_model, build_reference
 from truepath.app.results.prediction import predict
-from truepath.simulators.hidden.elastic_sag import ElasticSag
+from truepath.simulators.hidden.guides import ElasticSag
 from truepath.simulators.synthetic import Setting
 
 SAG = ElasticSag("X", "Y", "Z", 14.0)

@@ -4,7 +4,7 @@ import pytest
 
 from truepath.app.files.verdict import Verdict
 from truepath.app.results.analysis import analyse
-from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from truepath.simulators.hidden.tracker import TrackerRangeOffset
 from truepath.simulators.synthetic import Setting
 
 

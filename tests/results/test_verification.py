@@ -20,7 +20,7 @@ from truepath.app.results.verification import verify
 from truepath.app.results.verification_json import verification_json
 from truepath.app.results.verification_statements import state_findings
 from truepath.simulators import synthetic
-from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.paths import standstill_points
 from truepath.simulators.random_machine import random_machine

@@ -36,7 +36,7 @@ from truepath.drivers.tracker.streaming.driver import StreamingTracker
 from truepath.simulators import tracker_head
 from truepath.simulators.bench import Bench
 from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.backlash import Backlash
+from truepath.simulators.hidden.screws import Backlash
 from truepath.simulators.machine_file import parse_machine
 
 LINE = MotionPath(

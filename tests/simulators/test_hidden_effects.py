@@ -13,7 +13,6 @@ from truepath.simulators import paths, synthetic
 from truepath.simulators.bench import Bench
 from truepath.simulators.driven_motion import follow
 from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.backlash import Backlash
 from truepath.simulators.hidden.drawing import (
     CATALOGUED,
     EFFECTS,
@@ -22,21 +21,14 @@ from truepath.simulators.hidden.drawing import (
     from_json,
     parse_hidden,
 )
+from truepath.simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
 from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.elastic_sag import ElasticSag
-from truepath.simulators.hidden.lateral_backlash import LateralBacklash
+from truepath.simulators.hidden.guides import ElasticSag, Squareness
 from truepath.simulators.hidden.motion import Motion, continue_from
-from truepath.simulators.hidden.reversal_spike import ReversalSpike
-from truepath.simulators.hidden.screw_cyclic import ScrewCyclic
-from truepath.simulators.hidden.servo_mismatch import ServoMismatch
-from truepath.simulators.hidden.setup_step import SetupStep
-from truepath.simulators.hidden.spindle_growth import SpindleGrowth
-from truepath.simulators.hidden.squareness import Squareness
-from truepath.simulators.hidden.table_drift import TableDrift
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
-from truepath.simulators.hidden.tracker_eccentricity import TrackerEccentricity
-from truepath.simulators.hidden.tracker_range_offset import TrackerRangeOffset
-from truepath.simulators.hidden.vibration import Vibration
+from truepath.simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic
+from truepath.simulators.hidden.setup import SetupStep, TableDrift
+from truepath.simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
+from truepath.simulators.hidden.warming import SpindleGrowth, ThermalGrowth
 from truepath.simulators.machine_file import MachineFile, parse_machine
 from truepath.simulators.profile import Limits
 from truepath.simulators.program import Program

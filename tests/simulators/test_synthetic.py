@@ -12,7 +12,7 @@ import pytest
 from truepath.app.files.bundle import read_bundle
 from truepath.simulators import paths, synthetic
 from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.hidden.setup_step import SetupStep
+from truepath.simulators.hidden.setup import SetupStep
 from truepath.simulators.machine_file import MachineFile
 from truepath.simulators.recording import Recording
 from truepath.simulators.synthetic import Defects, Setting, record

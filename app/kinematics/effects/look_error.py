@@ -72,7 +72,6 @@ class LookError(BeamEffect):
 def _look_angles(
     recorded: RecordedState, turn_rad: float
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return azimuth from a direction, and elevation."""
     x, y, z = recorded.tracker_mm.T
     azimuth = np.angle(np.exp(1j * (np.arctan2(y, x) - turn_rad)))
     return azimuth, np.arctan2(z, np.hypot(x, y))

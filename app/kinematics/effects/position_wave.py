@@ -82,7 +82,6 @@ class PositionWave(Sinusoid):
 
 
 def _make_wave(symbol: str, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-    """Return the wave of an axis' position in one of its error motions."""
     name = symbol[2]
     rate = np.abs(at.axis_rate(name))
     return Wave(find_arm(symbol, at), at.axis_mm(name), rate, waves)

@@ -97,7 +97,6 @@ def _parse_sections(text: str) -> Mapping[str, dict[str, str]]:
 
 
 def _list_joints(sections: Mapping[str, dict[str, str]]) -> list[str]:
-    """Return the axis letter of each joint."""
     kinematics = sections["KINS"].get("KINEMATICS", "")
     found = re.search(r"coordinates\s*=\s*(\w+)", kinematics, re.IGNORECASE)
     words = found.group(1) if found else sections["TRAJ"].get("COORDINATES", "")

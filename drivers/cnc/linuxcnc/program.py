@@ -79,14 +79,12 @@ def write_move(
 
 
 def _write_motion(axes: Sequence[str], position: np.ndarray, row: ProgramRow) -> str:
-    """Return the block of a straight line to a position."""
     words = zip(axes, position, strict=True)
     ends = " ".join(f"{axis}{value:.{rs274.DECIMALS}f}" for axis, value in words)
     return rs274.MOTION.format(row=row, ends=ends)
 
 
 def _write_arc(path: Path, row: int, arc: Arc, number: ProgramRow) -> str:
-    """Return the block of an arc from the row before."""
     columns = [path.axes.index(name) for name in arc.axes]
     begin, end = path.position[row - 1][columns], path.position[row][columns]
     plane, letters = _PLANES[arc.axes]

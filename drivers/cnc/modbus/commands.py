@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import random
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -29,8 +30,36 @@ from truepath.drivers.interfaces.errors import (
     WrongDevice,
 )
 from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
-from truepath.drivers.transport.back_off import BackOff
 from truepath.drivers.transport.modbus_link import TIMEOUT_S, ModbusLink
+
+FIRST_S, LONGEST_S = 0.1, 1.0
+_LEAST_SHARE = 0.5  # of the pause, drawn at random up to the whole
+
+
+class BackOff:
+    """Pauses of `FIRST_S`, then each some twice as long, up to `LONGEST_S`.
+
+    draw : a number of 0 to 1
+    """
+
+    def __init__(self, draw: Callable[[], float] = random.random) -> None:
+        self._draw = draw
+        self._pause_s = self._due_s = 0.0
+
+    def is_due(self, now_s: float) -> bool:
+        """Tell whether the next attempt may be made."""
+        return now_s >= self._due_s
+
+    def wait(self, now_s: float) -> None:
+        """Let a pause begin: an attempt is made now."""
+        self._pause_s = min(2.0 * self._pause_s + FIRST_S, LONGEST_S)
+        share = _LEAST_SHARE + (1.0 - _LEAST_SHARE) * self._draw()
+        self._due_s = now_s + share * self._pause_s
+
+    def reset(self) -> None:
+        """Begin anew: the link is back."""
+        self._pause_s = self._due_s = 0.0
+
 
 log = logging.getLogger(__name__)
 

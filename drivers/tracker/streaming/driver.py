@@ -14,8 +14,10 @@ from truepath.drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
+    DeviceTimeout,
     NotOffered,
     Refused,
+    WrongDevice,
 )
 from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath.drivers.interfaces.tracker import (
@@ -29,12 +31,12 @@ from truepath.drivers.interfaces.tracker_records import (
     Air,
     TrackerCapabilities,
     TrackerEvent,
+    TrackerEventKind,
 )
 from truepath.drivers.tracker.streaming.codec import SampleDecoder, link_health
 from truepath.drivers.tracker.streaming.command_link import CommandLink
-from truepath.drivers.tracker.streaming.event_log import EventLog
 from truepath.drivers.tracker.streaming.framing import FrameReader
-from truepath.drivers.tracker.streaming.greeting import greet
+from truepath.drivers.tracker.streaming.measurements import StatusBit
 from truepath.drivers.tracker.streaming.messages import (
     VERBS_VERSION,
     VERSION,
@@ -334,3 +336,97 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         )
         if message.code == EventCode.STREAM_STOPPED_NO_PING:
             self._rate_hz = None
+
+
+def greet(
+    link: CommandLink, receiver: Receiver, port_name: str, serial_number: str
+) -> DeviceInfo:
+    """Return what the device says of itself.
+
+    serial_number : that it must have; any if empty
+
+    Raises WrongDevice if it is another one or none of this kind, DeviceTimeout or
+    ConnectionLost if nothing answers.
+    """
+    try:
+        info = link.ask(receiver, Hello).detail
+    except DeviceTimeout as error:
+        raise _explain_silence(receiver, port_name, error) from None
+    except Refused as error:
+        raise WrongDevice(f"{error}; the device speaks another version") from error
+    if not isinstance(info, DeviceInfo) or info.version != VERSION:
+        raise WrongDevice(
+            f"{port_name}: the device does not speak GST/{VERSION} ({info}); "
+            "update the device or the driver"
+        )
+    if serial_number not in ("", info.serial_number):
+        raise WrongDevice(
+            f"{port_name}: instrument {info.serial_number} answers, "
+            f"{serial_number} is configured; check which cable is where"
+        )
+    return info
+
+
+def _explain_silence(
+    receiver: Receiver, port_name: str, error: DeviceTimeout
+) -> DeviceError:
+    if receiver.echoes:
+        return WrongDevice(
+            f"{port_name}: our own bytes come back; a loop-back plug, "
+            "or a terminal that echoes"
+        )
+    if receiver.bytes_received and not receiver.frames.frames:
+        return WrongDevice(
+            f"{port_name}: something answers, but not in GST/1 frames; "
+            "check that this is the tracker's port, and its baud rate"
+        )
+    return error
+
+
+_MOST = 1000  # kept; nobody takes them
+_MESSAGES: dict[int, tuple[TrackerEventKind, str]] = {
+    EventCode.BEAM_BROKEN: (TrackerEventKind.BEAM_LOST, "the beam was broken"),
+    EventCode.BEAM_LOCKED: (TrackerEventKind.BEAM_LOCKED, "the beam is locked again"),
+}
+_WARNINGS = {
+    StatusBit.NOT_LEVELLED: (
+        "the tracker is not level",
+        "level it and let it compensate, or measure on if its tilt stays",
+    ),
+    StatusBit.ENVIRONMENT_STALE: (
+        "the tracker's weather station has not been read for a while",
+        "check its sensor: distances are corrected with old air",
+    ),
+}
+
+
+class EventLog:
+    """Events in order; each warning once a connection."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._events: list[TrackerEvent] = []
+        self._told = 0
+
+    def note(self, event: Event) -> None:
+        """Keep an event of the device, at its own time."""
+        if (told := _MESSAGES.get(event.code)) is not None:
+            kind, text = told
+            self._add(TrackerEvent(kind, f"{text} at {1e-6 * event.clock_us:.6f} s"))
+
+    def note_status(self, status: int) -> None:
+        """Keep a warning of each bit that was not seen before."""
+        for bit, (text, action) in _WARNINGS.items():
+            if status & bit & ~self._told:
+                self._told |= bit
+                self._add(TrackerEvent(TrackerEventKind.WARNING, text, action))
+
+    def take(self) -> tuple[TrackerEvent, ...]:
+        """Return the events since the last call."""
+        with self._lock:
+            events, self._events = tuple(self._events), []
+        return events
+
+    def _add(self, event: TrackerEvent) -> None:
+        with self._lock:
+            self._events = [*self._events, event][-_MOST:]

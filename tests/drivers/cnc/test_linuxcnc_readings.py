@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from truepath.drivers.cnc.linuxcnc.machine import parse_travel
-from truepath.drivers.cnc.linuxcnc.memory import MotionMemory
+from truepath.drivers.cnc.linuxcnc.motion import MotionMemory
 from truepath.drivers.cnc.linuxcnc.program import Program
 from truepath.drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
 from truepath.drivers.interfaces.errors import ConnectionLost

@@ -15,10 +15,12 @@ from truepath.drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
 from truepath.drivers.interfaces.records import Identity
 from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
-from truepath.drivers.thermometers.modbus_registers.driver import ModbusRegisters
-from truepath.drivers.thermometers.modbus_registers.register import Register
+from truepath.drivers.thermometers.modbus_registers.driver import (
+    ModbusRegisters,
+    Register,
+)
 from truepath.simulators.faults import Schedule, parse_fault
-from truepath.simulators.hidden.thermal_growth import ThermalGrowth
+from truepath.simulators.hidden.warming import ThermalGrowth
 from truepath.simulators.machine_file import parse_machine
 from truepath.simulators.modbus_ports import ModbusRtuPort, ModbusTcpPort
 from truepath.simulators.scenario import load_machine

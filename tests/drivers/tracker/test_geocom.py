@@ -28,8 +28,11 @@ from truepath.drivers.tracker.geocom.codec import (
     parse_reply,
     to_cartesian_mm,
 )
-from truepath.drivers.tracker.geocom.driver import GeoComTracker
-from truepath.drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
+from truepath.drivers.tracker.geocom.driver import (
+    GeoComTracker,
+    find_humidity,
+    find_wet_bulb,
+)
 from truepath.simulators.bench import Bench
 
 HURRIED = {"reply_timeout_s": 0.5, "shot_s": 0.5, "turn_s": 0.5}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from truepath.drivers.interfaces.records import TrackerSamples
 from truepath.drivers.interfaces.tracker_records import TrackerEventKind
 from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.event_log import EventLog
+from truepath.drivers.tracker.streaming.driver import EventLog
 from truepath.drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,

@@ -10,7 +10,7 @@ from truepath.drivers.conformance.tracker import TRACKER_CHECKS
 from truepath.drivers.interfaces.errors import ConnectionLost, Refused
 from truepath.drivers.interfaces.tracker_records import Clock
 from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.text_line import pace
+from truepath.drivers.tracker.text_line import driver
 from truepath.drivers.tracker.text_line.driver import TextLineTracker
 from truepath.drivers.transport.byte_port import BytePort
 from truepath.simulators.bench import Bench
@@ -165,8 +165,8 @@ def test_a_stream_that_cannot_be_read_is_refused_with_a_line_of_it(case, monkeyp
 )
 def test_a_clock_that_runs_at_another_pace_is_told(rate, told, monkeypatch, rng):
     now_s = [100.0]
-    monkeypatch.setattr(pace.time, "monotonic", lambda: now_s[0])
-    watch, found = pace.Pace(), []
+    monkeypatch.setattr(driver.time, "monotonic", lambda: now_s[0])
+    watch, found = driver.Pace(), []
     for k in range(1, 300):
         late_s = rng.uniform(0.0, 2.0) * (k % 7 == 0)  # this computer was busy
         now_s[0] = 100.0 + 0.1 * k
