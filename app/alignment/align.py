@@ -124,7 +124,6 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:
-    """Return the observations of a tracker that says which point each sample is of."""
     valid = find_measured(run.tracker)
     if len(valid) < _FEWEST_POINTS:
         raise AlignmentError(
@@ -144,7 +143,6 @@ def _align_points(run: Run, points: PointRows) -> Observations:
 def _match_or_explain(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
-    """Match; where that fails, name another machine that the data fit."""
     try:
         return _match(run, time_s, tracker_mm)
     except AlignmentError as error:
@@ -251,7 +249,6 @@ def _list_lines_without_pass(
 
 
 def _list_broken_arcs(nominal: NominalPath, arcs: Sequence[ArcDrive]) -> list[LeftOut]:
-    """Return the arcs that were not driven, or not without a stop."""
     missing = sorted(nominal.arcs - {each.row for each in arcs})
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 

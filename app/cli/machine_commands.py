@@ -183,7 +183,6 @@ def compare_machines(
 
 
 def _summarise(client: Client, record: Any) -> dict[str, Any]:
-    """Return a machine with its newest usable calibration and how it stands."""
     history = client.get_machine_history(record["id"])
     found = summarise_machine(record, history)
     if found["calibration"] is not None:
@@ -229,7 +228,6 @@ def _read_number(text: str) -> float | None:
 
 
 def _read_machine_file(file: Path) -> dict[str, Any]:
-    """Return the content of machine.json. Raises BundleError naming the key."""
     from truepath.app.files.machine_file import read_machine
 
     read_machine(file)  # says what is wrong by the name of the file
@@ -237,7 +235,6 @@ def _read_machine_file(file: Path) -> dict[str, Any]:
 
 
 def _read_object(file: Path) -> dict[str, Any]:
-    """Return the object of a JSON file. Raises BundleError."""
     from truepath.app.errors import BundleError
     from truepath.app.files.file_model import as_object, parse_json
     from truepath.app.files.whole_files import read_whole

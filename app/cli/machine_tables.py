@@ -178,7 +178,6 @@ def _describe_axes(axes: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _show_time(stamp: str) -> str:
-    """Return a time as the clock on the wall has it."""
     return f"{datetime.fromisoformat(stamp).astimezone():%Y-%m-%d %H:%M}"
 
 
@@ -190,7 +189,6 @@ def _name_entry(entry: Mapping[str, Any]) -> str:
 
 
 def _show_estimate(value: float | None, uncertainty: float | None) -> str:
-    """Return a value with its expanded uncertainty."""
     if value is None:
         return _NONE
     return f"{value:.1f} ± " + (

@@ -63,7 +63,6 @@ def evaluate_effects(
 
 
 def _explain_nothing(effect: CatalogueEffect) -> str:
-    """Return why an effect is not in the numbers."""
     if effect.half_difference:
         return "lost motion of a rotary axis: in the account of that axis"
     return "depends on more than place and direction: no table has it"
@@ -80,7 +79,6 @@ def _compute_rms(
 
 
 def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
-    """Return the error map of the model without the effect."""
     theta = errors.result.theta.copy()
     theta[errors.result.model.slices[effect.name]] = 0.0
     half_um = dict(errors.result.half_difference_um)

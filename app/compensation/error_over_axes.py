@@ -79,7 +79,6 @@ def _move(
     files: RotaryFiles,
     side: float,
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return how the tool moves by what the control adds."""
     machine, sent = errors.machine, at.position_mm.copy()
     for column, name in enumerate(machine.axis_names):
         if name in files.added:

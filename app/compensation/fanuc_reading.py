@@ -59,7 +59,6 @@ def _sum_increments(
 
 
 def _find_tape(files: Mapping[str, str], part: str) -> list[str]:
-    """Return the lines of the tape whose name ends so. Raises BadInput."""
     for name, text in files.items():
         if PurePath(name).stem.endswith(part):
             return _split_tape(text)

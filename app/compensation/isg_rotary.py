@@ -92,7 +92,6 @@ def read_places(text: str) -> dict[str, float]:
 
 
 def _take_constants(blocks: dict[str, Block]) -> dict[str, float]:
-    """Take the constants out of the blocks; return them by name."""
     constants: dict[str, float] = {}
     for names in [name for name in blocks if len(name) > 1]:
         (row,) = blocks.pop(names)[1]

@@ -247,7 +247,6 @@ def _find_measured(
     measured: Mapping[str, MeasuredRange],
     position: Float64[np.ndarray, "n a"],
 ) -> Bool[np.ndarray, " n"]:
-    """Return where every axis was measured."""
     inside = [
         (position[:, column] >= one.low) & (position[:, column] <= one.high)
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)

@@ -149,7 +149,6 @@ class SiemensOrder(CompensationFormat):
 
 
 def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
-    """Return the files that set a swivel data set."""
     return {name: text for name, text in files.items() if "$TC_CARR" in text.upper()}
 
 

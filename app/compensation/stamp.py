@@ -64,7 +64,6 @@ def describe_over_axes(over: Mapping[str, Any]) -> str:
 def _list_ranges(
     errors: ErrorMap, measured: Mapping[str, MeasuredRange]
 ) -> Iterator[str]:
-    """Yield the range of each axis that the files hold for."""
     for one in measured.values():
         if not one.is_stated:
             yield f"{one.axis.name} what the result does not state"
@@ -84,7 +83,6 @@ def _describe_stated(stated: StatedTemperature) -> str:
 
 
 def _describe_temperature(provenance: Mapping[str, Any]) -> str:
-    """Return what the sensors showed during the measurement, in plain ASCII."""
     stated: Mapping[str, Sequence[float]] = provenance.get("temperature_degC") or {}
     shown = [f"{name} {low:.1f} to {high:.1f}" for name, (low, high) in stated.items()]
     return f"{', '.join(shown)} degC" if shown else "a temperature that nothing states"

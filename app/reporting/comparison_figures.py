@@ -88,7 +88,6 @@ def _draw_runs(
     spread: Float64[np.ndarray, " n"],
     colour: str,
 ) -> Markup:
-    """Return a cross at each position, with a bar over the spread of the runs."""
     measured = np.isfinite(value)
     if not measured.any():
         return Markup()
@@ -122,7 +121,6 @@ def _draw_histogram(
 
 
 def _draw_arrows(volume: ComparedVolume) -> Markup:
-    """Return the differences as arrows on a coarse grid, and their scale."""
     linear = volume.position[:, :3]
     drawn = np.ones(len(linear), bool)
     for column in linear.T:
@@ -152,7 +150,6 @@ def _draw_arrows(volume: ComparedVolume) -> Markup:
 
 
 def _find_edges(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
-    """Return both ends of the edges of the volume."""
     corners = unit_corners()
     low, high = position.min(axis=0), position.max(axis=0)
     pairs = [

@@ -69,7 +69,6 @@ def render_comparison_report(
 
 
 def _state_number(number: ComparedNumber) -> tuple[str, ...]:
-    """Return what is stated of an error motion, or of a single number."""
     unit = SIGN[number.unit]
     largest, expanded, normalised = (
         format_number(float(abs(values).max()), 2)

@@ -199,7 +199,6 @@ def _draw_components(
 def _draw_levels(
     x: Float64[np.ndarray, " b"], y: Float64[np.ndarray, " b"], colour: str
 ) -> Markup:
-    """Draw the level of each class, with nothing between classes."""
     begin, end = np.column_stack([x - _HALF, y]), np.column_stack([x + _HALF, y])
     return draw_segments(begin, end, colour, width=2.0)
 

@@ -128,7 +128,6 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
 
 
 def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
-    """Return structure that no effect of the catalogue explains."""
     return [
         {
             "text": f.structure.describe(f.candidate, f.parameters),
@@ -154,7 +153,6 @@ def _describe_gap(discovery: Discovery) -> View:
 
 
 def _describe_run(residual: RunResidual) -> View:
-    """Return where a Run and its simulation disagree."""
     before, after = residual.before, residual.after
     return {
         "observer": residual.observations.at.observer,

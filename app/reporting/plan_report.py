@@ -78,7 +78,6 @@ def explain_feeds(document: Mapping[str, Any]) -> list[str]:
 
 
 def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return title, numbers as known, and numbers with this plan."""
     keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
     numbers = (
         "; ".join(
@@ -146,7 +145,6 @@ def write_plan(
 
 
 def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
-    """Return the files of what is driven from one station."""
     commanded, machine = plan.commanded, plan.machine
     rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
     files = {rows: encode_commanded(commanded)}

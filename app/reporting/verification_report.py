@@ -157,7 +157,6 @@ def _state_circle(one: CircleFigures) -> list[tuple[str, ...]]:
 
 
 def _draw_places(found: Verification) -> Markup:
-    """Draw measured and deviation at each place, in the order of measuring."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     number = np.arange(1.0, len(found.places) + 1.0)
     sets = (
@@ -194,7 +193,6 @@ def _draw_places(found: Verification) -> Markup:
 
 
 def _draw_line(one: LineFigures) -> View:
-    """Draw the means of both directions along a line."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + 0.8 * _HEIGHT)
     sides = ((one.forward_um, Colour.SECOND), (one.backward_um, Colour.THIRD))
     values: Sequence[float] = np.concatenate([one.forward_um, one.backward_um]).tolist()

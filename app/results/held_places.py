@@ -279,7 +279,6 @@ def judge_consistency(
 
 
 def _orthonormalise(columns: Float64[np.ndarray, "m k"]) -> Float64[np.ndarray, "m r"]:
-    """Return an orthonormal basis of what columns span."""
     unit = columns / np.linalg.norm(columns, axis=0)
     basis, size, _ = np.linalg.svd(unit, full_matrices=False)
     return basis[:, size > 1e-10 * size[0]]

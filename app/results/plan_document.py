@@ -84,7 +84,6 @@ def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
 
 
 def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
-    """Yield the plan of each station, with the rows and the time before it."""
     rows, time_s = 0, 0.0
     for plan in planned.at_stations:
         yield rows, time_s, plan
@@ -92,7 +91,6 @@ def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
 
 
 def _list_stations(planned: Plan) -> list[dict[str, Any]]:
-    """Return place and share of each station, and what is left after it."""
     return [
         {
             "position_mm": [round(float(v), 3) for v in plan.station_mm],
@@ -114,7 +112,6 @@ def _list_feeds(planned: Plan) -> list[float]:
 
 
 def _state_motion(machine: Machine) -> dict[str, Any]:
-    """Return what the machine can, and in words what of it is assumed."""
     motion, texts = machine.motion, list[str]()
     if "max_feed_mm_min" in motion.assumed:
         texts.append(
@@ -174,7 +171,6 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
 
 
 def _list_unobservable(planned: Plan) -> list[str]:
-    """Return what the plan cannot tell, in words."""
     said = list(planned.forecast.unobservable)
     resting = planned.machine.rotary_axes
     if planned.order.moving(planned.machine).rotary_axes:

@@ -122,7 +122,6 @@ def _residuals_json(
 
 
 def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
-    """Return the Runs that the numbers come from, those of the model among them."""
     model = () if provenance.model is None else provenance.model.runs
     own = [
         {"name": r.name, "input_sha256": r.digest, "sketch": r.sketch}

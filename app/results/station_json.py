@@ -47,7 +47,6 @@ def in_words(advice: StationAdvice) -> list[str]:
 
 
 def _compare(option: StationOption) -> str:
-    """Return what the last station of an option brings for its time."""
     count = len(option.place_mm)
     places = " and ".join(_place(place) for place in option.place_mm[1:])
     said = (

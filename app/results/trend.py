@@ -131,14 +131,12 @@ def follow_machine(
 
 
 def _estimate(run: Run, name: str) -> CheckedEstimate:
-    """Estimate one Run alone."""
     observed = align_all([run], [name])
     models = build_run_models(run.machine, [one.at.offset_mm for one in observed])
     return estimate_checked(models, observed)
 
 
 def _judge(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
-    """Return what the Runs say of themselves, each by its name."""
     return Verdict(
         tuple(
             replace(reason, run=name)
@@ -170,7 +168,6 @@ def _make_course(
 
 
 def _find_means(told: TemperatureSamples) -> dict[str, float]:
-    """Return the mean of each sensor that has shown anything, °C."""
     columns = (told.celsius[:, k] for k in range(len(told.names)))
     return {
         name: float(np.nanmean(shown))
@@ -180,7 +177,6 @@ def _find_means(told: TemperatureSamples) -> dict[str, float]:
 
 
 def _join_ranges(ranges: Sequence[Ranges]) -> Ranges:
-    """Return of each axis what every Run has measured."""
     return {
         name: (
             max(one[name][0] for one in ranges),

@@ -139,7 +139,6 @@ def run_trials(
 def _list_quantities(
     estimate: Estimate,
 ) -> Iterator[tuple[_Place, Float64[np.ndarray, "m p"]]]:
-    """Yield every quantity with its rows in the parameters of the machine."""
     model, stated = estimate.model, estimate.at_targets.model
     for effect in stated.effects:
         symbol = effect.iso_symbol

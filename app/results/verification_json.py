@@ -141,7 +141,6 @@ def _statistics_json(one: LengthStatistics) -> dict[str, float]:
 
 
 def _difference_json(found: Verification) -> dict[str, Any]:
-    """Return measured less predicted of each statistic, and whether it is within U."""
     content: dict[str, Any] = {}
     measured, predicted = found.statistics["measured"], found.statistics["predicted"]
     for name, one in measured.items():
@@ -169,7 +168,6 @@ def _directions_json(deviation: PlaceVectors) -> dict[str, Any]:
 
 
 def _worst_json(found: Verification) -> dict[str, Any]:
-    """Return the places of the largest lengths."""
     content: dict[str, Any] = {}
     for name, one in (("measured", found.measured), ("deviation", found.deviation)):
         worst = int(np.argmax(one.length_um))

@@ -210,7 +210,6 @@ def _refuse_decimal_comma(
 def _find_header(
     split: Sequence[list[str]], first: int, shape: _Shape
 ) -> tuple[int | None, int | None]:
-    """Return the lines of names and of units above the first row."""
     fitting = [n for n in range(first) if shape[0] <= len(split[n]) <= shape[1]]
     fitting = [n for n in fitting if not _is_comment(split[n][0])]
     units = None
@@ -265,7 +264,6 @@ def _gather(
 
 
 def _fits(cells: list[str], shape: _Shape) -> bool:
-    """Tell whether a line is a row, with or without values."""
     if len(cells) < shape[0] or any(cells[shape[1] :]):
         return False
     if _is_data(cells):

@@ -280,7 +280,6 @@ def _read_times(
 def _average_points(
     samples: TrackerSamples, row: NDArray[np.int64]
 ) -> tuple[TrackerSamples, PointRows]:
-    """Return the mean of each stay at a point."""
     starts = np.flatnonzero(np.append(True, np.diff(row) != 0))
     count = np.diff(np.append(starts, len(row)))
     stay = np.repeat(np.arange(len(starts)), count)

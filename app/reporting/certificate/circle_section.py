@@ -53,7 +53,6 @@ def _choose_words(language: Language) -> PolarWords:
 
 
 def _list_rows(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
-    """Yield the figures with U as measured, and as the result predicts them."""
     heading = language.own["circle_heading"].format(
         plane=one["plane"],
         diameter=f"{one['diameter_mm']:g}",

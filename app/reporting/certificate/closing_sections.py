@@ -176,7 +176,6 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
 def _say_mismatch(
     key: str, source: Source, certificate: Certificate, language: Language
 ) -> str:
-    """Return a warning where a file was made from another result; else nothing."""
     other, own = source.input_sha256, certificate.found.input_sha256
     if not other or other == own:
         return ""
@@ -269,7 +268,6 @@ def _um(value: float, language: Language) -> str:
 
 
 def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
-    """Yield what was measured, predicted and differs: mean, p95 and largest, U."""
     lengths = as_object(content.get("volumetric_error_um"))
     for name in _LENGTHS:
         one = as_object(lengths.get(name))

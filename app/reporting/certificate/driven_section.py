@@ -56,7 +56,6 @@ def _name_circle(one: Entry, language: Language) -> str:
 def _list_rows(
     name: str, one: Entry, figures: Sequence[str], language: Language
 ) -> Iterator[Row]:
-    """Yield the figures with U as measured, and those that the result predicts."""
     value, sigma, predicted = (
         one[key] for key in ("figures_um", "uncertainty_um", "predicted_um")
     )

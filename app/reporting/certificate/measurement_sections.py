@@ -119,7 +119,6 @@ def _state_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]
 
 
 def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
-    """Return what no sensor has recorded, in a sentence; empty for nothing."""
     if not sensors:
         return language.say("no_sensors")
     recorded = {

@@ -119,7 +119,6 @@ def _draw_tracker(
 def _write_axes(
     axes: Sequence[LinearAxis], corners: Float64[np.ndarray, "8 3"], fit: _Fit
 ) -> list[Markup]:
-    """Return the names and travels of the axes, beside edges in front."""
     edges = ((0, 4), (4, 6), (0, 1))  # of corners: X in front, Y right, Z left
     beside = ((0.0, 13.0, "middle"), (10.0, 9.0, "start"), (-8.0, 0.0, "end"))
     parts: list[Markup] = []
