@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.alignment.align import align_all
-from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.left_out import NOT_MEASURED, LeftOut
 from truepath.app.alignment.observations import Observations
 from truepath.app.errors import BadInput, Unidentifiable
 from truepath.app.estimation.noise import NoiseModel
@@ -65,8 +65,6 @@ from truepath.app.results.predicted_motion import (
     predict_displacement,
 )
 from truepath.app.results.verdict import judge_air, judge_sensors
-
-_MISSING = frozenset({"no-pass", "no-stop"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,6 +315,6 @@ def _select(seen: Observations, first: int, begin: int, end: float) -> Observati
     left_out = (
         replace(each, row=each.row + first if each.row >= 0 else each.row)
         for each in seen.left_out
-        if each.cause not in _MISSING or begin <= each.row + first < end
+        if each.cause not in NOT_MEASURED or begin <= each.row + first < end
     )
     return replace(own, left_out=tuple(left_out))
