@@ -1,4 +1,4 @@
-"""The command on what is installed: `drivers`."""
+"""The commands on what is installed: `drivers`, `formats`."""
 
 from __future__ import annotations
 
