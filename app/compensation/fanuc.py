@@ -41,16 +41,15 @@ from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import LinearAxis, Machine
 from truepath.app.kinematics.symbols import LINEAR
 
-UNIT_MM = 0.001
+_UNIT_MM = 0.001
 _LARGEST, _MOST = 7, 100  # of an increment; of the magnification
 _LAST_POINT = 1023  # of all axes; the first is 0
-FIRST_DATA = 10_000  # data number of point 0
+_FIRST_DATA = 10_000  # data number of point 0
 _LEAST_MM = 5e-4  # of lost motion that has increments: half a detection unit
 _WIDER = 1.01  # spacing by spacing, until the points of all axes have numbers
 _DIRECTIONS = ("both", "mean")
 _DATA = re.compile(r"N(\d+)P(-?\d+)")
 _WORDS = re.compile(r"A(\d)P([\d.-]+)")
-_UNIT_MM, _FIRST = 0.001, 10_000
 
 
 class Fanuc(TableFormat):
@@ -110,7 +109,7 @@ class Fanuc(TableFormat):
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return data and parameters of all axes. Raises BadInput."""
         tapes = self._make_tapes(content.tables)
-        data = [f"N{FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
+        data = [f"N{_FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
         parameters = [
             f"N0{number}" + "".join(f"A{i + 1}P{w}" for i, w in enumerate(words))
             for number, words in (
@@ -213,7 +212,7 @@ def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> 
     error = np.interp(at, table.position_mm, table.mean_mm[:, own])
     wanted = error[below] - error
     for magnification in range(1, _MOST):
-        sums = np.rint(wanted / (UNIT_MM * magnification)).astype(int)
+        sums = np.rint(wanted / (_UNIT_MM * magnification)).astype(int)
         if np.abs(np.diff(sums)).max() <= _LARGEST:
             return _Tape(first, reference, interval, magnification, _steps(sums))
     sums = _round(table, wanted, _MOST)
@@ -224,7 +223,7 @@ def _round(
     table: AxisTable, wanted_mm: Float64[np.ndarray, " n"], magnification: int
 ) -> np.ndarray:
     """Return sums in whole units. Raises BadInput where one step is too large."""
-    sums = np.rint(wanted_mm / (UNIT_MM * magnification)).astype(int)
+    sums = np.rint(wanted_mm / (_UNIT_MM * magnification)).astype(int)
     if np.abs(np.diff(sums)).max() > _LARGEST:
         mean = ", or directions mean, which has one" if magnification == 1 else ""
         raise BadInput(
@@ -245,14 +244,14 @@ def _choose_interval_mm(table: AxisTable) -> float:
     Where none down to half the spacing does that, the last points are beyond the ends.
     """
     low, high = _find_span_mm(table.axis)
-    below, above = round(-low / UNIT_MM), round(high / UNIT_MM)
-    common, spacing = math.gcd(below, above), table.spacing_mm / UNIT_MM
+    below, above = round(-low / _UNIT_MM), round(high / _UNIT_MM)
+    common, spacing = math.gcd(below, above), table.spacing_mm / _UNIT_MM
     most = Fanuc.most_points - 1
     for count in range(
         math.ceil(common / spacing - 1e-6), int(2 * common / spacing) + 1
     ):
         if count and common % count == 0 and (below + above) * count <= most * common:
-            return common // count * UNIT_MM
+            return common // count * _UNIT_MM
     return _round_spacing_mm(table)
 
 
@@ -260,7 +259,7 @@ def _round_spacing_mm(table: AxisTable) -> float:
     """Return the spacing of the rows in whole micrometres, not below it."""
     low, high = _find_span_mm(table.axis)
     spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
-    return math.ceil(spacing_mm / UNIT_MM - 1e-6) * UNIT_MM
+    return math.ceil(spacing_mm / _UNIT_MM - 1e-6) * _UNIT_MM
 
 
 def _count_sections(axis: LinearAxis, rows: int) -> int:
@@ -333,7 +332,7 @@ def _read_data(lines: list[str]) -> dict[int, int]:
     rows = [_DATA.fullmatch(line) for line in lines]
     if None in rows:
         raise BadInput("pitch data are rows N…P…")
-    return {int(m.group(1)) - _FIRST: int(m.group(2)) for m in rows if m}
+    return {int(m.group(1)) - _FIRST_DATA: int(m.group(2)) for m in rows if m}
 
 
 def _read_parameters(lines: list[str]) -> dict[tuple[int, int], float]:
