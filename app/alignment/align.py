@@ -20,9 +20,12 @@ from truepath.app.alignment.cleaning import (
     require_mm,
     require_seconds,
 )
-from truepath.app.alignment.driving import describe_driving
-from truepath.app.alignment.left_out import Cause, LeftOut, describe_unusable
-from truepath.app.alignment.measured_elsewhere import drop_measured_elsewhere
+from truepath.app.alignment.left_out import (
+    NOT_MEASURED,
+    Cause,
+    LeftOut,
+    describe_unusable,
+)
 from truepath.app.alignment.measured_points import (
     find_measured,
     list_as_stops,
@@ -32,7 +35,7 @@ from truepath.app.alignment.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from truepath.app.alignment.observations import ArcDrive, Observations, Pass
+from truepath.app.alignment.observations import ArcDrive, Driving, Observations, Pass
 from truepath.app.alignment.reduction import CELL_MM
 from truepath.app.alignment.seating import find_seating, seat_targets
 from truepath.app.alignment.segmentation import (
@@ -47,6 +50,7 @@ from truepath.app.alignment.surroundings import add_surroundings
 from truepath.app.errors import AlignmentError
 from truepath.app.files.run import PointRows, Run
 from truepath.app.kinematics.other_chains import describe_other, list_other_machines
+from truepath.drivers.interfaces.records import Path
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
@@ -54,6 +58,11 @@ _FEWEST_POINTS = 4  # of which three tell the pose
 _FEWEST_ROWS = 3
 _CLEARLY = 0.95  # of the standstills
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
+_DECIMALS = 6  # mm or deg
+_OTHER_FEED = 0.03  # of the commanded one; controllers keep it far better
+_STEADY_S = 0.5  # at least: a short line may not come to its feed
+_HOLD_S = 0.3  # shorter standstills are no hold
+_FROM_ENDS_MM = 1.0  # nearer to a waypoint it is the waypoint
 
 
 def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
@@ -118,13 +127,12 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     left_out += _list_lines_without_pass(nominal, passes)
     left_out += _list_broken_arcs(nominal, arcs)
     seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
-    driving = describe_driving(stream, stops, matching, nominal, passes)
+    driving = _describe_driving(stream, stops, matching, nominal, passes)
     driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
     return replace(seen, driving=driving, arcs=tuple(driven))
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:
-    """Return the observations of a tracker that says which point each sample is of."""
     valid = find_measured(run.tracker)
     if len(valid) < _FEWEST_POINTS:
         raise AlignmentError(
@@ -144,7 +152,6 @@ def _align_points(run: Run, points: PointRows) -> Observations:
 def _match_or_explain(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
-    """Match; where that fails, name another machine that the data fit."""
     try:
         return _match(run, time_s, tracker_mm)
     except AlignmentError as error:
@@ -251,7 +258,6 @@ def _list_lines_without_pass(
 
 
 def _list_broken_arcs(nominal: NominalPath, arcs: Sequence[ArcDrive]) -> list[LeftOut]:
-    """Return the arcs that were not driven, or not without a stop."""
     missing = sorted(nominal.arcs - {each.row for each in arcs})
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
@@ -284,3 +290,121 @@ def _require_motion(nominal: NominalPath, commanded: str) -> None:
             "the axis that turns, or not carried by the axes that move; measure a "
             "target 50 mm or more off the axis, or move other axes"
         )
+
+
+def drop_measured_elsewhere(
+    runs: Sequence[Run], observed: Sequence[Observations]
+) -> list[Observations]:
+    """Return the observations without the missing rows that other Runs have.
+
+    An interrupted measurement that was continued is several Runs: a row is missing only
+    if none of them has it.
+    """
+    measured = [
+        {_describe_row(run, row) for row in seen.measured_rows}
+        for run, seen in zip(runs, observed, strict=True)
+    ]
+    found: list[Observations] = []
+    for number, (run, seen) in enumerate(zip(runs, observed, strict=True)):
+        others = set[tuple[object, ...]]()
+        others.update(*(measured[k] for k in range(len(runs)) if k != number))
+        kept = tuple(
+            each
+            for each in seen.left_out
+            if each.cause not in NOT_MEASURED
+            or _describe_row(run, each.row) not in others
+        )
+        driving = _add_driven_elsewhere(number, runs, observed)
+        found.append(replace(seen, left_out=kept, driving=driving))
+    return found
+
+
+def _add_driven_elsewhere(
+    number: int, runs: Sequence[Run], observed: Sequence[Observations]
+) -> Driving | None:
+    """Return what was driven of a path, on to where other Runs of it begin and end."""
+    driving = observed[number].driving
+    if driving is None or driving.is_whole:
+        return driving
+    others = {
+        _describe_row(run, row)
+        for k, (run, seen) in enumerate(zip(runs, observed, strict=True))
+        if k != number and seen.driving is not None
+        for row in range(max(seen.driving.first, 1), seen.driving.last + 1)
+    }
+    first, last, run = driving.first, driving.last, runs[number]
+    while first > 1 and _describe_row(run, first - 1) in others:
+        first -= 1
+    while last < driving.rows - 1 and _describe_row(run, last + 1) in others:
+        last += 1
+    return replace(driving, first=first, last=last)
+
+
+def _describe_row(run: Run, row: int) -> tuple[object, ...]:
+    """Return what a line or point is: its ends or place, and its target."""
+    path = run.commanded
+    first = row - 1 if isinstance(path, Path) else row
+    ends = np.round(path.position[max(first, 0) : row + 1], _DECIMALS)
+    target = path.target[row] if path.target else ""
+    return (run.mode, path.axes, target, *map(tuple, ends.tolist()))
+
+
+def _describe_driving(
+    stream: Stream,
+    stops: StopSequence,
+    matching: Matching,
+    nominal: NominalPath,
+    passes: Sequence[Pass],
+) -> Driving:
+    # A measurement rests on none of it, but who ran the program should know.
+    place = matching.waypoint
+    return Driving(
+        min(int(nominal.first[place[0]]), passes[0].row),
+        max(int(nominal.last[place[-1]]), passes[-1].row),
+        len(nominal.end_mm),
+        _find_other_feeds(stream, nominal, passes),
+        _find_holds(stream, stops, matching, nominal),
+    )
+
+
+def _find_other_feeds(
+    stream: Stream, nominal: NominalPath, passes: Sequence[Pass]
+) -> dict[int, float]:
+    """Return shares of the feed; how it is split over rotary axes is the control's."""
+    found: dict[int, float] = {}
+    for each in passes:
+        if not each.is_steady or nominal.turn_deg[each.row] > 0.0:
+            continue
+        took_s = stream.time_s[each.last - 1] - stream.time_s[each.first]
+        share = each.speed_mm_s / float(nominal.speed_mm_s[each.row])
+        if took_s >= _STEADY_S and abs(share - 1.0) > _OTHER_FEED:
+            found[each.row] = share
+    return found
+
+
+def _find_holds(
+    stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
+) -> tuple[tuple[int, float, float], ...]:
+    found: list[tuple[int, float, float]] = []
+    where_mm = matching.pose.invert().apply(stops.position_mm)
+    matched = zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True)
+    for (here, a), (there, b) in pairwise(matched):
+        rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
+        for k in range(here + 1, there):
+            begin_s = float(stream.time_s[stops.first[k]])
+            stood_s = float(stream.time_s[stops.last[k] - 1]) - begin_s
+            on = [r for r in rows if _is_on_line(nominal, r, where_mm[k], matching)]
+            if on and stood_s >= _HOLD_S:
+                found.append((on[0], begin_s, stood_s))
+    return tuple(found)
+
+
+def _is_on_line(
+    nominal: NominalPath, row: int, place_mm: np.ndarray, matching: Matching
+) -> bool:
+    """Tell whether a place is on a line, and neither its beginning nor its end."""
+    curve = nominal.curve(row)
+    share, off_mm = curve.nearest(place_mm[None])
+    way_mm = float(share[0]) * curve.length_mm
+    is_between = _FROM_ENDS_MM < way_mm < curve.length_mm - _FROM_ENDS_MM
+    return is_between and float(off_mm[0]) < matching.reach_mm

@@ -136,7 +136,6 @@ def compare_places(
 
 
 def _count_dwelt(run: Run) -> int:
-    """Return how many points of a stream were dwelt at, with all of their samples."""
     last_s = float(run.tracker.device_time_s.max())
     done = 0
     for event in run.events:

@@ -31,6 +31,7 @@ Cause = Literal[
     "before",
     "after",
 ]
+NOT_MEASURED = frozenset(("no-pass", "no-stop"))
 _LONGEST_SPIKE = 3  # samples; more in a row are a burst
 _MOSTLY = 0.5  # of the samples repeat the one before: frozen
 _FEWEST_OUTLIERS = 5  # of one line; fewer are counted with the spikes

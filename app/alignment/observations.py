@@ -203,7 +203,6 @@ class Observations:
     def _count_to_join(
         self, first: int, last: int, longest: Float64[np.ndarray, " a"]
     ) -> int:
-        """Return how many cells of a line may become one."""
         if self.at.line[first] < 0 or last - first < 2:
             return 1
         ends = [first, last - 1]

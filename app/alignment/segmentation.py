@@ -113,7 +113,6 @@ def _parts(
 def _split_by_place(
     stream: Stream, first: int, last: int, nominal: NominalPath, rows: range
 ) -> Iterator[_Part]:
-    """Yield the stretches of lines whose corners are lost."""
     points = stream.points_mm(first, last)
     away = np.stack([nominal.curve(row).nearest(points)[1] for row in rows])
     nearest = np.argmin(away, axis=0)

@@ -172,7 +172,6 @@ class StreamingAlignment:
         return found
 
     def _recognise(self) -> list[CellBlock]:
-        """Look at new standstills; return what lies between matched ones."""
         stops = self._stream.stops
         for index in range(self._looked_at, len(stops)):
             self._looked_at = index + 1
@@ -306,7 +305,6 @@ class StreamingAlignment:
         return self._between(last, last)
 
     def _forget(self) -> None:
-        """Forget samples that nothing will ask for again."""
         stops = self._stream.stops
         if self.pose is not None:
             self._stream.forget_before(stops[self._matched[self._delivered][0]].first)

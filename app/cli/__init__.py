@@ -10,7 +10,6 @@ Commands import what they need when they run, so that `truepath --help` answers 
     command             the list of commands; from an error to an exit status
     *_commands          the commands of a group: their options, and what they do
     service_client      the options and refusals of a running service
-    machine_tables      machines in a few numbers
     terminal            options, progress and tables that commands share
     summary             a result, and an effect, in a few lines
     demo                a measurement on simulated devices, without a service

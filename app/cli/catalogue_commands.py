@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truepath.app.cli.terminal import Json, print_json, say
+from truepath.app.cli.terminal import Config, DataDir, Json, print_json, say
 
 if TYPE_CHECKING:
     from truepath.app.settings import Settings
@@ -16,14 +16,6 @@ catalogue = typer.Typer(
     help="Look at the catalogue of jobs and Runs, or make it again.",
     no_args_is_help=True,
 )
-
-Config = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Settings, as TOML.")
-]
-DataDir = Annotated[
-    Path | None,
-    typer.Option("--data-dir", metavar="DIR", help="Runs, results, catalogue."),
-]
 
 
 @catalogue.command()

@@ -93,7 +93,6 @@ def certificate(
 
 
 def _read_stated(file: Path | None, state: list[str]) -> Mapping[str, str]:
-    """Return what the identity file states, and what the options do over it."""
     from truepath.app.files.identity_file import read_assignments, read_identity
 
     return {**(read_identity(file) if file else {}), **read_assignments(state)}

@@ -13,12 +13,9 @@ import typer
 
 from truepath.app.cli import (
     analysis_commands,
-    backup_commands,
     catalogue_commands,
     certificate_command,
-    doctor_command,
     driver_commands,
-    format_commands,
     import_command,
     machine_commands,
     operation_commands,
@@ -27,7 +24,6 @@ from truepath.app.cli import (
     result_commands,
     service_commands,
     temperature_command,
-    tls_commands,
     trend_commands,
     user_commands,
     verification_commands,
@@ -83,7 +79,7 @@ def truepath(
 app.command()(service_commands.serve)
 app.command()(service_commands.demo)
 app.command()(driver_commands.drivers)
-app.command()(format_commands.formats)
+app.command()(driver_commands.formats)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
     context_settings={
@@ -106,15 +102,15 @@ app.command()(reanalyse_command.reanalyse)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
-app.command()(doctor_command.doctor)
-app.command()(backup_commands.backup)
-app.command()(backup_commands.restore)
+app.command()(operation_commands.doctor)
+app.command()(operation_commands.backup)
+app.command()(operation_commands.restore)
 app.command()(operation_commands.support_bundle)
 app.command()(operation_commands.settings)
 app.command()(operation_commands.systemd_unit)
 app.add_typer(machine_commands.machines, name="machines")
 app.add_typer(catalogue_commands.catalogue, name="catalogue")
-app.add_typer(tls_commands.tls, name="tls")
+app.add_typer(operation_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")
 app.add_typer(user_commands.keys, name="keys")
 app.add_typer(user_commands.audit, name="audit")

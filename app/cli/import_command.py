@@ -150,7 +150,6 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
 
 
 def _check_alignment(run: Run) -> None:
-    """Refuse a recording that does not fit what was commanded; name a mirrored one."""
     from truepath.app.alignment.align import align
 
     try:

@@ -174,7 +174,7 @@ def _plan_verification(
     json: bool,
 ) -> None:
     from truepath.app.files.machine_file import read_machine
-    from truepath.app.reporting.verification_plan import write_verification_plan
+    from truepath.app.reporting.plan_report import write_verification_plan
 
     require_folder(output, "the plan")
     document = write_verification_plan(read_machine(machine), kinds, seed, output)

@@ -108,7 +108,6 @@ def print_verdict(stated: Result) -> None:
 
 
 def _summarise_trials(result: Result) -> dict[str, Any] | None:
-    """Return what the trials say, without their tables."""
     trials = result["monte_carlo"]
     if trials is None:
         return None

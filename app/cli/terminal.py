@@ -15,6 +15,13 @@ import typer
 
 from truepath.app.errors import BadInput
 
+Config = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings, as TOML.")
+]
+DataDir = Annotated[
+    Path | None,
+    typer.Option("--data-dir", metavar="DIR", help="Runs, results, catalogue."),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
 ]

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truepath.app.cli.catalogue_commands import Config, DataDir
-from truepath.app.cli.terminal import Json, print_json
+from truepath.app.cli.terminal import Config, DataDir, Json, print_json
 from truepath.app.errors import BadInput, TruepathError
 
 if TYPE_CHECKING:

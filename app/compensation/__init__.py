@@ -18,7 +18,7 @@ files that make the error larger are refused.
     linuxcnc, siemens, heidenhain, fanuc, isg_csv, etalon_exchange
                           one maker a file
     rotary, axis_places   positioning of rotary axes as tables; where their axes are
-    error_over_axes       the error where all axes move, before and with files
+    rotary_left           what files leave of rotary axes, and where all axes move
     tool_length           of the tool in use, where a control follows it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.

@@ -223,7 +223,6 @@ def _digest(data: Mapping[str, bytes]) -> dict[str, str]:
 def _find_account(
     folder: Path, name: str, data: Mapping[str, bytes]
 ) -> Mapping[str, Any]:
-    """Return the account that was written beside files of a format, empty without."""
     digests = _digest(data)
     for place in sorted(folder.glob("*.json")):
         with suppress(BundleError):

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.app.compensation.active_files import GivenTables, find_basis
-from truepath.app.compensation.effects_left import evaluate_effects
 from truepath.app.compensation.error_map import ErrorMap, map_errors
-from truepath.app.compensation.error_over_axes import measure_over_axes
-from truepath.app.compensation.format import AxisTable, CompensationFormat
+from truepath.app.compensation.format import AxisTable, CompensationFormat, Correction
 from truepath.app.compensation.installed import load_format
 from truepath.app.compensation.length_reference import (
+    describe_lengths,
     find_measured_degc,
     state_lengths,
 )
-from truepath.app.compensation.output import SCHEMA, find_stem, write_output
 from truepath.app.compensation.remaining_error import (
     CLOSE,
     GRID,
+    SIDES,
     RemainingError,
     find_remaining,
+    remove_from_both,
+    sample_travel,
 )
 from truepath.app.compensation.rotary_left import (
     describe_rotary,
+    measure_over_axes,
     read_rotary_files,
 )
-from truepath.app.compensation.stamp import describe_over_axes, write_stamp
 from truepath.app.compensation.tabulation import (
     StatedTemperature,
     Tabulation,
@@ -42,10 +46,15 @@ from truepath.app.compensation.unmeasured import (
     Unmeasured,
     find_measured_ranges,
 )
-from truepath.app.errors import BadInput
+from truepath.app.errors import BadInput, BundleError
+from truepath.app.files.file_model import as_object, encode_json, parse_json
 from truepath.app.files.temperature_file import read_result_at
 from truepath.app.files.units import UM_PER_MM
 from truepath.app.files.verdict import verdict_json
+from truepath.app.files.whole_files import read_whole, replace_file
+from truepath.app.kinematics.model import CatalogueEffect
+from truepath.app.kinematics.symbols import is_positioning
+from truepath.app.results.lost_motion_across import remove_across
 
 SPACING_MM = 10.0
 _UNDIRECTED = (
@@ -55,6 +64,9 @@ _UNDIRECTED = (
 _BETTER = 0.999  # of the error before: files that leave more are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
 _NOTHING_GIVEN = GivenTables()
+_NOTHING_MM = 1e-9
+SCHEMA = "compensation/1"
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +106,7 @@ def export_files(
     Raises BundleError with the place in the result, BadInput as `export_result` and
     `write_output`, NotUsable where the result is not to be used.
     """
-    stem = find_stem(output, load_format(name, choices).suffix)
+    stem = _find_stem(output, load_format(name, choices).suffix)
     loaded, model = read_result_at(result, at_temperature_degc)
     if not accept_verdict:
         loaded.verdict.require_usable(f"{result}: the result")
@@ -141,7 +153,7 @@ def export_result(
     basis, active = find_basis(provenance, name, machine, chosen, given)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     lengths_degc = _find_length_degc(errors, temperature)
-    stamp = write_stamp(errors, kind, name, measured, temperature, lengths_degc)
+    stamp = _write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     stamp = (*stamp, f"holds {basis['holds']}: {basis['text']}")
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature, active)
     content, found = made.tabulate(errors), made.tabulate_found(errors)
@@ -150,7 +162,7 @@ def export_result(
     rotary = read_rotary_files(kind, found, kind.write(found) if active else files)
     over = measure_over_axes(errors, correction, rotary)
     if over is not None:
-        stamp = (*stamp, describe_over_axes(over))
+        stamp = (*stamp, _describe_over_axes(over))
         files = kind.write(replace(content, stamp=stamp))
     tabulated = made.leave_out_places(errors)
     # Places are in the correction only where it composes rotary axes with the others.
@@ -175,7 +187,7 @@ def export_result(
         "note": kind.note,
         "stamp": list(stamp),
         "temperature": temperature and _state_temperature(temperature, kind),
-        "effects": list(evaluate_effects(errors, made, correction)),
+        "effects": list(_evaluate_effects(errors, made, correction)),
         "lengths": state_lengths(lengths_degc),
     }
     return Export(files, account)
@@ -325,3 +337,210 @@ def _describe_content(
             (UM_PER_MM * float(np.abs(lost).max()) for lost in losses), default=0.0
         ),
     }
+
+
+def _evaluate_effects(
+    errors: ErrorMap, made: Tabulation, correction: Correction
+) -> Iterator[dict[str, Any]]:
+    # What remains of each effect of the model. The files are written and read back
+    # without it: the difference is its correction, whatever a format does with sag,
+    # with a screw's wave between its rows, or with lost motion. 0 where the effect
+    # depends on speed, temperature or the distance since a reversal.
+    position, weight = sample_travel(errors)
+    for effect in errors.result.model.catalogue_effects:
+        other = _remove_effect(errors, effect)
+        reread = made.read_back(other)
+        own = [
+            errors.error_mm(position, s) - other.error_mm(position, s) for s in SIDES
+        ]
+        done = [correction(position, s) - reread(position, s) for s in SIDES]
+        remains = [error + added for error, added in zip(own, done, strict=True)]
+        before = _compute_rms(position, own, weight)
+        after = _compute_rms(position, remains, weight)
+        beyond = before < _NOTHING_MM
+        if beyond:
+            before = after = 0.0
+        yield {
+            "name": effect.family,
+            **dict(effect.keys),
+            "rms_um": {"before": UM_PER_MM * before, "after": UM_PER_MM * after},
+            "note": _explain_nothing(effect) if beyond else "",
+        }
+
+
+def _explain_nothing(effect: CatalogueEffect) -> str:
+    if effect.half_difference:
+        return "lost motion of a rotary axis: in the account of that axis"
+    return "depends on more than place and direction: no table has it"
+
+
+def _compute_rms(
+    position: Float64[np.ndarray, "n a"],
+    error_mm: Sequence[Float64[np.ndarray, "n 3"]],
+    weight: Float64[np.ndarray, " n"],
+) -> float:
+    """Return the root mean square over both directions, without rigid motion."""
+    every = remove_from_both(position, error_mm, weight)
+    return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
+
+
+def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
+    theta = errors.result.theta.copy()
+    theta[errors.result.model.slices[effect.name]] = 0.0
+    half_um = dict(errors.result.half_difference_um)
+    lost = effect.half_difference
+    if lost and is_positioning(lost.symbol):
+        half_um.pop(lost.axis.name, None)
+    result = replace(errors.result, theta=theta, half_difference_um=half_um)
+    if lost:
+        result = remove_across(result, lost.symbol)
+    return replace(errors, result=result)
+
+
+def _write_stamp(
+    errors: ErrorMap,
+    kind: CompensationFormat,
+    name: str,
+    measured: Mapping[str, MeasuredRange],
+    temperature: StatedTemperature | None,
+    lengths_degc: tuple[float, float] | None,
+) -> tuple[str, ...]:
+    # The comments of files, in plain ASCII: where they come from and what they have
+    machine, provenance = errors.machine, errors.result.provenance
+    verdict = errors.result.verdict
+    celsius = f"measured at {_describe_temperature(provenance)}"
+    if temperature:
+        celsius = _describe_stated(temperature)
+    offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
+    lines = (
+        f"truepath compensation, format {name}",
+        f"machine {machine.name}, chain {machine.chain}",
+        f"for the tool at target offset {offset} mm",
+        f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
+        f"input {str(provenance.get('input_sha256', ''))[:16]}",
+        celsius,
+        describe_lengths(lengths_degc),
+        f"valid over {', '.join(_list_ranges(errors, measured))}",
+        f"units {kind.units}; directions of travel: {kind.directions}",
+        f"carries {kind.carries}",
+        f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
+        *(one.describe() for one in measured.values() if not one.is_known_whole),
+        *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
+    )
+    kept = (line.encode("ascii", "replace").decode() for line in lines)
+    return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
+
+
+def _describe_over_axes(over: Mapping[str, Any]) -> str:
+    before, after = (
+        f"{over[key]:.2f} +- {over[f'{word}_expanded_uncertainty']:.2f} um"
+        for word, key in (("before", "before"), ("after", "after_expected"))
+    )
+    return (
+        f"mean error over the travel of all axes {before}, with these files {after} "
+        f"(k = {over['coverage_factor']:g})"
+    )
+
+
+def _list_ranges(
+    errors: ErrorMap, measured: Mapping[str, MeasuredRange]
+) -> Iterator[str]:
+    for one in measured.values():
+        if not one.is_stated:
+            yield f"{one.axis.name} what the result does not state"
+            continue
+        yield f"{one.axis.name} {one.low:g} to {one.high:g} mm"
+    for axis in errors.machine.rotary_axes:
+        low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))
+        yield f"{axis.name} {low:g} to {high:g} deg"
+
+
+def _describe_stated(stated: StatedTemperature) -> str:
+    low, high = stated.model.measured_degc
+    return (
+        f"for a machine at {stated.at_degc:.1f} degC, from results at {low:.1f} to "
+        f"{high:.1f} degC"
+    )
+
+
+def _describe_temperature(provenance: Mapping[str, Any]) -> str:
+    stated: Mapping[str, Sequence[float]] = provenance.get("temperature_degC") or {}
+    shown = [f"{name} {low:.1f} to {high:.1f}" for name, (low, high) in stated.items()]
+    return f"{', '.join(shown)} degC" if shown else "a temperature that nothing states"
+
+
+def _find_stem(output: str | Path, suffix: str) -> str:
+    place = Path(output)
+    has_suffix = place.name.endswith(suffix)
+    stem = place.name.removesuffix(suffix) if has_suffix else place.stem
+    if _PLAIN_NAME.fullmatch(stem) is None:
+        raise BadInput(
+            f"{output}: {stem!r} stands in the files that controls read; use letters "
+            "A to Z, digits, dots, dashes and underscores"
+        )
+    return stem
+
+
+def write_output(
+    files: Mapping[str, str],
+    account: Mapping[str, Any],
+    output: str | Path,
+    stem: str,
+    *,
+    source: str | Path,
+) -> dict[str, Any]:
+    """Write files and their account, `STEM.json`; a single file to `output` itself.
+
+    source : what the files are made of, which is not written over
+
+    Returns the account, `files` as paths, their digests by name.
+
+    Raises BadInput where the files would replace the source, or the account a file that
+    is none.
+    """
+    place = Path(output)
+    beside = place.parent / f"{stem}.json"
+    alone = len(files) == 1 and place.suffix != "" and place != beside
+    targets = {
+        place if alone else place.parent / file: text.encode("ascii")
+        for file, text in files.items()
+    }
+    _keep_source(source, (*targets, beside))
+    _require_account(beside)
+    account = {
+        **account,
+        "files": [str(target) for target in targets],
+        "files_sha256": {
+            target.name: hashlib.sha256(data).hexdigest()
+            for target, data in targets.items()
+        },
+    }
+    text = encode_json(account, indent=1)  # before any file, for none without it
+    place.parent.mkdir(parents=True, exist_ok=True)
+    for target, data in targets.items():
+        replace_file(target, data)
+    replace_file(beside, text)
+    return account
+
+
+def _keep_source(source: str | Path, targets: tuple[Path, ...]) -> None:
+    for target in targets:
+        if target.exists() and target.samefile(source):
+            raise BadInput(
+                f"{target}: would be written over, and is what the files are made of; "
+                "give the output another name"
+            )
+
+
+def _require_account(beside: Path) -> None:
+    if not beside.exists():
+        return
+    try:
+        schema = as_object(parse_json(read_whole(beside), str(beside))).get("schema")
+    except BundleError:
+        schema = None
+    if schema != SCHEMA:
+        raise BadInput(
+            f"{beside}: the account of the files would be written over it, and it is "
+            "none; give the output another name"
+        )

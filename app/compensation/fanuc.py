@@ -22,14 +22,15 @@ the machine. Source: FANUC B-63980EN, page 100; A-77810E, parameters 3605 to 362
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.fanuc_reading import read_pitch_tables
 from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
@@ -38,14 +39,17 @@ from truepath.app.compensation.format import (
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.symbols import LINEAR
 
-UNIT_MM = 0.001
+_UNIT_MM = 0.001
 _LARGEST, _MOST = 7, 100  # of an increment; of the magnification
 _LAST_POINT = 1023  # of all axes; the first is 0
-FIRST_DATA = 10_000  # data number of point 0
+_FIRST_DATA = 10_000  # data number of point 0
 _LEAST_MM = 5e-4  # of lost motion that has increments: half a detection unit
 _WIDER = 1.01  # spacing by spacing, until the points of all axes have numbers
 _DIRECTIONS = ("both", "mean")
+_DATA = re.compile(r"N(\d+)P(-?\d+)")
+_WORDS = re.compile(r"A(\d)P([\d.-]+)")
 
 
 class Fanuc(TableFormat):
@@ -105,7 +109,7 @@ class Fanuc(TableFormat):
     def write(self, content: CompensationTables) -> dict[str, str]:
         """Return data and parameters of all axes. Raises BadInput."""
         tapes = self._make_tapes(content.tables)
-        data = [f"N{FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
+        data = [f"N{_FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
         parameters = [
             f"N0{number}" + "".join(f"A{i + 1}P{w}" for i, w in enumerate(words))
             for number, words in (
@@ -149,7 +153,7 @@ class Fanuc(TableFormat):
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Yield the summed increments of each axis, in mm."""
-        return read_pitch_tables(files, machine)
+        return _read_pitch_tables(files, machine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +212,7 @@ def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> 
     error = np.interp(at, table.position_mm, table.mean_mm[:, own])
     wanted = error[below] - error
     for magnification in range(1, _MOST):
-        sums = np.rint(wanted / (UNIT_MM * magnification)).astype(int)
+        sums = np.rint(wanted / (_UNIT_MM * magnification)).astype(int)
         if np.abs(np.diff(sums)).max() <= _LARGEST:
             return _Tape(first, reference, interval, magnification, _steps(sums))
     sums = _round(table, wanted, _MOST)
@@ -219,7 +223,7 @@ def _round(
     table: AxisTable, wanted_mm: Float64[np.ndarray, " n"], magnification: int
 ) -> np.ndarray:
     """Return sums in whole units. Raises BadInput where one step is too large."""
-    sums = np.rint(wanted_mm / (UNIT_MM * magnification)).astype(int)
+    sums = np.rint(wanted_mm / (_UNIT_MM * magnification)).astype(int)
     if np.abs(np.diff(sums)).max() > _LARGEST:
         mean = ", or directions mean, which has one" if magnification == 1 else ""
         raise BadInput(
@@ -240,14 +244,14 @@ def _choose_interval_mm(table: AxisTable) -> float:
     Where none down to half the spacing does that, the last points are beyond the ends.
     """
     low, high = _find_span_mm(table.axis)
-    below, above = round(-low / UNIT_MM), round(high / UNIT_MM)
-    common, spacing = math.gcd(below, above), table.spacing_mm / UNIT_MM
+    below, above = round(-low / _UNIT_MM), round(high / _UNIT_MM)
+    common, spacing = math.gcd(below, above), table.spacing_mm / _UNIT_MM
     most = Fanuc.most_points - 1
     for count in range(
         math.ceil(common / spacing - 1e-6), int(2 * common / spacing) + 1
     ):
         if count and common % count == 0 and (below + above) * count <= most * common:
-            return common // count * UNIT_MM
+            return common // count * _UNIT_MM
     return _round_spacing_mm(table)
 
 
@@ -255,7 +259,7 @@ def _round_spacing_mm(table: AxisTable) -> float:
     """Return the spacing of the rows in whole micrometres, not below it."""
     low, high = _find_span_mm(table.axis)
     spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
-    return math.ceil(spacing_mm / UNIT_MM - 1e-6) * UNIT_MM
+    return math.ceil(spacing_mm / _UNIT_MM - 1e-6) * _UNIT_MM
 
 
 def _count_sections(axis: LinearAxis, rows: int) -> int:
@@ -268,3 +272,72 @@ def _count_sections(axis: LinearAxis, rows: int) -> int:
 def _find_span_mm(axis: LinearAxis) -> tuple[float, float]:
     """Return the ends of the sections: those of the travel, and the reference point."""
     return min(axis.low, 0.0), max(axis.high, 0.0)
+
+
+def _read_pitch_tables(
+    files: Mapping[str, str], machine: Machine
+) -> Iterator[InterpolatedTable]:
+    """Yield the summed increments of each axis, in mm. Raises BadInput.
+
+    The reference point is at machine position 0.
+    """
+    data, parameters = (_find_tape(files, part) for part in ("-pitch", "-parameters"))
+    increments, words = _read_data(data), _read_parameters(parameters)
+    for index, axis in enumerate(machine.linear_axes):
+        yield _sum_increments(axis.name, index, increments, words)
+
+
+def _sum_increments(
+    name: str,
+    index: int,
+    data: dict[int, int],
+    words: dict[tuple[int, int], float],
+) -> InterpolatedTable:
+    zero, first, last, magnification, interval = (
+        words[number, index] for number in (3620, 3621, 3622, 3623, 3624)
+    )
+    below = int(zero - first) + 1  # intervals under the reference point
+    unit = magnification * _UNIT_MM
+
+    def add_up(begin: int) -> np.ndarray:
+        numbers = range(begin, begin + int(last - first) + 1)
+        sums = np.concatenate([[0.0], np.cumsum([data[number] for number in numbers])])
+        return unit * (sums - sums[below])
+
+    forward = add_up(int(first))
+    at = interval * (np.arange(len(forward)) - below)
+    backward = None
+    if words.get((3605, index), 0.0) % 10 == 1:
+        amount = _UNIT_MM * words[3627, index]
+        backward = add_up(int(words[3626, index])) + amount
+    own = LINEAR.index(name)
+    return InterpolatedTable(name, own, at, forward, backward, is_stepped=True)
+
+
+def _find_tape(files: Mapping[str, str], part: str) -> list[str]:
+    for name, text in files.items():
+        if PurePath(name).stem.endswith(part):
+            return _split_tape(text)
+    raise BadInput(f"no file of {', '.join(files)} has a name that ends in {part}")
+
+
+def _split_tape(text: str) -> list[str]:
+    lines = text.split()
+    if len(lines) < 3 or lines[0] != "%" or lines[-1] != "%":
+        raise BadInput("a tape stands between two %")
+    return lines[1:-1]
+
+
+def _read_data(lines: list[str]) -> dict[int, int]:
+    rows = [_DATA.fullmatch(line) for line in lines]
+    if None in rows:
+        raise BadInput("pitch data are rows N…P…")
+    return {int(m.group(1)) - _FIRST_DATA: int(m.group(2)) for m in rows if m}
+
+
+def _read_parameters(lines: list[str]) -> dict[tuple[int, int], float]:
+    return {
+        (int(line[1:6]), int(axis) - 1): float(value)
+        for line in lines
+        for axis, value in _WORDS.findall(line[6:])
+    }

@@ -211,7 +211,6 @@ def _require_columns(name: str, columns: Sequence[str]) -> None:
 
 
 def _list_all_rows(content: CompensationTables) -> Iterator[Row]:
-    """Yield the rows of all axes, with their change per kelvin where that is known."""
     if content.temperature is None:
         yield from (row for table in content.tables for row in _list_rows(table))
         return

@@ -74,7 +74,6 @@ def _interpolate_grid(
     by_mm: Float64[np.ndarray, " n"],
     at_mm: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 6"]:
-    """Return the motions between the four neighbours on the grid."""
     places = np.unique(table[:, 0])
     lines = [
         interpolate_rows(table[table[:, 0] == place, 1:], at_mm) for place in places

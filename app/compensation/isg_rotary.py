@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.compensation.chain_correction import correct_by_chain
 from truepath.app.compensation.format import (
     AxisTable,
     CompensationTables,
@@ -30,6 +29,7 @@ from truepath.app.compensation.isg_blocks import (
     read_blocks,
     write_block,
 )
+from truepath.app.compensation.motion_correction import FindMotion
 from truepath.app.compensation.rotary_tables import (
     RotaryTable,
 )
@@ -38,7 +38,13 @@ from truepath.app.compensation.tool_length import (
     ToolLength,
     find_tool_mm,
 )
-from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.conditions import Conditions, make_standstill
+from truepath.app.kinematics.effects.location_error import list_axis_locations
+from truepath.app.kinematics.machine import (
+    Machine,
+    RotaryAxis,
+    find_local_directions,
+)
 from truepath.app.kinematics.symbols import TURNS, is_location, list_error_motions
 
 _TIP = ("P0X", "P0Y", "P0Z")
@@ -83,7 +89,7 @@ def read_rotary_blocks(text: str, machine: Machine) -> Correction:
         return interpolate_block(blocks, axis, position_mm, machine)
 
     tool_mm = tip + abs(find_tool_mm(machine)[2]) * direction
-    return correct_by_chain(machine, tool_mm, find_motion, location)
+    return _correct_by_chain(machine, tool_mm, find_motion, location)
 
 
 def read_places(text: str) -> dict[str, float]:
@@ -92,7 +98,6 @@ def read_places(text: str) -> dict[str, float]:
 
 
 def _take_constants(blocks: dict[str, Block]) -> dict[str, float]:
-    """Take the constants out of the blocks; return them by name."""
     constants: dict[str, float] = {}
     for names in [name for name in blocks if len(name) > 1]:
         (row,) = blocks.pop(names)[1]
@@ -137,3 +142,46 @@ def _write_turns(table: RotaryTable) -> Iterator[str]:
         row = [float(column[k]) for column in columns]
         numbers = [format_motion(s, v) for s, v in zip(symbols, row, strict=True)]
         yield "  ".join([f"{place:.6f}", *numbers])
+
+
+def _correct_by_chain(
+    machine: Machine,
+    tool_mm: Float64[np.ndarray, "3"],
+    find_motion: FindMotion,
+    location: Mapping[str, float],
+) -> Correction:
+    # Minus the error that the chain makes of all motions and locations. Errors are of
+    # the tool relative to the workpiece, those of a rotary axis in its own directions
+    # about its origin; the straight axes take away what they do at the tool.
+    # `tool_mm` : the tip where all axes are at zero; `location` : by symbol, mm and rad
+    def correction(
+        position_mm: Float64[np.ndarray, "n a"], direction: float
+    ) -> Float64[np.ndarray, "n 3"]:
+        offset = np.tile(tool_mm, (len(position_mm), 1))
+        at = make_standstill(machine, position_mm, offset)
+        error = np.zeros((len(at), 3))
+        for axis in machine.axes:
+            motion = find_motion(axis.name, position_mm, direction)
+            local = np.eye(3)
+            if isinstance(axis, RotaryAxis):
+                local = find_local_directions(axis)
+                for one in list_axis_locations(axis):
+                    if value := location.get(one.symbol):
+                        error += one.jacobian(at)[:, :, 0] * value
+            lever = at.chain.lever(axis.name)
+            error += lever.displace(motion[:, :3] @ local.T, is_turn=False)
+            error += lever.displace(motion[:, 3:] @ local.T, is_turn=True)
+        return -np.linalg.solve(_find_tool_steps(at), error[:, :, None])[:, :, 0]
+
+    return correction
+
+
+def _find_tool_steps(at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
+    # What a millimetre of each straight axis moves the tool by, as columns
+    columns: list[Float64[np.ndarray, "n 3"]] = []
+    for name in "XYZ":
+        moved = at.position_mm.copy()
+        moved[:, at.machine.axis_names.index(name)] += 1.0
+        there = make_standstill(at.machine, moved, at.offset_mm)
+        columns.append(there.chain.point_mm - at.chain.point_mm)
+    return np.stack(columns, axis=2)

@@ -4,11 +4,17 @@ Rows `nominal forward reverse`, ascending, joint units, at most 256; columns 2 a
 the positions reached, and the controller sends the motor to command + nominal − column.
 No header and no comment: the loader stops silently at the first line that is not
 three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
+
+Of a trunnion, `xyzac-trt-kins` or `xyzbc-trt-kins`, pins say where the axes are: the C
+axis at (x, y)-rot-point; the tilting axis off it by y-offset (A) or x-offset (B), and
+z-offset above z-rot-point. The table turns right-handed where `conventional-directions`
+is off, as by default. Source: LinuxCNC `src/emc/kinematics/trtfuncs.c`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -20,15 +26,11 @@ from truepath.app.compensation.format import (
     InterpolatedTable,
     TableFormat,
 )
-from truepath.app.compensation.linuxcnc import (
-    list_pin_places,
-    read_kinematics,
-    write_kinematics,
-)
 from truepath.app.compensation.rotary_tables import (
     AxisPlace,
     RotaryAddition,
     RotaryTable,
+    list_stated_locations,
 )
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
@@ -45,6 +47,10 @@ _ABOUT_PINS = (
     "trial: probe the centre of a ball on the table at C 0 and C 180 and at two tilts:",
     "with these pins its four centres differ less than with those of the drawing",
 )
+_PIN = re.compile(r"setp (xyz[ab]c-trt-kins)\.([xyz]-(?:rot-point|offset)) (\S+)")
+# The direction across both axes, in which they are off each other.
+_ACROSS = {"A": 1, "B": 0}
+_DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 
 
 class LinuxCnc(TableFormat):
@@ -74,7 +80,7 @@ class LinuxCnc(TableFormat):
         tables = {one.axis.name: _write_rows(one) for one in content.tables}
         tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
         files = {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
-        if pins := list(write_kinematics(content.machine, content.places)):
+        if pins := list(_write_kinematics(content.machine, content.places)):
             comments = (f"# {line}" for line in (*content.stamp, *_ABOUT_PINS))
             text = "\n".join([*comments, *pins, ""])
             files[f"{content.stem}{_KINEMATICS}"] = text
@@ -113,7 +119,7 @@ class LinuxCnc(TableFormat):
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
         """Return what the pins have."""
-        return list_pin_places(machine, places)
+        return _list_pin_places(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
@@ -121,7 +127,7 @@ class LinuxCnc(TableFormat):
         """Return where the pins of the kinematics say that the axes are."""
         for name, text in files.items():
             if name.endswith(_KINEMATICS):
-                return read_kinematics(name, text, machine)
+                return _read_kinematics(name, text, machine)
         return {}
 
 
@@ -175,3 +181,63 @@ def _read_rows(name: str, text: str) -> Float64[np.ndarray, "3 n"]:
     if len(rows) > 256 or (np.diff(table[0]) <= 0).any():
         raise BadInput(f"{name}: 256 rows at most, ascending")
     return table
+
+
+def _find_tilting_axis(machine: Machine) -> str | None:
+    # A or B of a C table on a trunnion, w-C-A-…-b
+    names = machine.workpiece_side[:2]
+    if len(machine.rotary_axes) != 2 or names[:1] != ("C",) or len(names) < 2:
+        return None
+    straight = all(
+        one.direction == _DIRECTIONS[one.name] for one in machine.rotary_axes
+    )
+    return names[1] if names[1] in _ACROSS and straight else None
+
+
+def _list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
+    # None where nothing is known of one of its axes: they would be those of the drawing
+    tilting = _find_tilting_axis(machine)
+    if tilting is None or not all(place.known for place in places):
+        return frozenset()
+    across = LINEAR[_ACROSS[tilting]]
+    pins = {"XOC", "YOC", f"{across}O{tilting}", f"ZO{tilting}"}
+    return list_stated_locations(places) & pins
+
+
+def _write_kinematics(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:
+    tilting = _find_tilting_axis(machine)
+    if tilting is None or not _list_pin_places(machine, places):
+        return
+    at = {place.axis.name: place.origin_mm for place in places}
+    module, across = f"xyz{tilting.lower()}c-trt-kins", _ACROSS[tilting]
+    turn, tilt = at["C"], at[tilting]
+    for k, letter in enumerate("xyz"):
+        yield f"setp {module}.{letter}-rot-point {turn[k]:.6f}"
+    for k in (across, 2):
+        yield f"setp {module}.{'xyz'[k]}-offset {tilt[k] - turn[k]:.6f}"
+
+
+def _read_kinematics(name: str, text: str, machine: Machine) -> dict[str, float]:
+    # Location errors, mm
+    tilting = _find_tilting_axis(machine)
+    lines = [line for line in text.splitlines() if line and line[0] != "#"]
+    pins: dict[str, float] = {}
+    for line in lines:
+        pin = _PIN.fullmatch(line)
+        if pin is None or pin[1] != f"xyz{(tilting or '?').lower()}c-trt-kins":
+            raise BadInput(f"{name}: {line!r} is no pin of this machine's kinematics")
+        pins[pin[2]] = float(pin[3])
+    if tilting is None or len(pins) != 5:
+        raise BadInput(f"{name}: five pins are wanted, x-rot-point to z-offset")
+    across = _ACROSS[tilting]
+    point = np.array([pins[f"{letter}-rot-point"] for letter in "xyz"])
+    letter = "xyz"[across]
+    turn, tilt = (np.array(machine.rotary(one).origin_mm) for one in ("C", tilting))
+    return {
+        "XOC": float(point[0] - turn[0]),
+        "YOC": float(point[1] - turn[1]),
+        f"{letter.upper()}O{tilting}": float(
+            point[across] + pins[f"{letter}-offset"] - tilt[across]
+        ),
+        f"ZO{tilting}": float(point[2] + pins["z-offset"] - tilt[2]),
+    }

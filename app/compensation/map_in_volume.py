@@ -122,7 +122,6 @@ def _find_left_um(
     position: Float64[np.ndarray, "n a"],
     correction: Correction | None,
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what is left as far as it is known: nothing of a full correction."""
     if correction is None:
         return np.zeros((len(position), 3))
     sides = [

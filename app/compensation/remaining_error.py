@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.stats import qmc
 
 from truepath.app.compensation.error_map import ErrorMap, find_own_arm
 from truepath.app.compensation.format import Correction
@@ -20,7 +19,11 @@ from truepath.app.files.units import UM_PER_MM
 from truepath.app.kinematics.conditions import make_standstill
 from truepath.app.numerics.rigid import cross_matrix
 from truepath.app.results.lost_motion_across import draw_across_mm
-from truepath.app.results.volumetric_error import draw_parameters
+from truepath.app.results.volumetric_error import (
+    draw_parameters,
+    fill_travel,
+    make_grid,
+)
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
 CLOSE = 4096  # that fill it for the mean of the map, whose own error is below its U
@@ -39,14 +42,9 @@ def sample_travel(
     Those that count fill the travel evenly, between the rows of the tables; a grid with
     the corners, where errors are largest, counts for the largest alone.
     """
-    low = np.array([axis.low for axis in errors.axes])
-    high = np.array([axis.high for axis in errors.axes])
-    places = np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * len(low), indexing="ij")
-    grid = np.stack(places, -1).reshape(-1, len(low))
-    even = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(count)
-    unit = np.vstack([grid, even])
-    position = np.tile(errors.middle_mm, (len(unit), 1))
-    position[:, : len(low)] = low + unit * (high - low)
+    grid = make_grid(errors.axes, GRID)
+    position = np.tile(errors.middle_mm, (len(grid) + count, 1))
+    position[:, : len(errors.axes)] = [*grid, *fill_travel(errors.axes, count)]
     return position, np.append(np.zeros(len(grid)), np.full(count, 1.0 / count))
 
 
@@ -247,7 +245,6 @@ def _find_measured(
     measured: Mapping[str, MeasuredRange],
     position: Float64[np.ndarray, "n a"],
 ) -> Bool[np.ndarray, " n"]:
-    """Return where every axis was measured."""
     inside = [
         (position[:, column] >= one.low) & (position[:, column] <= one.high)
         for column, one in enumerate(measured[axis.name] for axis in errors.axes)

@@ -1,4 +1,4 @@
-"""What files leave of each rotary axis, with its uncertainty.
+"""What files leave of each rotary axis and of the error where all axes move.
 
 Root mean squares over the travel. Before is the map of the result, after what the files
 leave of it; expected after is what they leave of errors that the measurement allows,
@@ -14,15 +14,22 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import qmc
 
 from truepath.app.compensation.axis_places import find_places
 from truepath.app.compensation.error_map import ErrorMap, find_own_arm
-from truepath.app.compensation.format import CompensationFormat, CompensationTables
+from truepath.app.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
 from truepath.app.compensation.remaining_error import (
     COVERAGE,
+    SIDES,
+    RemainingError,
+    draw_errors_mm,
     expect_length,
     find_scale,
+    remove_from_both,
 )
 from truepath.app.compensation.rotary import (
     find_positioning_rad,
@@ -36,7 +43,7 @@ from truepath.app.kinematics.conditions import Conditions, make_standstill
 from truepath.app.kinematics.effects.location_error import list_axis_locations
 from truepath.app.kinematics.machine import RotaryAxis
 from truepath.app.kinematics.symbols import TURNS, list_error_motions, list_locations
-from truepath.app.results.volumetric_error import draw_parameters
+from truepath.app.results.volumetric_error import draw_parameters, fill_travel
 
 NOT_STATED = "not in the result"
 _IN_FILES = "in the files: both directions of the table"
@@ -98,18 +105,10 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
     }
 
 
-def sample_positions(errors: ErrorMap) -> Float64[np.ndarray, "n a"]:
-    """Return positions that fill the travel of all axes evenly."""
-    axes = errors.machine.axes
-    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(_PLACES)
-    return low + unit * (high - low)
-
-
-def draw_half_turns_rad(
+def _draw_half_turns_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"], draws: int
 ) -> Float64[np.ndarray, "n d"]:
-    """Return what half the lost motion of an axis may be wrong by."""
+    # What half the lost motion of an axis may be wrong by
     sigma = errors.half_turn_sigma_rad(axis.name, at_deg)
     rng = np.random.default_rng([_SEED, TURNS.index(axis.name)])
     return np.outer(sigma, rng.standard_normal(draws))
@@ -123,7 +122,7 @@ class _Sample:
 
     @cached_property
     def position(self) -> Float64[np.ndarray, "n a"]:
-        return sample_positions(self.errors)
+        return fill_travel(self.errors.machine.axes, _PLACES)
 
     @cached_property
     def at(self) -> Conditions:
@@ -224,7 +223,7 @@ def _measure_lost_motion(
         turned = np.radians(both[0] - both[1])
         after = half + find_sense(errors, axis) * 0.5 * turned
     draws = sample.drawn.shape[1]
-    drawn = draw_half_turns_rad(errors, axis, at_deg, draws)
+    drawn = _draw_half_turns_rad(errors, axis, at_deg, draws)
     columns = half[:, None], after[:, None], drawn[:, None]
     return {
         "lost_motion": _IN_FILES if is_written else _LEFT,
@@ -262,3 +261,101 @@ def _list_unwritten(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
     for symbol in (*list_error_motions(axis.name), *list_locations(axis.name)):
         if symbol != own and symbol in known:
             yield symbol
+
+
+def measure_over_axes(
+    errors: ErrorMap, correction: Correction, files: RotaryFiles
+) -> dict[str, Any] | None:
+    """Return the mean length of the error, µm; None for a machine of straight axes.
+
+    correction : what the control adds to straight axes; files : what else it does
+
+    Before and after are of the map; expected after is of errors that the measurement
+    allows, as in the account of straight axes.
+    """
+    if not errors.machine.rotary_axes:
+        return None
+    at = _Sample(errors).at
+    error = np.stack([_find_error_mm(errors, at, side) for side in SIDES])
+    moved = np.stack([_move(errors, at, correction, files, side) for side in SIDES])
+    drawn = _draw_errors_mm(errors, at)
+    before, after = (
+        _remove_rigid(at, left, drawn, find_scale(errors.result))
+        for left in (error, error + moved)
+    )
+    expected = after.state() or {}
+    return {
+        "before": before.state_map()["mean"],
+        "before_expanded_uncertainty": COVERAGE * before.find_map_uncertainty_um(),
+        "after": after.state_map()["mean"],
+        "after_expected": expected["mean"],
+        "after_expanded_uncertainty": COVERAGE * expected["mean_uncertainty"],
+        "coverage_factor": COVERAGE,
+        "on": f"mean length over {len(at)} positions that fill the travel of all axes "
+        "evenly, up and down, without rigid motion of the workpiece; expected after: "
+        "of errors that the measurement allows, drawn from its covariance",
+    }
+
+
+def _find_error_mm(
+    errors: ErrorMap, at: Conditions, side: float
+) -> Float64[np.ndarray, "n 3"]:
+    """Return the error in a direction of all axes, lost motion of rotary ones too."""
+    error = errors.error_mm(at.position_mm, side)
+    for axis in errors.machine.rotary_axes:
+        at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
+        half = side * errors.half_turn_rad(axis.name, at_deg)
+        error += half[:, None] * find_own_arm(axis, at)
+    return error
+
+
+def _move(
+    errors: ErrorMap,
+    at: Conditions,
+    correction: Correction,
+    files: RotaryFiles,
+    side: float,
+) -> Float64[np.ndarray, "n 3"]:
+    machine, sent = errors.machine, at.position_mm.copy()
+    for column, name in enumerate(machine.axis_names):
+        if name in files.added:
+            sent[:, column] += files.added[name].read(at.position_mm[:, column], side)
+    straight = [machine.axis_names.index(name) for name in "XYZ"]
+    sent[:, straight] += correction(at.position_mm, side)
+    moved = make_standstill(machine, sent).chain.point_mm - at.chain.point_mm
+    if files.is_composed:  # the correction has the locations in it
+        return moved
+    for axis in machine.rotary_axes:
+        for one in list_axis_locations(axis):
+            if value := files.located.get(one.symbol):
+                moved -= one.jacobian(at)[:, :, 0] * value
+    return moved
+
+
+def _draw_errors_mm(errors: ErrorMap, at: Conditions) -> Float64[np.ndarray, "s n 3 d"]:
+    """Return what the map may be wrong by, lost motion of rotary axes with it."""
+    drawn = draw_errors_mm(errors, at.position_mm)
+    for axis in errors.machine.rotary_axes:
+        at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
+        half = _draw_half_turns_rad(errors, axis, at_deg, drawn.shape[3])
+        moved = find_own_arm(axis, at)[:, :, None] * half[:, None]
+        for number, side in enumerate(SIDES):
+            drawn[number] += side * moved
+    return drawn
+
+
+def _remove_rigid(
+    at: Conditions,
+    left_mm: Float64[np.ndarray, "s n 3"],
+    drawn_mm: Float64[np.ndarray, "s n 3 d"],
+    scale: float,
+) -> RemainingError:
+    weight, point_mm = np.full(len(at), 1.0 / len(at)), at.chain.point_mm
+    return RemainingError(
+        point_mm,
+        remove_from_both(point_mm, list(left_mm), weight),
+        remove_from_both(point_mm, list(drawn_mm), weight),
+        np.ones(len(at), bool),
+        weight,
+        scale,
+    )

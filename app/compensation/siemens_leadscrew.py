@@ -68,7 +68,6 @@ class MeasuringSystem:
                 )
 
     def _find_index(self, axis: str) -> int:
-        """Return e of the table of an axis."""
         return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._usual))
 
     def write_straight(self, table: AxisTable, *, forward: bool) -> list[str]:

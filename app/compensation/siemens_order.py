@@ -1,21 +1,35 @@
 """Siemens SINUMERIK: leadscrew and cross tables as one order, and what goes with them.
 
-What each kind of table lacks the other has. Beside them are the growth by temperature,
-and where rotary axes are.
+What each kind of table lacks the other has. In addition there are the growth by
+temperature, and where rotary axes are.
+
+Linear temperature compensation: of an axis at position P the control takes
+
+    ΔK = K0(T) + tanβ(T) (P − P0)
+
+with K0 = SD43900, tanβ = SD43910 (the gradient of the line that the error is taken
+for) and P0 = SD43920; MD32750 bit 0 switches K0 on, bit 1 tanβ. The control knows no
+temperature: its PLC writes SD43900 and SD43910 as the machine warms. Source: SINUMERIK
+Function Manual Extended Functions 03/2013, K3, pages 225 to 228. That a positive ΔK
+moves the axis in the negative direction, as in leadscrew tables, is assumed. Tables are
+those of the stated temperature, where tanβ is therefore 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.compensation.format import (
+    AxisTable,
     CompensationFormat,
     CompensationTables,
     Correction,
+    TemperatureTables,
 )
 from truepath.app.compensation.rotary_tables import AxisPlace, RotaryAddition
 from truepath.app.compensation.siemens import Siemens, SiemensCec, SiemensLec
@@ -29,12 +43,12 @@ from truepath.app.compensation.siemens_swivel import (
     read_swivel,
     write_swivel,
 )
-from truepath.app.compensation.siemens_temperature import (
-    TEMPERATURE_AREA,
-    write_temperature_file,
-)
 from truepath.app.errors import BadInput
 from truepath.app.kinematics.machine import Machine
+from truepath.app.kinematics.symbols import LINEAR
+
+_TEMPERATURE_AREA = "_N_TEMP_COMP_INI"
+_STEP_K = 1.0
 
 
 class SiemensOrder(CompensationFormat):
@@ -93,7 +107,7 @@ class SiemensOrder(CompensationFormat):
             files |= part.write(replace(content, stem=f"{content.stem}-{word}"))
         if content.temperature:
             file = f"{content.stem}-temperature{self.suffix}"
-            files[file] = write_temperature_file(content, content.temperature)
+            files[file] = _write_temperature_file(content, content.temperature)
         if vectors := list(write_swivel(content.machine, content.places)):
             comments = (f"; {line}" for line in (*content.stamp, *ABOUT_SWIVEL))
             text = "\n".join([*comments, *vectors, "M30", ""])
@@ -112,7 +126,7 @@ class SiemensOrder(CompensationFormat):
                 )
         known = {*chosen[0], *chosen[1], *_select_swivel(files)}
         for file, text in files.items():
-            if file not in known and TEMPERATURE_AREA not in text:
+            if file not in known and _TEMPERATURE_AREA not in text:
                 raise BadInput(f"{file}: holds no tables of a SINUMERIK")
         corrections = [p.read(f, machine) for p, f in zip(parts, chosen, strict=True)]
 
@@ -149,7 +163,6 @@ class SiemensOrder(CompensationFormat):
 
 
 def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
-    """Return the files that set a swivel data set."""
     return {name: text for name, text in files.items() if "$TC_CARR" in text.upper()}
 
 
@@ -161,3 +174,52 @@ def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
         for name, text in files.items()
         if any(mark in text for mark in marks)
     }
+
+
+def _write_temperature_file(
+    content: CompensationTables, temperature: TemperatureTables
+) -> str:
+    lines = [f"%{_TEMPERATURE_AREA}", *(f"; {line}" for line in content.stamp)]
+    lines += [
+        "; tables hold at the stated temperature, where SD43910 is 0. The PLC writes",
+        "; SD43910 = tanbeta(T) by the thermometer; the sign is to be tried",
+        "; SD43900 stays 0: drift of the zero of an axis is not told",
+        "CHANDATA(1)",
+    ]
+    for table in temperature.per_kelvin:
+        lines += _write_axis(table, temperature)
+    return "\n".join([*lines, "M17", ""])
+
+
+def _find_slope_per_k(table: AxisTable) -> float:
+    # Gradient of an axis' own error through its reference, per kelvin
+    off_mm = table.position_mm - table.position_mm[table.reference]
+    own = table.mean_mm[:, table.own]
+    return float(off_mm @ own / (off_mm @ off_mm))
+
+
+def _write_axis(table: AxisTable, temperature: TemperatureTables) -> Iterator[str]:
+    name = table.axis.name
+    if name not in temperature.grows:
+        yield f"; {name}: no growth is seen, temperature compensation stays off"
+        return
+    number = LINEAR.index(name) + 1
+    slope = _find_slope_per_k(table)
+    off_mm = table.position_mm - table.position_mm[table.reference]
+    left_mm = table.mean_mm[:, table.own] - slope * off_mm
+    rms_um = 1e3 * math.sqrt(float(left_mm @ left_mm) / len(left_mm))
+    yield f"; {name}: tanbeta(T) = {slope:.4e} (T - {temperature.at_degc:g} degC)"
+    yield (
+        f"; {1e6 * slope:.2f} um/m per K; a straight line leaves "
+        f"{rms_um:.3f} um per K, root mean square"
+    )
+    yield f"$MA_TEMP_COMP_TYPE[AX{number}]=2"
+    reference_mm = table.position_mm[table.reference]
+    yield f"$SA_TEMP_COMP_REF_POSITION[AX{number}]={reference_mm:.6f}"
+    yield f"$SA_TEMP_COMP_ABS_VALUE[AX{number}]=0"
+    yield f"$SA_TEMP_COMP_SLOPE[AX{number}]=0"
+    low, high = temperature.low_degc, temperature.high_degc
+    count = max(2, round((high - low) / _STEP_K) + 1)
+    for celsius in np.linspace(low, high, count):
+        gradient = slope * (celsius - temperature.at_degc)
+        yield f";   {celsius:.3f} degC  SD43910 = {gradient:.6e}"

@@ -109,7 +109,6 @@ def _make_table(
 def _list_rows(
     axis: str, settings: Mapping[str, str], values: Mapping[int, float]
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return positions and values between MIN and MAX."""
     step, low = float(settings["_STEP"]), float(settings["_MIN"])
     count = round((float(settings["_MAX"]) - low) / step) + 1
     if sorted(values) != list(range(count)):

@@ -153,7 +153,6 @@ def _list_rotary(machine: Machine, names: Sequence[str]) -> list[RotaryAxis]:
 def _find_vectors(
     letter: str, origins: Sequence[Float64[np.ndarray, "3"]]
 ) -> dict[str, Float64[np.ndarray, "3"]]:
-    """Return the vectors of a chain through the axes that closes."""
     first, last = origins[0], origins[-1]
     if letter == "P":
         return {"l2": first, "l3": last - first, "l4": -last}
@@ -185,7 +184,6 @@ def _read_vectors(name: str, text: str, kind: SwivelKind) -> Vectors:
 
 
 def _read_values(name: str, text: str) -> dict[int, float]:
-    """Return the values of one data set, whatever its number."""
     values: dict[int, float] = {}
     data_set = ""
     for number, line in enumerate(text.splitlines(), 1):

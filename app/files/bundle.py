@@ -21,10 +21,11 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path as FilePath
 from pathlib import PurePosixPath
+from typing import Any
 
 from truepath.app.errors import BundleError
 from truepath.app.files.commanded_file import decode_commanded, encode_commanded
-from truepath.app.files.environment_key import describe_environment, read_environment
+from truepath.app.files.environment import find_missing, state_facts
 from truepath.app.files.file_model import encode_json, parse_json
 from truepath.app.files.machine_file import machine_from_json, machine_to_json
 from truepath.app.files.recorded_files import (
@@ -35,8 +36,13 @@ from truepath.app.files.recorded_files import (
     encode_reference,
     encode_stream,
 )
-from truepath.app.files.refraction import correct_refraction
-from truepath.app.files.run import PointRows, Run
+from truepath.app.files.refraction import (
+    Refraction,
+    correct_refraction,
+    refraction_from_json,
+    refraction_to_json,
+)
+from truepath.app.files.run import IMPLAUSIBLE, SENSOR_KINDS, PointRows, Run, RunEvent
 from truepath.app.files.whole_files import MAX_TEXT_BYTES, write_files
 from truepath.app.motion.configurations import Commanded
 from truepath.drivers.interfaces.records import Path
@@ -69,6 +75,13 @@ BundleFiles = Mapping[str, Callable[[], bytes]]
 damaged."""
 
 
+_ENVIRONMENT, _SILENT = (
+    "environment",
+    "sensor-silent",
+)  # what environment.csv cannot say
+_TOLD, _LEFT_OUT = "told", "left_out"
+
+
 def read_bundle(
     path: str | FilePath, on_file: Callable[[str], None] = lambda _: None
 ) -> Run:
@@ -83,7 +96,7 @@ def read_bundle(
             )
         content = parse_json(files["machine.json"](), "machine.json")
         machine = machine_from_json(content)
-        refraction, events = read_environment(content)
+        refraction, events = _read_environment(content)
         commanded_file = _choose_file(files, "path.csv", "points.csv")
         data = files[commanded_file]()
         is_path = commanded_file == "path.csv"
@@ -165,7 +178,7 @@ def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
         "machine.json": encode_json(
-            machine_to_json(run.machine) | describe_environment(run), indent=1
+            machine_to_json(run.machine) | _describe_environment(run), indent=1
         ),
         commanded: encode_commanded(run.commanded),
         "tracker.parquet": encode_stream(run.tracker, run.points),
@@ -321,3 +334,44 @@ def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.Zip
             remedy="pack one folder",
         )
     return found
+
+
+def _describe_environment(run: Run) -> dict[str, Any]:
+    """Return the key with its content; nothing where there is nothing to say."""
+    time_s = run.tracker.device_time_s
+    content: dict[str, Any] = {}
+    if len(time_s):
+        span = float(time_s[0]), float(time_s[-1])
+        missing = find_missing(state_facts(run.temperature, run.air, *span))
+        content |= {"missing": missing} if missing else {}
+    told = [event.text for event in run.events if event.kind in SENSOR_KINDS]
+    content |= {_TOLD: list(dict.fromkeys(told))} if told else {}
+    wrong = [event.text for event in run.events if event.kind == IMPLAUSIBLE]
+    content |= {_LEFT_OUT: list(dict.fromkeys(wrong))} if wrong else {}
+    if run.refraction != Refraction():
+        content["refraction"] = refraction_to_json(run.refraction)
+    return {_ENVIRONMENT: content} if content else {}
+
+
+def _read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:
+    """Return who has corrected the ranges, and what sensors were missing.
+
+    content : of machine.json. Raises BundleError.
+    """
+    stated = content.get(_ENVIRONMENT) if isinstance(content, dict) else None
+    if stated is None:
+        return Refraction(), ()
+    try:
+        refraction = refraction_from_json(stated.get("refraction"))
+        missing = [f"{name}: {why}" for name, why in stated.get("missing", {}).items()]
+        wrong = [str(text) for text in stated.get(_LEFT_OUT, ())]
+        kinds = dict.fromkeys([*map(str, stated.get(_TOLD, ())), *missing], _SILENT)
+        kinds |= dict.fromkeys(wrong, IMPLAUSIBLE)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BundleError(
+            f"cannot be understood ({error})",
+            file="machine.json",
+            column=_ENVIRONMENT,
+            remedy="leave the key as it was exported, or leave it out",
+        ) from error
+    return refraction, tuple(RunEvent(0, kind, text) for text, kind in kinds.items())

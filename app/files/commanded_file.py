@@ -143,7 +143,6 @@ def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
 
 
 def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
-    """Return the axis positions of every row in the column order of the machine."""
     wanted = name_columns(machine.axis_names)
     for name in table.names:
         if _AXIS_COLUMN.match(name) and name not in wanted:

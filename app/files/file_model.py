@@ -213,7 +213,6 @@ def _bundle_error(
 
 
 def _describe(error: ErrorDetails) -> tuple[str, str]:
-    """Return what is wrong with a value, and the remedy."""
     kind, value, told = error["type"], error["input"], error.get("ctx", {})
     if kind == "refused":
         return told["problem"], told["remedy"]

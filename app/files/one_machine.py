@@ -94,7 +94,6 @@ def _is_same(one: Target, other: Target) -> bool:
 
 
 def _rename(target: Target, others: Sequence[Target], run: str) -> Target:
-    """Return the target with a name that no other has."""
     taken = {other.name for other in others}
     if not others or (target.name and target.name not in taken):
         return target

@@ -172,7 +172,6 @@ class _HalfDifference(FileModel):
 
 
 def _keep_error_motions(content: object) -> object:
-    """Leave out what is of no error motion."""
     if not isinstance(content, Mapping):
         return content
     every = [s for axis in LINEAR + TURNS for s in list_error_motions(axis)]
@@ -352,7 +351,6 @@ def result_from_json(
 def _require_within_travel(
     ranges: Mapping[str, tuple[float, float]], machine: Machine, file: str
 ) -> None:
-    """Raise BundleError for a measured range of no part of the travel of its axis."""
     for axis in machine.linear_axes:
         low, high = ranges.get(axis.name, (axis.low, axis.high))
         if high < axis.low or low > axis.high:

@@ -10,11 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from truepath.app.files.environment import ChannelFacts, state_facts
-from truepath.app.files.interruptions import (
-    NO_INTERRUPTIONS,
-    Interruptions,
-    find_interruptions,
-)
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.refraction import Refraction
 from truepath.app.files.sample_quality import SampleQuality, state_quality
@@ -44,6 +39,24 @@ SENSOR_KINDS = frozenset(
 _UNKNOWN = Refraction()
 _MOST_SHOWN = 1000  # rows of a path in a picture
 _TOLD = frozenset(map(str, TrackerEventKind))
+
+
+@dataclass(frozen=True, slots=True)
+class Interruptions:
+    """How often a stream was not usable, and for how long altogether.
+
+    breaks, broken_s : stretches of samples that the tracker calls invalid
+    gaps, lost_samples : places where the counter steps by more than one
+    searches, found : tries of the tracker to find a lost target by itself that failed,
+        and that have found it
+    """
+
+    breaks: int = 0
+    broken_s: float = 0.0
+    gaps: int = 0
+    lost_samples: int = 0
+    searches: int = 0
+    found: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +191,7 @@ class RunSummary:
     sensors_told: tuple[str, ...] = ()
     sensors_left_out: tuple[str, ...] = ()
     refraction: Refraction = _UNKNOWN
-    interruptions: Interruptions = NO_INTERRUPTIONS
+    interruptions: Interruptions = Interruptions()
     driven_again: tuple[str, ...] = ()
     quality: SampleQuality | None = None
     commanded: CommandedFacts = CommandedFacts()
@@ -297,3 +310,23 @@ def _state_temperatures(run: Run) -> dict[str, tuple[float, float]]:
 
 def _span(values: np.ndarray) -> tuple[float, float]:
     return float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def find_interruptions(
+    tracker: TrackerSamples, searches: int = 0, found: int = 0
+) -> Interruptions:
+    """Return the interruptions of a stream, with the searches that were recorded."""
+    if len(tracker) < 2:
+        return Interruptions(searches=searches, found=found)
+    is_bad = np.concatenate([[False], tracker.status != 0, [False]])
+    begin, end = np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T
+    step_s = float(np.median(np.diff(tracker.device_time_s)))
+    skipped = np.diff(tracker.sequence) - 1
+    return Interruptions(
+        len(begin),
+        float((end - begin).sum()) * step_s,
+        int((skipped > 0).sum()),
+        int(skipped[skipped > 0].sum()),
+        searches,
+        found,
+    )

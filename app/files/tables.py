@@ -252,7 +252,6 @@ def _refuse_large(rows: int, columns: int, packed_bytes: int, file: str) -> None
 
 
 def _refuse_odd_lines(data: bytes, file: str) -> None:
-    """Refuse lines that are too long, or no text in UTF-8."""
     row = 1
     for begin, end in _split_at_lines(data, MAX_LINE_BYTES):
         if end - begin > MAX_LINE_BYTES:

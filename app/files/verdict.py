@@ -306,7 +306,6 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
 
 
 def _restore(details: Any) -> Verdict:
-    """Return the verdict of the reasons in a file; of none where they are others."""
     names = "kind", "state", "values", "run"
     try:
         given = [{name: detail[name] for name in names} for detail in details or ()]

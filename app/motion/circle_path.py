@@ -63,7 +63,6 @@ def make_circle_path(machine: Machine) -> Path:
 
 
 def _list_corners(machine: Machine, low: Row, high: Row) -> list[Row]:
-    """Return corners of the travel, opposite ones one after another."""
     n = len(machine.linear_axes)
     order = (0, 7, 1, 6, 2, 5) if n == 3 else range(2**n)
     share = np.array([[k >> axis & 1 for axis in range(n)] for k in order], float)
@@ -74,7 +73,6 @@ def _list_corners(machine: Machine, low: Row, high: Row) -> list[Row]:
 def _list_circle(
     machine: Machine, plane: str, low: Row, high: Row
 ) -> list[tuple[Row, Arc | None, float]]:
-    """Return the way to a circle, once round it, and back."""
     axes, n = machine.axis_names, len(machine.linear_axes)
     columns = [axes.index(name) for name in plane]
     middle = np.round(0.5 * (low[:n] + high[:n]), DECIMALS)

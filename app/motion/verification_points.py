@@ -102,7 +102,6 @@ def make_verification_points(
 def _list_diagonals(
     machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
 ) -> Rows:
-    """Return body diagonals, then both diagonals of each face in its middle plane."""
     del rng
     n = len(machine.linear_axes)
     ends = [
@@ -179,7 +178,6 @@ def _run_axes(
 def _list_circles(
     machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
 ) -> Rows:
-    """Return a circle in each plane, once round and back."""
     del rng
     n = len(machine.linear_axes)
     middle = 0.5 * (low[:n] + high[:n])

@@ -133,7 +133,6 @@ class Workspace:
         begin: Float64[np.ndarray, "n a"],
         end: Float64[np.ndarray, "n a"],
     ) -> Iterator[tuple[Bool[np.ndarray, " n"], str]]:
-        """Yield which lines break a rule, and what one that does so does."""
         for box in self.keep_out:
             touched = cross_box(begin[:, :3], end[:, :3], box)
             yield touched, f"enters the keep-out box {_name_box(box)}"
@@ -164,7 +163,6 @@ class Workspace:
     def _check_range(
         self, tracker: Float64[np.ndarray, "3"], first: Conditions, last: Conditions
     ) -> Iterator[tuple[Bool[np.ndarray, " n"], str]]:
-        """Yield which lines are too near or too far for the tracker."""
         near, far = measure_distances(tracker, first.point_mm, last.point_mm)
         least, most = near.min(initial=np.inf), far.max(initial=0.0)
         yield (

@@ -200,7 +200,6 @@ def _widen(low: float, high: float, margin: float) -> tuple[float, float]:
 def _draw_grid(
     at: Float64[np.ndarray, " t"], begin: float, end: float, *, rows: bool
 ) -> Markup:
-    """Return the lines of a grid, one at each place, from `begin` to `end`."""
     first, last = (
         np.column_stack([np.full(len(at), edge), at][:: 1 if rows else -1])
         for edge in (begin, end)

@@ -65,7 +65,6 @@ def draw_legend(
 
 
 def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
-    """Return an error motion as densely as it is drawn."""
     motions = {m.symbol: m for m in findings.estimate.model.identifiable_motions}
     if symbol not in motions:
         return None
@@ -94,7 +93,6 @@ def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:
 def _draw_level(
     frame: Frame, y: Scale, value: float, colour: str, *, width: float, dash: str = ""
 ) -> Markup:
-    """Return a line across the whole frame."""
     at = float(y.place(np.array([value]))[0])
     ends = (frame.left, at), (frame.right, at)
     return draw_segments(*ends, colour, width=width, dash=dash)

@@ -135,7 +135,6 @@ def _state_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
 
 
 def _list_values(findings: Findings, axis: Axis) -> View:
-    """Return head and rows of an axis' table; no rows where nothing is observable."""
     every = [findings.tables.table(symbol) for symbol in symbols_of(axis.name)]
     tables = [t for t in every if t is not None]
     positions: list[float] = tables[0].position_mm.tolist() if tables else []

@@ -122,7 +122,6 @@ def _state_targets(machine: Machine) -> str:
 
 
 def _list_extrapolated(findings: Findings) -> list[str]:
-    """Return the ends of the travel that were not measured."""
     ends: list[str] = []
     for axis in findings.estimate.model.machine.axes:
         low, high = findings.estimate.measured.get(axis.name, (axis.low, axis.high))
@@ -147,7 +146,6 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
 
 
 def _describe_measurement(findings: Findings, run: RunFindings) -> View:
-    """Return how a Run was measured."""
     summary, estimate = run.summary, run.estimate
     brought, without_um = findings.contributions, findings.find_without_um(run)
     return {
@@ -187,7 +185,6 @@ def _state_quality(found: SampleQuality | None) -> str:
 
 
 def _state_sensor(one: ChannelFacts) -> tuple[str, ...]:
-    """Return a row of the table of sensors."""
     name, _, unit = one.name.rpartition("_")
     if not one.readings:
         numbers = ("–",) * 4
@@ -232,7 +229,6 @@ def _describe_seat(seat: SeatEstimate) -> View:
 
 
 def _describe_run_residuals(run: RunFindings) -> View:
-    """Return the residuals of a Run, and its noise."""
     noise, jitter = run.noise, run.noise.along_travel_um
     parts = (
         ("One sample, as the tracker states", noise.stated_um),
@@ -252,7 +248,6 @@ def _describe_run_residuals(run: RunFindings) -> View:
 
 
 def _describe_pose(run: RunFindings) -> View:
-    """Return where the tracker stood."""
     sigma = np.sqrt(np.maximum(np.diag(run.estimate.pose_covariance), 0.0))
     scale = _K * np.repeat([UM_PER_MM, URAD_PER_RAD], 3)
     half = [f"{value:.2g}" for value in scale * sigma]

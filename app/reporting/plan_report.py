@@ -16,11 +16,15 @@ from truepath.app.files.file_model import encode_json
 from truepath.app.files.verdict import verdict_from_json
 from truepath.app.files.whole_files import write_files
 from truepath.app.kinematics.effects.catalogue import find_family
+from truepath.app.kinematics.machine import Machine
+from truepath.app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.app.motion.nc_programs.programs import (
     list_dialects,
     name_file,
     write_program,
 )
+from truepath.app.motion.verification_kinds import VerificationKind
+from truepath.app.motion.verification_points import make_verification_rows
 from truepath.app.planning.plan import Plan
 from truepath.app.plugins import PluginFailed
 from truepath.app.reporting.chart import Scale
@@ -41,6 +45,7 @@ from truepath.drivers.interfaces.records import Path
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5
+POINTS, PATH, PLAN = "points.csv", "path.csv", "plan.json"
 
 
 def render_plan_report(document: Mapping[str, Any]) -> str:
@@ -78,7 +83,6 @@ def explain_feeds(document: Mapping[str, Any]) -> list[str]:
 
 
 def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return title, numbers as known, and numbers with this plan."""
     keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
     numbers = (
         "; ".join(
@@ -146,7 +150,6 @@ def write_plan(
 
 
 def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
-    """Return the files of what is driven from one station."""
     commanded, machine = plan.commanded, plan.machine
     rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
     files = {rows: encode_commanded(commanded)}
@@ -157,3 +160,27 @@ def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
             text = write_program(commanded, machine, control, feed_mm_min=feed)
             files[f"{control}/{name_file(text, control)}"] = text.encode()
     return files
+
+
+def write_verification_plan(
+    machine: Machine, kinds: Sequence[VerificationKind], seed: int, folder: FilePath
+) -> dict[str, Any]:
+    """Write the rows and `plan.json`; return the content of the second.
+
+    The rows are `points.csv`, of circles in motion `path.csv`.
+    """
+    points = make_verification_rows(machine, kinds, seed)
+    rows = PATH if isinstance(points, Path) else POINTS
+    row_s = row_times_s(points, DEFAULT_FEED_MM_MIN, machine.motion)
+    document = {
+        "schema": "verification-plan/1",
+        "machine": machine.name,
+        "what": [kind.value for kind in VerificationKind if kind in kinds],
+        "seed": seed,
+        "rows": len(points),
+        "duration_s": float(row_s.sum()),
+        "files": [rows, PLAN],
+    }
+    files = {rows: encode_commanded(points), PLAN: encode_json(document)}
+    write_files(folder, files)
+    return document

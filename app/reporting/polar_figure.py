@@ -216,7 +216,6 @@ def _centre(
 def _write_figures(
     one: Mapping[str, Any], step_um: float, centre: Sectors, words: PolarWords
 ) -> Iterator[Markup]:
-    """Yield the scale and each figure with U, below the circle."""
     value, sigma = one["figures_um"], one["uncertainty_um"]
     stated = [
         f"{words.name(figure)} {format_expanded(value[figure], sigma[figure])} µm"
@@ -232,7 +231,6 @@ def _write_figures(
 
 
 def _draw_key(words: PolarWords) -> Markup:
-    """Return which curve is which, in one line over all circles."""
     entries = [
         (Colour.SECOND, words.counterclockwise, 1.3, ""),
         (Colour.THIRD, words.clockwise, 1.3, ""),

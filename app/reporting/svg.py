@@ -130,7 +130,6 @@ def write_label(
 
 
 def _shape(macro: str, **values: object) -> Markup:
-    """Return a shape of the template with its values in place."""
     return getattr(_SHAPES, macro)(**values)
 
 

@@ -24,8 +24,13 @@ from truepath.app.reporting.templating import render_page
 from truepath.app.results.error_tables import ErrorTable, SingleError
 from truepath.app.results.number_format import SIGN, format_expanded, format_number
 from truepath.app.results.outlook import Outlook, Quantiles, TablesAt
-from truepath.app.results.trend import HOUR_S, Trend
-from truepath.app.results.trend_json import NOT_TOLD, describe_outlook, trend_json
+from truepath.app.results.trend import (
+    HOUR_S,
+    NOT_TOLD,
+    Trend,
+    describe_outlook,
+    trend_json,
+)
 
 TREND, REPORT = "trend.json", "report.html"
 _HEIGHT = 150.0

@@ -12,7 +12,6 @@ from markupsafe import Markup
 from truepath.app.files.file_model import encode_json
 from truepath.app.files.whole_files import write_files
 from truepath.app.reporting.chart import EDGE, LEFT, TOP, Frame
-from truepath.app.reporting.circle_figures import state_moving_circle
 from truepath.app.reporting.error_figures import draw_legend
 from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles
 from truepath.app.reporting.svg import (
@@ -25,8 +24,10 @@ from truepath.app.reporting.svg import (
     join_shapes,
 )
 from truepath.app.reporting.templating import View, render_page
+from truepath.app.results.circle_figures import FIGURES
 from truepath.app.results.circle_figures import FIGURES as MOVING_FIGURES
 from truepath.app.results.circles_at_standstill import CIRCLE_FIGURES, CircleFigures
+from truepath.app.results.circles_in_motion import CircleInMotion
 from truepath.app.results.circles_json import circles_json
 from truepath.app.results.driven_figures import LINE_FIGURES, LineFigures
 from truepath.app.results.held_places import K
@@ -91,7 +92,9 @@ def render_verification_report(found: Verification) -> str:
             ],
             "moving_head": ("Plane", "diameter mm", "feed mm/min", *MOVING_FIGURES),
             "moving_circles": [
-                row for one in found.circles.circles for row in state_moving_circle(one)
+                row
+                for one in found.circles.circles
+                for row in _state_moving_circle(one)
             ],
             "polar_circles": draw_polar_circles(
                 circles_json(found.circles)["circles_in_motion"], ENGLISH
@@ -157,7 +160,6 @@ def _state_circle(one: CircleFigures) -> list[tuple[str, ...]]:
 
 
 def _draw_places(found: Verification) -> Markup:
-    """Draw measured and deviation at each place, in the order of measuring."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     number = np.arange(1.0, len(found.places) + 1.0)
     sets = (
@@ -194,7 +196,6 @@ def _draw_places(found: Verification) -> Markup:
 
 
 def _draw_line(one: LineFigures) -> View:
-    """Draw the means of both directions along a line."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + 0.8 * _HEIGHT)
     sides = ((one.forward_um, Colour.SECOND), (one.backward_um, Colour.THIRD))
     values: Sequence[float] = np.concatenate([one.forward_um, one.backward_um]).tolist()
@@ -215,3 +216,27 @@ def _draw_line(one: LineFigures) -> View:
         ],
     )
     return {"name": one.axes, "figure": figure}
+
+
+def _state_moving_circle(one: CircleInMotion) -> list[tuple[str, ...]]:
+    """Return a row as measured, one of the noise alone, and one as predicted."""
+    measured, commanded = one.measured, one.commanded
+    own = [
+        format_number(measured.own_um[name], 1) if name in measured.own_um else "—"
+        for name in FIGURES
+    ]
+    stated = _list_figures(measured.value_um, measured.uncertainty_um)
+    predicted = _list_figures(one.predicted_um, one.predicted_uncertainty_um)
+    diameter, feed = f"{2.0 * commanded.radius_mm:g}", f"{commanded.feed_mm_min:g}"
+    return [
+        (commanded.plane, diameter, feed, *stated),
+        ("", "noise alone", "", *own),
+        ("", "predicted", "", *predicted),
+    ]
+
+
+def _list_figures(value: dict[str, float], sigma: dict[str, float]) -> list[str]:
+    return [
+        format_expanded(value[name], sigma[name]) if name in value else "—"
+        for name in FIGURES
+    ]

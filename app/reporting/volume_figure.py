@@ -115,7 +115,6 @@ def _draw_volume(findings: Findings) -> Markup:
 
 
 def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, "m 3"]]:
-    """Yield straight lines on the faces of the volume, parallel to its edges."""
     low = np.array([axis.low for axis in axes])
     high = np.array([axis.high for axis in axes])
     run, stations = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 4)

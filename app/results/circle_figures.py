@@ -265,7 +265,6 @@ def _build_noise(
     time_s: Sectors,
     span_s: Sectors,
 ) -> Float64[np.ndarray, "s s"]:
-    """Return the covariance of the radius by the noise that the Run shows."""
     angle_deg = list_sector_angles()
     place_mm = pose.apply(commanded.place_mm(angle_deg))
     outwards = commanded.outwards(angle_deg) @ pose.rotation.T

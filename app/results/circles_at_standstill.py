@@ -150,7 +150,6 @@ def _enclose(
 def _find_largest_sigma(
     error: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
 ) -> dict[str, float]:
-    """Return the largest standard deviation of what a figure may be the largest of."""
     single = float(error.std(axis=1).max())
     apart = np.cov(_centre(error, out))
     own = np.diag(apart)

@@ -59,7 +59,6 @@ def state_circles(found: CirclesInMotion) -> Iterator[str]:
 
 
 def _compare(one: CircleInMotion) -> dict[str, tuple[float, float, bool]]:
-    """Return measured less predicted, expanded uncertainty, whether it is within."""
     compared: dict[str, tuple[float, float, bool]] = {}
     for name, value in one.measured.value_um.items():
         own, stated = one.measured.uncertainty_um, one.predicted_uncertainty_um

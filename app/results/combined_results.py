@@ -116,7 +116,6 @@ def _average_half_differences(
 def _join_ranges(
     results: Sequence[CalibrationResult],
 ) -> dict[str, tuple[float, float]]:
-    """Return of each axis what every result has measured."""
     return {
         axis: (
             max(r.measured[axis][0] for r in results),

@@ -222,7 +222,6 @@ def _find_scale_um(
 def _compare_numbers(
     result: CalibrationResult, direct: dict[str, DirectError]
 ) -> Iterator[ComparedNumber]:
-    """Compare what belongs to no position."""
     tables = build_error_tables(result)
     ours = {e.symbol: e for e in (*tables.squareness, *tables.locations)}
     for symbol, theirs in direct.items():
@@ -293,7 +292,6 @@ def _make_grid(
 
 
 def _choose_positions(axis: LinearAxis, errors: list[ComparedError]) -> np.ndarray:
-    """Return positions over the range that all errors of an axis have."""
     low = max((float(e.position_mm[0]) for e in errors), default=axis.low)
     high = min((float(e.position_mm[-1]) for e in errors), default=axis.high)
     return np.linspace(low, high, GRID)

@@ -94,7 +94,6 @@ def _or_none(values: Float64[np.ndarray, " n"]) -> list[float | None]:
 
 
 def _columns(one: ComparedNumber) -> dict[str, Float64[np.ndarray, "*n"]]:
-    """Return what both files state of every number."""
     return {
         "result": one.value,
         "result_uncertainty": one.sigma,

@@ -162,7 +162,6 @@ def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
 
 
 def _average_temperatures(seen: Observations) -> dict[float, dict[str, float]]:
-    """Return the mean of each sensor on each line, by the middle of its time."""
     recorded = seen.at.recorded
     if recorded is None or recorded.temperature_degc is None:
         return {}

@@ -24,13 +24,13 @@ from truepath.app.files.verdict import Verdict
 from truepath.app.kinematics.machine import TrackerNoise
 from truepath.app.planning.grade import Grade
 from truepath.app.results.as_if_driven import judge_program
-from truepath.app.results.both_directions import compute_both_directions
 from truepath.app.results.error_tables import ErrorTables, build_error_tables
 from truepath.app.results.trial_results import TrialResults
 from truepath.app.results.verdict import judge, judge_gain
 from truepath.app.results.volumetric_error import (
     Spread,
     VolumetricError,
+    compute_both_directions,
     compute_volumetric_error,
 )
 

@@ -17,11 +17,12 @@ from truepath.app.estimation.extrapolation import (
 )
 from truepath.app.files.result_file import CalibrationResult
 from truepath.app.files.units import PER_PPM, UM_PER_MM
+from truepath.app.kinematics.conditions import Conditions
+from truepath.app.kinematics.effects.error_motion import find_arm, find_usual_size
 from truepath.app.results.length_statistics import DRAWS
 from truepath.app.results.lost_motion import list_lost_departures_mm
 from truepath.app.results.measured_places import MeasuredPlaces, join_places
 from truepath.app.results.predicted_motion import Correction, predict_displacement
-from truepath.app.results.usual_changes import list_usual_changes_mm
 
 K = 2.0
 # Chances below which deviations are not consistent, and a measurement is in doubt.
@@ -29,6 +30,7 @@ _LIKELY, DOUBTFUL = 0.05, 0.01
 _FREE = 10.0  # stated uncertainties that a machine which has changed may be off
 _ROUNDING = 1e-12
 _FEWEST = 8.0  # degrees of freedom by which the noise of a Run is known at the least
+_GROWTH = 5e-5  # of a length: steel that is some 4 K warmer
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +149,7 @@ class HeldPlaces:
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             places.project(list_lost_departures_mm(result, at)),
-            places.project(list_usual_changes_mm(at)),
+            places.project(_list_typical_changes_mm(at)),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
         )
 
@@ -279,7 +281,20 @@ def judge_consistency(
 
 
 def _orthonormalise(columns: Float64[np.ndarray, "m k"]) -> Float64[np.ndarray, "m r"]:
-    """Return an orthonormal basis of what columns span."""
     unit = columns / np.linalg.norm(columns, axis=0)
     basis, size, _ = np.linalg.svd(unit, full_matrices=False)
     return basis[:, size > 1e-10 * size[0]]
+
+
+def _list_typical_changes_mm(at: Conditions) -> Float64[np.ndarray, "n 3 c"]:
+    # By lost motion, and by growth of linear axes; from where growth is counted is no
+    # matter: a shift of all places goes with the pose.
+    machine = at.machine
+    moved: list[Float64[np.ndarray, "n 3"]] = []
+    for column, axis in enumerate(machine.axes):
+        symbol = f"E{axis.name}{axis.name}"
+        arm = find_arm(symbol, at)
+        moved.append(find_usual_size(symbol) * arm * at.approach[:, [column]])
+        if axis in machine.linear_axes:
+            moved.append(_GROWTH * arm * at.position_mm[:, [column]])
+    return np.stack(moved, axis=2)

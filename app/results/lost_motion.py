@@ -67,7 +67,6 @@ def _list_stated(result: CalibrationResult) -> Iterator[tuple[str, Table, Sigma]
 
 
 def _displace(at: Conditions, symbol: str, table: Table) -> Float64[np.ndarray, "n 3"]:
-    """Return the error's arm times a table of it, by the direction of its axis."""
     axis = symbol[2]
     value = np.interp(at.axis_mm(axis), *table) / scale_of(find_unit(symbol))
     value = value * at.approach[:, at.machine.axis_names.index(axis)]

@@ -90,6 +90,5 @@ def list_across_tables(result: CalibrationResult) -> Iterator[ErrorTable]:
 
 
 def _displace(at: Conditions, symbol: str, table: Table) -> Float64[np.ndarray, "n 3"]:
-    """Return the error's arm times a table of it."""
     value = np.interp(at.axis_mm(symbol[2]), *table) / scale_of(find_unit(symbol))
     return value[:, None] * find_arm(symbol, at)

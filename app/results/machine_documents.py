@@ -108,7 +108,6 @@ def history_json(
 def _columns(
     entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]]
 ) -> dict[str, list[float | None]]:
-    """Return value and uncertainty of each entry; None where it is not stated."""
     found = {e.key: e for e in entries}
     return {
         "value": [found[k].value if k in found else None for k in keys],

@@ -50,7 +50,6 @@ def read_machine_temperature(
 def _read_run(
     run: Mapping[str, Any], name: str, wanted: Sequence[str]
 ) -> tuple[float, float, float]:
-    """Return mean, lowest and highest of the sensors' mean."""
     known = {
         str(one["name"]).removesuffix("_degC"): one
         for one in run.get("environment", {}).get("sensors") or ()

@@ -223,7 +223,6 @@ def _list_components(
 
 
 def _build_nuisance(seen: Observations) -> Float64[np.ndarray, "n 3 k"]:
-    """Return the columns of the pose, and of the seats of further targets."""
     x, y, z = seen.at.point_mm.mean(axis=0)
     targets = [
         target
@@ -243,7 +242,6 @@ def _build_noise(
     local: Float64[np.ndarray, "m 3"],
     owner: Int64[np.ndarray, " m"],
 ) -> Float64[np.ndarray, "m m"]:
-    """Return the covariance of components, given in the beam frames of their places."""
     white, ou = split_sigma_mm(seen, noise)
     shared = correlate_means(
         seen.at.time_s, seen.count / seen.at.machine.tracker.rate_hz, noise.ou_time_s

@@ -112,7 +112,6 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
 
 
 def _describe_origin(found: Discovery, parent: PriorModel | None) -> dict[str, Any]:
-    """Return by what, when, and from which Runs the model was made."""
     runs = [
         {"name": one.run.name, "input_sha256": digest_run(one.run)}
         for one in found.aligned

@@ -6,14 +6,23 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float64
+
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.units import UM_PER_MM, scale_of
 from truepath.app.files.verdict import Verdict, verdict_json
 from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from truepath.app.kinematics.symbols import (
+    SQUARENESS,
+    describe_symbol,
+    find_unit,
+    is_location,
+)
 from truepath.app.planning.grade import sample_sigma_mm, verdict
 from truepath.app.planning.plan import Plan
-from truepath.app.results.station_json import stations_json
+from truepath.app.planning.station_choice import StationAdvice, StationOption
+from truepath.app.planning.station_information import StationVariance
 from truepath.app.results.updated_effects import (
     prior_model_json,
     state_predicted_effects,
@@ -21,6 +30,7 @@ from truepath.app.results.updated_effects import (
 from truepath.drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
+_ORDINAL = {2: "second", 3: "third"}
 
 
 def plan_document(planned: Plan) -> dict[str, Any]:
@@ -45,7 +55,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
             "assumed": order.workspace.tracker_mm is None,
             "chosen": planned.stations is not None and planned.stations.chosen,
         },
-        "stations": planned.stations and stations_json(planned.stations),
+        "stations": planned.stations and _stations_json(planned.stations),
         "at_stations": _list_stations(planned) if planned.further else None,
         "predicted": {
             **_state_both(planned.uncertainty_um),
@@ -84,7 +94,6 @@ def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
 
 
 def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
-    """Yield the plan of each station, with the rows and the time before it."""
     rows, time_s = 0, 0.0
     for plan in planned.at_stations:
         yield rows, time_s, plan
@@ -92,7 +101,6 @@ def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
 
 
 def _list_stations(planned: Plan) -> list[dict[str, Any]]:
-    """Return place and share of each station, and what is left after it."""
     return [
         {
             "position_mm": [round(float(v), 3) for v in plan.station_mm],
@@ -114,7 +122,6 @@ def _list_feeds(planned: Plan) -> list[float]:
 
 
 def _state_motion(machine: Machine) -> dict[str, Any]:
-    """Return what the machine can, and in words what of it is assumed."""
     motion, texts = machine.motion, list[str]()
     if "max_feed_mm_min" in motion.assumed:
         texts.append(
@@ -174,7 +181,6 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
 
 
 def _list_unobservable(planned: Plan) -> list[str]:
-    """Return what the plan cannot tell, in words."""
     said = list(planned.forecast.unobservable)
     resting = planned.machine.rotary_axes
     if planned.order.moving(planned.machine).rotary_axes:
@@ -203,3 +209,91 @@ def _errors(planned: Plan) -> dict[str, dict[str, float]]:
         kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
         found[symbol] = {f"uncertainty_{kind}": sigma * scale_of(kind)}
     return found
+
+
+def _stations_json(advice: StationAdvice) -> dict[str, Any]:
+    # Uncertainties are standard ones (k = 1).
+    return {
+        "recommended": len(advice.recommended.place_mm),
+        "statement": in_words(advice),
+        "move_minutes": advice.move_s / 60.0,
+        "judged": advice.judged,
+        "best": {"position_mm": _round(advice.best_mm), **_state(advice.best)},
+        "worst": _state(advice.worst),
+        "options": [_option_json(option) for option in advice.options],
+    }
+
+
+def in_words(advice: StationAdvice) -> list[str]:
+    """Return what a person needs to know before the tracker is set up."""
+    first, *further = advice.options
+    said = [
+        f"from {_place(first.place_mm[0])} {_um(first.left)} stay, "
+        f"{UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
+        f"errors; of {advice.judged} places the worst leaves {_um(advice.worst)}"
+    ]
+    if first.left.seen < 1.0:
+        said.append(f"{first.left.seen:.0%} of the travel are in range and in sight")
+    if not advice.chosen and advice.best.sigma_mm < 0.95 * first.left.sigma_mm:
+        said.append(f"{_place(advice.best_mm)} would leave {_um(advice.best)}")
+    said += [_compare(option) for option in further]
+    count = len(advice.recommended.place_mm)
+    said.append(f"{count} stations pay" if count > 1 else "one station is enough")
+    return said
+
+
+def _compare(option: StationOption) -> str:
+    count = len(option.place_mm)
+    places = " and ".join(_place(place) for place in option.place_mm[1:])
+    said = (
+        f"with a {_ORDINAL[count]} station ({places}) {_um(option.left)} after "
+        f"{option.total_s / 60.0:.0f} min in all; staying as long leaves "
+        f"{_um(option.stay)}"
+    )
+    if not option.pays:
+        return f"{said}: it does not pay"
+    return f"{said}: it pays, because {_give_reason(option)}"
+
+
+def _give_reason(option: StationOption) -> str:
+    if option.reason == "sight":
+        return (
+            f"one place sees {option.stay.seen:.0%} of the travel, these "
+            f"{option.left.seen:.0%}"
+        )
+    if option.reason == "systematic":
+        return "the tracker's own errors, which no time averages, differ by the place"
+    return f"one place leaves {option.reason} ({describe_symbol(option.reason)}) weak"
+
+
+def _option_json(option: StationOption) -> dict[str, Any]:
+    return {
+        "count": len(option.place_mm),
+        "position_mm": [_round(place) for place in option.place_mm],
+        "minutes": option.total_s / 60.0,
+        **_state(option.left),
+        "one_place_as_long": _state(option.stay),
+        "pays": option.pays,
+        "because": option.reason if option.pays else None,
+    }
+
+
+def _state(left: StationVariance) -> dict[str, float]:
+    return {
+        "volumetric_uncertainty_um": UM_PER_MM * left.sigma_mm,
+        "random_um": UM_PER_MM * left.random_mm,
+        "systematic_um": UM_PER_MM * left.systematic_mm,
+        "seen": left.seen,
+    }
+
+
+def _um(left: StationVariance) -> str:
+    return f"{UM_PER_MM * left.sigma_mm:.2f} µm"
+
+
+def _place(place_mm: Float64[np.ndarray, "3"]) -> str:
+    return f"({', '.join(f'{v:.0f}' for v in place_mm.tolist())}) mm"
+
+
+def _round(place_mm: Float64[np.ndarray, "3"]) -> list[float]:
+    return [round(v, 3) for v in place_mm.tolist()]

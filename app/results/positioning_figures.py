@@ -98,7 +98,6 @@ def _compute(
     half: HalfDifference | None,
     position: Float64[np.ndarray, " n"],
 ) -> PositioningFigures:
-    """Return the figures of one axis; the first column of theta is the estimate."""
     unit = find_unit(motion.symbol)
     rows = motion.rows(position)
     mean = scale_of(unit) * rows @ theta[at.model.slices[motion.name]]
@@ -116,7 +115,6 @@ def _compute(
 
 
 def _choose_positions(axis: Axis, measured: Ranges) -> Float64[np.ndarray, " n"]:
-    """Return those of the table that were measured, with the ends of that range."""
     low, high = measured.get(axis.name, (axis.low, axis.high))
     at = choose_table_positions(axis)
     inside = at[(at > low) & (at < high)]

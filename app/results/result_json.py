@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.app.alignment.left_out import LeftOut
+from truepath.app.estimation.budget import SOURCES, UncertaintyBudget
 from truepath.app.estimation.run_parts import Knock
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.model_file import model_to_json
@@ -22,7 +23,6 @@ from truepath.app.files.result_file import RESULT_SCHEMA
 from truepath.app.files.run import combine_digests
 from truepath.app.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.app.files.verdict import verdict_json
-from truepath.app.results.budget_json import budget_json
 from truepath.app.results.environment_json import environment_json
 from truepath.app.results.error_table_files import observability_json, tables_json
 from truepath.app.results.error_tables import ErrorTables, compute_half_differences
@@ -37,6 +37,10 @@ from truepath.app.results.updated_effects import (
 )
 
 _BEAM_FRAME = "beam", "azimuth", "elevation"
+_BUDGET_ON = (
+    "root mean square of the volumetric error over the travel, without the rigid "
+    "motion of the whole volume, k = 1; squares add up to that of the total"
+)
 
 
 def result_json(found: Findings) -> dict[str, Any]:
@@ -66,7 +70,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "volumetric_error": _volumetric_json(found),
         "volumetric_uncertainty_um": found.contributions
         and UM_PER_MM * found.contributions.sigma_mm,
-        "uncertainty_budget": found.budget and budget_json(found.budget),
+        "uncertainty_budget": found.budget and _budget_json(found.budget),
         "alignment": _alignment_json(found, found.main),
         "residuals": _residuals_json(
             np.concatenate([r.estimate.residuals.residual_mm for r in found.runs]),
@@ -122,7 +126,6 @@ def _residuals_json(
 
 
 def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
-    """Return the Runs that the numbers come from, those of the model among them."""
     model = () if provenance.model is None else provenance.model.runs
     own = [
         {"name": r.name, "input_sha256": r.digest, "sketch": r.sketch}
@@ -310,3 +313,27 @@ def _noise_json(run: RunFindings) -> dict[str, Any]:
         "slow_time_s": noise.ou_time_s,
         "along_travel_um": noise.along_travel_um,
     }
+
+
+def _budget_json(budget: UncertaintyBudget) -> dict[str, Any]:
+    variance = budget.variance_mm2
+    return {
+        "sources_um": {
+            source: _state_um(row)
+            for source, row in zip(SOURCES, variance, strict=True)
+        },
+        "total_um": _state_um(variance.sum(axis=0)),
+        "on": _BUDGET_ON,
+    }
+
+
+def _state_um(variance_mm2: Float64[np.ndarray, "3"]) -> dict[str, float]:
+    # The remainder of a difference may be below 0 by rounding.
+    every = np.maximum([*variance_mm2, variance_mm2.sum()], 0.0)
+    return dict(
+        zip(
+            ("x", "y", "z", "volume"),
+            (UM_PER_MM * np.sqrt(every)).tolist(),
+            strict=True,
+        )
+    )

@@ -230,7 +230,6 @@ def _require_meaning(
 
 
 def _list_tables(model: MachineModel) -> Iterator[TableRows]:
-    """Yield the rows of each table; a number has one."""
     for effect in model.effects:
         part = model.slices[effect.name]
         rows = np.eye(part.stop - part.start)
@@ -295,7 +294,6 @@ def _find_volumetric(
     per_kelvin: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[float, float]:
-    """Return the coefficient and its uncertainty, root mean squares, µm/K."""
     volumetric = build_volumetric_map(model)
     columns = volumetric.jacobian(volumetric.volume)
     columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]

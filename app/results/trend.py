@@ -7,7 +7,7 @@ Each Run is estimated alone; what all tell together of the course of each entry 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,16 @@ from truepath.app.estimation.disturbances import CheckedEstimate, estimate_check
 from truepath.app.estimation.drift import Drift, estimate_drift
 from truepath.app.estimation.drift_course import Course
 from truepath.app.estimation.extrapolation import Ranges
+from truepath.app.files.machine_file import machine_to_json
 from truepath.app.files.run import Run, RunSummary, number_names, summarize_run
 from truepath.app.files.runs_in_time import TimedRun, order_in_time
-from truepath.app.files.verdict import Verdict
+from truepath.app.files.verdict import Verdict, verdict_json
 from truepath.app.kinematics.coarse_model import build_run_models
 from truepath.app.kinematics.machine import Machine
 from truepath.app.progress import Progress, ignore_progress
-from truepath.app.results.outlook import LookAhead, Outlook, Quantiles, TablesAt
+from truepath.app.results.error_table_files import tables_json
+from truepath.app.results.number_format import format_number
+from truepath.app.results.outlook import CHANCE, LookAhead, Outlook, Quantiles, TablesAt
 from truepath.app.results.verdict import judge
 from truepath.drivers.interfaces.records import TemperatureSamples
 
@@ -34,6 +37,25 @@ HOUR_S = 3600.0
 HORIZON_S = 24.0 * HOUR_S
 # Usual size of a state: what it moves an error motion by over the travel.
 USUAL_UM = 10.0
+SCHEMA = "trend/1"
+NOT_TOLD = (
+    "Shifts and turns of the whole volume between Runs, the growth of a spindle among "
+    "them: the tracker's place is free in every Run.",
+    "What happens within a Run: each counts as one moment, its middle.",
+    "Changes of lost motion and of anything else that depends on the direction of "
+    "approach.",
+    "What has not begun yet: another use of the machine, a crash, a change of its "
+    "heating. The course goes on as it was, and as halls usually do.",
+)
+_KEYS = {
+    "quick": "quick_um",
+    "slow": "slow_um",
+    "quick_s": "quick_s",
+    "slow_s": "slow_s",
+    "walk": "walk_um_in_one_hour",
+    "day": "day_um",
+    "per_kelvin": "per_kelvin_um",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +153,12 @@ def follow_machine(
 
 
 def _estimate(run: Run, name: str) -> CheckedEstimate:
-    """Estimate one Run alone."""
     observed = align_all([run], [name])
     models = build_run_models(run.machine, [one.at.offset_mm for one in observed])
     return estimate_checked(models, observed)
 
 
 def _judge(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
-    """Return what the Runs say of themselves, each by its name."""
     return Verdict(
         tuple(
             replace(reason, run=name)
@@ -170,7 +190,6 @@ def _make_course(
 
 
 def _find_means(told: TemperatureSamples) -> dict[str, float]:
-    """Return the mean of each sensor that has shown anything, °C."""
     columns = (told.celsius[:, k] for k in range(len(told.names)))
     return {
         name: float(np.nanmean(shown))
@@ -180,7 +199,6 @@ def _find_means(told: TemperatureSamples) -> dict[str, float]:
 
 
 def _join_ranges(ranges: Sequence[Ranges]) -> Ranges:
-    """Return of each axis what every Run has measured."""
     return {
         name: (
             max(one[name][0] for one in ranges),
@@ -200,4 +218,81 @@ def _state_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
     return {
         name: Quantiles.of(scale * np.array([getattr(one, name) for one in sizes]))
         for name, scale in scales.items()
+    }
+
+
+def trend_json(trend: Trend) -> dict[str, Any]:
+    """Return the content of `trend.json`."""
+    return {
+        "schema": SCHEMA,
+        "machine": machine_to_json(trend.machine),
+        "verdict": verdict_json(trend.verdict),
+        "runs": [
+            {
+                "name": at.name,
+                "sha256": run.digest,
+                "temperature_degC": run.temperature_degc,
+                **_encode_tables(trend, at),
+            }
+            for run, at in zip(trend.runs, trend.at_runs, strict=True)
+        ],
+        "later": [_encode_tables(trend, at) for at in trend.later],
+        "states": {_KEYS[name]: asdict(size) for name, size in trend.sizes.items()},
+        "sensors": list(trend.sensors),
+        "outlook": _encode_outlook(trend.outlook),
+        "not_told": list(NOT_TOLD),
+    }
+
+
+def describe_outlook(outlook: Outlook) -> str:
+    """Say when to calibrate again."""
+    if outlook.state == "not-known":
+        return "When to calibrate again is not known: too few Runs, give three or more."
+    if outlook.limit_um is None:
+        return "No limit is stated, so nothing is said of when to calibrate again."
+    limit = f"{outlook.limit_um:g} µm"
+    hours = f"{format_number(float(outlook.time_s[-1]) / HOUR_S)} h"
+    if outlook.due_s is None:
+        return f"Not due: the machine stays below {limit} up to {hours}."
+    if outlook.state == "already":
+        return (
+            f"Already: what is not known at the last Run may exceed {limit}. Measure "
+            "more, or state a wider limit."
+        )
+    due = f"{format_number(outlook.due_s / HOUR_S)} h"
+    chance = f"{100.0 * CHANCE:.0f} %"
+    if outlook.expected_s is None:
+        end = f"{100.0 * (outlook.exceeded or 0.0):.0f} %"
+        return (
+            f"The machine stays below {limit} up to {due}. Later cannot be said: the "
+            f"chance to exceed it reaches {end} by {hours}. Measure once more by {due}."
+        )
+    expected = f"{format_number(outlook.expected_s / HOUR_S)} h"
+    return (
+        f"Calibrate again at {due} ({outlook.grade}): a chance of {chance} to exceed "
+        f"{limit} by then, an even chance by {expected}."
+    )
+
+
+def _encode_tables(trend: Trend, at: TablesAt) -> dict[str, Any]:
+    tables = tables_json(at.tables, (), "none", {}, trend.machine)
+    del tables["direction"], tables["measured_range"]
+    hours = at.time_s / HOUR_S
+    return {"time_h": hours, "change_um": asdict(at.change_um), **tables}
+
+
+def _encode_outlook(outlook: Outlook) -> dict[str, Any]:
+    due, expected = outlook.due_s, outlook.expected_s
+    return {
+        "state": outlook.state,
+        "grade": outlook.grade,
+        "sentence": describe_outlook(outlook),
+        "limit_um": outlook.limit_um,
+        "chance": CHANCE,
+        "exceeded": outlook.exceeded,
+        "due_h": None if due is None else due / HOUR_S,
+        "expected_h": None if expected is None else expected / HOUR_S,
+        "time_h": (outlook.time_s / HOUR_S).tolist(),
+        "median_um": outlook.median_um.tolist(),
+        "high_um": outlook.high_um.tolist(),
     }

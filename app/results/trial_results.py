@@ -139,7 +139,6 @@ def run_trials(
 def _list_quantities(
     estimate: Estimate,
 ) -> Iterator[tuple[_Place, Float64[np.ndarray, "m p"]]]:
-    """Yield every quantity with its rows in the parameters of the machine."""
     model, stated = estimate.model, estimate.at_targets.model
     for effect in stated.effects:
         symbol = effect.iso_symbol
@@ -152,7 +151,7 @@ def _list_quantities(
         scaled = scale_of(find_unit(symbol)) * rows
         whole = scaled @ estimate.target_rows[stated.slices[effect.name]]
         yield (symbol, find_unit(symbol), at, position_unit), whole
-    at = make_grid(model.machine, _LINEAR, _ROTARY)
+    at = make_grid(model.machine.axes, _LINEAR, _ROTARY)
     J = build_volumetric_map(model).jacobian(make_standstill(model.machine, at))
     yield (MAP, "um", at, ""), UM_PER_MM * J.reshape(-1, model.size)
 

@@ -25,7 +25,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.app.alignment.left_out import LeftOut
+from truepath.app.alignment.align import align_all
+from truepath.app.alignment.left_out import NOT_MEASURED, LeftOut
+from truepath.app.alignment.observations import Observations
 from truepath.app.errors import BadInput, Unidentifiable
 from truepath.app.estimation.noise import NoiseModel
 from truepath.app.files.one_machine import one_machine
@@ -56,7 +58,6 @@ from truepath.app.results.length_statistics import (
 )
 from truepath.app.results.map_scale import MapScale, find_map_scale
 from truepath.app.results.measured_places import MeasuredPlaces, reduce_to_places
-from truepath.app.results.parts_of_run import align_parts
 from truepath.app.results.place_conformity import PlaceConformity, decide_places
 from truepath.app.results.predicted_motion import (
     Correction,
@@ -133,7 +134,7 @@ def verify(
     for run, summary in zip(runs, summaries, strict=True):
         _refuse_used_run(result, summary)
         one_machine([result.machine, run.machine], ["the result", run.name])
-    parts = align_parts(runs, first_row)
+    parts = _align_parts(runs, first_row)
     if correction is not None:
         _refuse_turning(runs[0].machine)
     on_progress(0.4, "estimating")
@@ -279,3 +280,41 @@ def _decide(
         )
         for name, one in (("measured", measured), ("deviation", deviation))
     }
+
+
+@dataclass(frozen=True)
+class _PartOfRun:
+    seen: Observations  # all of it, which determines its pose
+    own: Observations  # what counts, by the rows of the plan
+
+
+def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfRun]:
+    # The parts of an interrupted verification are aligned separately. Every standstill
+    # counts once, in the last part that begins before it: it is come to as planned only
+    # where the one before it was driven as well, so the first of a further part that an
+    # earlier part has measured only leads to the next.
+    seen = [align_all([run], [run.name])[0] for run in runs]
+    begins: list[int] = []
+    parts: list[_PartOfRun] = []
+    for number, first in enumerate(first_row):
+        rows_before = (
+            row + first_row[k] for k in range(number) for row in seen[k].measured_rows
+        )
+        begins.append(first + (first in rows_before))
+    for number, (one, first) in enumerate(zip(seen, first_row, strict=True)):
+        end = min(begins[number + 1 :], default=np.inf)
+        parts.append(_PartOfRun(one, _select(one, first, begins[number], end)))
+    return parts
+
+
+def _select(seen: Observations, first: int, begin: int, end: float) -> Observations:
+    # Rows of the plan from `begin` to before `end`; `first` : where the part begins
+    row = seen.row + first
+    counts = np.flatnonzero((row >= begin) & (row < end))
+    own = replace(seen, row=row).select(counts)
+    left_out = (
+        replace(each, row=each.row + first if each.row >= 0 else each.row)
+        for each in seen.left_out
+        if each.cause not in NOT_MEASURED or begin <= each.row + first < end
+    )
+    return replace(own, left_out=tuple(left_out))

@@ -11,8 +11,9 @@ from jaxtyping import Float64
 
 from truepath.app.alignment.left_out import LeftOut
 from truepath.app.files.verdict import verdict_json
+from truepath.app.results.circles_at_standstill import CircleFigures
 from truepath.app.results.circles_json import circles_json
-from truepath.app.results.driven_json import circle_json, line_json
+from truepath.app.results.driven_figures import LineFigures
 from truepath.app.results.environment_json import (
     environment_json,
 )
@@ -50,8 +51,8 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "difference_um": _difference_json(found),
         "directions": _directions_json(found.deviation),
         "worst": _worst_json(found),
-        "lines": [line_json(one) for one in found.driven.lines],
-        "circles": [circle_json(one) for one in found.driven.circles],
+        "lines": [_line_json(one) for one in found.driven.lines],
+        "circles": [_circle_json(one) for one in found.driven.circles],
         **circles_json(found.circles),
         "places": _places_json(found),
         "components": "all three"
@@ -141,7 +142,6 @@ def _statistics_json(one: LengthStatistics) -> dict[str, float]:
 
 
 def _difference_json(found: Verification) -> dict[str, Any]:
-    """Return measured less predicted of each statistic, and whether it is within U."""
     content: dict[str, Any] = {}
     measured, predicted = found.statistics["measured"], found.statistics["predicted"]
     for name, one in measured.items():
@@ -169,7 +169,6 @@ def _directions_json(deviation: PlaceVectors) -> dict[str, Any]:
 
 
 def _worst_json(found: Verification) -> dict[str, Any]:
-    """Return the places of the largest lengths."""
     content: dict[str, Any] = {}
     for name, one in (("measured", found.measured), ("deviation", found.deviation)):
         worst = int(np.argmax(one.length_um))
@@ -213,3 +212,36 @@ def _or_none(value: float) -> float | None:
 
 def _um_rows(vector_mm: Float64[np.ndarray, "n 3"]) -> list[list[float]]:
     return (1e3 * vector_mm).tolist()
+
+
+def _line_json(one: LineFigures) -> dict[str, Any]:
+    return {
+        "axes": one.axes,
+        "standard": one.kind,
+        "from": one.begin_mm.tolist(),
+        "to": one.end_mm.tolist(),
+        "runs": one.runs,
+        "position_mm": one.position_mm.tolist(),
+        "forward_um": one.forward_um.tolist(),
+        "backward_um": one.backward_um.tolist(),
+        "figures_um": one.figures_um,
+        "uncertainty_um": one.uncertainty_um,
+        "by_the_noise_alone_um": one.own_um,
+        "predicted_um": one.predicted_um,
+    }
+
+
+def _circle_json(one: CircleFigures) -> dict[str, Any]:
+    return {
+        "plane": one.plane,
+        "standard": "iso-230-4",
+        "centre": one.centre_mm.tolist(),
+        "radius_mm": one.radius_mm,
+        "angle_deg": one.angle_deg.tolist(),
+        "radial_um": one.radial_um.tolist(),
+        "figures_um": one.figures_um,
+        "uncertainty_um": one.uncertainty_um,
+        "by_the_noise_alone_um": one.own_um,
+        "predicted_um": one.predicted_um,
+        "driven": "standstills on a polygon, in the senses that were commanded",
+    }

@@ -11,15 +11,17 @@ the uncertainty of each figure, though in none of the tables.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.stats import qmc
 
 from truepath.app.files.units import PER_PPM, UM_PER_MM
 from truepath.app.kinematics.conditions import Conditions, make_standstill
 from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.machine import LinearAxis, Machine
+from truepath.app.kinematics.machine import Axis, LinearAxis
 from truepath.app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 from truepath.app.results.length_scale import TWICE, state_scale_share
 
@@ -28,6 +30,8 @@ _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
 _DRAWS = 200  # tell a spread to 5 %
 _SHARE = 0.95  # of the places, below the stated quantile
 _QUANTILES = 101  # every per cent
+_EVEN = 2048  # positions that fill the travel
+_SIDES = (1.0, -1.0)  # + and − direction
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ def compute_volumetric_error(
     """
     model, covariance = estimated.model, estimated.covariance
     linear = _FEW if model.machine.rotary_axes else _GRID
-    position_mm = make_grid(model.machine, linear, _FEWEST)
+    position_mm = make_grid(model.machine.axes, linear, _FEWEST)
     volumetric_map, at = (
         build_volumetric_map(model),
         make_standstill(model.machine, position_mm),
@@ -119,16 +123,25 @@ def find_scale_um(
     return UM_PER_MM * PER_PPM * length_scale_ppm * away_mm
 
 
-def make_grid(machine: Machine, linear: int, rotary: int) -> Float64[np.ndarray, "n a"]:
-    """Return a grid over the travel, ends included, X slowest.
+def make_grid(
+    axes: Sequence[Axis], linear: int, rotary: int = 0
+) -> Float64[np.ndarray, "n a"]:
+    """Return a grid over the travel, ends included, the first axis slowest.
 
     linear, rotary : points of an axis
     """
     travel = [
         np.linspace(a.low, a.high, linear if isinstance(a, LinearAxis) else rotary)
-        for a in machine.axes
+        for a in axes
     ]
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
+
+
+def fill_travel(axes: Sequence[Axis], count: int) -> Float64[np.ndarray, "n a"]:
+    """Return positions that fill the travel of axes evenly."""
+    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
+    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(count)
+    return low + unit * (high - low)
 
 
 def draw_parameters(
@@ -160,3 +173,44 @@ def make_spread(
     by_scale = state_scale_share(value, at_twice)
     total = np.hypot(drawn.std(axis=1), by_scale)
     return Spread(*map(Figure, value.tolist(), total.tolist(), by_scale.tolist()))
+
+
+def compute_both_directions(
+    estimated: EstimatedModel, length_scale_ppm: float = 0.0
+) -> Spread | None:
+    """Return length of the error over both directions; None without lost motion.
+
+    Mean and 95 % are over positions that fill the travel evenly, as in the account of
+    compensation files; the largest is that on a grid with the corners too.
+
+    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    """
+    model = estimated.model
+    if not any(effect.half_difference for effect in model.effects):
+        return None
+    even, grid = (
+        fill_travel(model.machine.axes, _EVEN),
+        make_grid(model.machine.axes, _FEW, _FEWEST),
+    )
+    at = make_standstill(model.machine, np.vstack([even, grid]))
+    volumetric_map = build_volumetric_map(model)
+    theta = estimated.theta[:, None] + draw_parameters(estimated.covariance)
+    theta = np.column_stack([estimated.theta, theta])
+    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)
+    lengths: list[Float64[np.ndarray, "n d"]] = []
+    for side in _SIDES:
+        coming = replace(at, approach=np.full_like(at.approach, side))
+        J = UM_PER_MM * volumetric_map.jacobian(coming).reshape(-1, model.size)
+        error = (J @ theta).reshape(len(at), 3, -1)
+        scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
+        every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
+        lengths.append(np.linalg.norm(every, axis=1))
+    inside = np.vstack([one[: len(even)] for one in lengths])
+    stated = np.stack(
+        [
+            inside.mean(axis=0),
+            np.quantile(inside, _SHARE, axis=0),
+            np.vstack(lengths).max(axis=0),
+        ]
+    )
+    return make_spread(stated[:, 0], stated[:, 1:-2], stated[:, -2:])

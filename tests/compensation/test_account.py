@@ -9,11 +9,10 @@ import pytest
 from scipy.stats import qmc
 
 from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
+from truepath.app.compensation.export import export_result, write_output
 from truepath.app.compensation.format import Correction
 from truepath.app.compensation.isg_csv import IsgCsv
 from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.compensation.output import write_output
 from truepath.app.compensation.remaining_error import (
     find_remaining,
     remove_rigid_motion,

@@ -8,8 +8,7 @@ import pytest
 
 from tests.plugin_site import NAME, install
 from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.output import write_output
+from truepath.app.compensation.export import export_result, write_output
 from truepath.app.errors import BadInput
 from truepath.app.files.result_file import CalibrationResult
 

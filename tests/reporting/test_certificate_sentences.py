@@ -11,11 +11,11 @@ import pytest
 
 from truepath.app.files.verdict import Reason, Verdict, verdict_json
 from truepath.app.reporting.certificate.closing_sections import (
+    describe_driven,
     describe_verification,
     say_decision,
     word_findings,
 )
-from truepath.app.reporting.certificate.driven_section import describe_driven
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import load_language
 from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles

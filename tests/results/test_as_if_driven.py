@@ -14,7 +14,7 @@ VALIDATION = Path(__file__).parents[2] / "validation"
 
 def judge(machine, change):
     """Judge a machine without errors that drove a changed program."""
-    q = make_grid(machine, 5, 3)
+    q = make_grid(machine.axes, 5, 3)
     place = make_standstill(machine, q).point_mm
     driven = make_standstill(machine, change(q.copy())).point_mm
     error_um = 1e3 * (driven - place)

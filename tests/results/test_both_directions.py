@@ -11,9 +11,11 @@ from truepath.app.compensation.error_map import map_errors
 from truepath.app.compensation.remaining_error import find_remaining
 from truepath.app.compensation.unmeasured import find_measured_ranges
 from truepath.app.kinematics.effects.backlash import make_half_width
-from truepath.app.results.both_directions import compute_both_directions
 from truepath.app.results.error_tables import compute_half_differences
-from truepath.app.results.volumetric_error import compute_volumetric_error
+from truepath.app.results.volumetric_error import (
+    compute_both_directions,
+    compute_volumetric_error,
+)
 
 HALF_MM, SIGMA_MM = 0.015, 2e-4
 

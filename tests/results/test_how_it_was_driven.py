@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.measured_elsewhere import drop_measured_elsewhere
+from truepath.app.alignment.align import align, drop_measured_elsewhere
 from truepath.app.alignment.observations import Driving
 from truepath.app.errors import AlignmentError
 from truepath.app.files.verdict import Verdict

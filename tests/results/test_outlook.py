@@ -7,7 +7,7 @@ import pytest
 
 from truepath.app.estimation.drift_course import Course
 from truepath.app.results.outlook import LookAhead
-from truepath.app.results.trend_json import describe_outlook
+from truepath.app.results.trend import describe_outlook
 
 HOUR_S = 3600.0
 

@@ -5,12 +5,10 @@ settles it. Order of work:
 
     options      what the user says of the file
     units        words for units
-    gsi          Leica's blocks of words to a table
     cells        bytes to columns of cells, names and what was left out
     columns      names in several languages, or kinds of cells, to what a column holds
     numbers      cells to numbers: decimal comma, thousands, no value
     clock        cells to seconds: numbers, time of day, date and time; bursts evened
     point_names  names to rows of points.csv
-    oddities     gaps and positions that stay, in words
     recording    all of it: samples, points, temperatures, and what was recognised
 """

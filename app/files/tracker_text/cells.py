@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truepath.app.errors import BundleError
-from truepath.app.files.tracker_text.gsi import is_gsi, list_points
 from truepath.app.files.tracker_text.options import DELIMITERS
 from truepath.app.files.tracker_text.units import find_unit
 
@@ -28,6 +27,17 @@ _BLANK_GROUPS = re.compile(_GROUPS.pattern.replace("\u00a0", "[\u00a0 ]"))
 _LABEL = re.compile(r"(?<=[A-Za-z)\]])[ \t]*[=:][ \t]*(?=[-+.\d])")
 _Shape = tuple[int, int]  # cells that a row needs, and may have
 _HALF_DAY = re.compile(r"(:\d\d\S*) ([AP]M)\b", re.IGNORECASE)
+# Leica GSI-8 and GSI-16: blocks of words, each an index, a unit, a sign and digits
+_GSI_WORD = re.compile(r"(\d\d)[\d.]{3}([\d.])([+-])(\S{8}(?:\S{8})?)(?=\s|$)")
+_GSI_LINE = re.compile(r"\*?(?:\d\d[\d.]{4}[+-]\S{8}(?:\S{8})?\s*)+")
+_GSI_AXES = ("81", "82", "83")  # easting, northing, height
+_GSI_MM = {
+    "0": 1.0,
+    "1": 0.3048,
+    "6": 0.1,
+    "7": 0.03048,
+    "8": 0.01,
+}  # of the last digit
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +75,8 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     filled = [n for n, line in enumerate(lines) if line.strip()]
     sample = [lines[n] for n in filled[:: len(filled) // _SAMPLE + 1]]
     ahead = 0  # lines that are not of the file
-    if not delimiter and is_gsi(sample):
-        lines, ahead, delimiter = list_points(lines, file), 1, "tab"
+    if not delimiter and _is_gsi(sample):
+        lines, ahead, delimiter = _list_gsi_points(lines, file), 1, "tab"
         sample, filled = lines[:_SAMPLE], [*range(len(lines))]
     labelled = sum(len(_LABEL.findall(line)) >= _LEAST_NUMBERS for line in sample)
     if labelled > _SHARE * len(sample):
@@ -210,7 +220,6 @@ def _refuse_decimal_comma(
 def _find_header(
     split: Sequence[list[str]], first: int, shape: _Shape
 ) -> tuple[int | None, int | None]:
-    """Return the lines of names and of units above the first row."""
     fitting = [n for n in range(first) if shape[0] <= len(split[n]) <= shape[1]]
     fitting = [n for n in fitting if not _is_comment(split[n][0])]
     units = None
@@ -265,7 +274,6 @@ def _gather(
 
 
 def _fits(cells: list[str], shape: _Shape) -> bool:
-    """Tell whether a line is a row, with or without values."""
     if len(cells) < shape[0] or any(cells[shape[1] :]):
         return False
     if _is_data(cells):
@@ -288,3 +296,33 @@ def _take_labels(
     kept = [k for k in range(len(columns)) if not label[k]]
     names = [columns[k - 1][0] if k and label[k - 1] else "" for k in kept]
     return [columns[k] for k in kept], names, [""] * len(kept)
+
+
+def _is_gsi(lines: Sequence[str]) -> bool:
+    found = sum(_GSI_LINE.fullmatch(line.strip()) is not None for line in lines)
+    return found > _SHARE * len(lines)
+
+
+def _list_gsi_points(lines: Sequence[str], file: str) -> list[str]:
+    # A point for each block with coordinates, a comment for another
+    table = ["point\tx [mm]\ty [mm]\tz [mm]"]
+    for n, line in enumerate(lines, 1):
+        words = {index: rest for index, *rest in _GSI_WORD.findall(line)}
+        if not words.keys() >= {*_GSI_AXES}:
+            table.append(f"// GSI words {' '.join(words)}")
+            continue
+        name = words["11"][2].lstrip("0") if "11" in words else ""
+        cells = [name or str(n)]
+        for unit, sign, digits in (words[index] for index in _GSI_AXES):
+            if unit not in _GSI_MM or not digits.isdigit():
+                problem = f"holds {sign}{digits} in unit {unit}, no coordinate"
+                raise BundleError(problem, file=file, row=n, remedy="export m or ft")
+            cells.append(f"{sign}{int(digits) * _GSI_MM[unit]:.4f}")
+        table.append("\t".join(cells))
+    if all(row.startswith("//") for row in table[1:]):
+        raise BundleError(
+            f"holds {table[1][3:]} (21, 22: angles, 31: distance), but no coordinates",
+            file=file,
+            remedy="export the words 81, 82 and 83 (easting, northing, height)",
+        )
+    return table

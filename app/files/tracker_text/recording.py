@@ -23,7 +23,6 @@ from truepath.app.files.tracker_text.columns import (
     state_unit,
 )
 from truepath.app.files.tracker_text.numbers import find_decimal, read_numbers
-from truepath.app.files.tracker_text.oddities import note_oddities
 from truepath.app.files.tracker_text.options import TextOptions
 from truepath.app.files.tracker_text.point_names import STREAM_ROWS, find_points
 from truepath.app.files.tracker_text.units import LENGTH_MM
@@ -42,6 +41,8 @@ _FEW = 0.01  # of the rows: so many may have come twice
 _SHOT_S = 1e-6  # between shots that share a stamp
 _MOST_SHOWN = 12
 _AXES = re.compile(r"^([+-]?)([xyz])$")
+_LONG_GAP_S, _STUCK_ROWS = 10.0, 50
+_MOST_NOTES = 3  # of each kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,7 @@ def read_recording(
     if lost.any():
         notes.append(f"{lost.sum()} rows of 0, 0, 0 are taken for a lost beam")
     if rows is None:
-        notes += note_oddities(np.asarray(cells.row_of)[kept], samples)
+        notes += _note_oddities(np.asarray(cells.row_of)[kept], samples)
     return Recording(
         samples,
         points,
@@ -280,7 +281,6 @@ def _read_times(
 def _average_points(
     samples: TrackerSamples, row: NDArray[np.int64]
 ) -> tuple[TrackerSamples, PointRows]:
-    """Return the mean of each stay at a point."""
     starts = np.flatnonzero(np.append(True, np.diff(row) != 0))
     count = np.diff(np.append(starts, len(row)))
     stay = np.repeat(np.arange(len(starts)), count)
@@ -335,3 +335,17 @@ def _count(samples: TrackerSamples, points: PointRows | None) -> dict[str, str]:
         "samples": f"{len(samples)}, {valid} valid, {lost} missing by their times",
         "rate": f"{1 / usual:.4g} Hz for {step.sum():.1f} s",
     }
+
+
+def _note_oddities(row_of: NDArray[np.int64], samples: TrackerSamples) -> list[str]:
+    notes: list[str] = []
+    gap_s = np.diff(samples.device_time_s)
+    for k in np.flatnonzero(gap_s > _LONG_GAP_S)[:_MOST_NOTES].tolist():
+        notes.append(f"a gap of {gap_s[k]:.6g} s before row {row_of[k + 1]}")
+    same = (np.diff(samples.position_mm, axis=0) == 0.0).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.view(np.int8), [0]])))
+    for first, last in edges.reshape(-1, 2).tolist():
+        if last - first >= _STUCK_ROWS and len(notes) < 2 * _MOST_NOTES:
+            rows = f"{row_of[first]} to {row_of[last]}"
+            notes.append(f"rows {rows} repeat one position: was the beam lost?")
+    return notes

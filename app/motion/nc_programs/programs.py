@@ -144,7 +144,6 @@ def _compose(
 
 
 def _check_limits(kind: Dialect, path: Path) -> None:
-    """Refuse a path that no program of this control can state."""
     if any(path.arc):
         raise PlanningError(
             "the path has arcs, and measuring programs have straight lines; let the "
@@ -171,7 +170,6 @@ def _check_limits(kind: Dialect, path: Path) -> None:
 def _compare(
     motion: ProgrammedMotion, path: Path, machine: Machine, kind: Dialect
 ) -> None:
-    """Compare what the reader found with the path and the travel."""
     half = 0.5 * 10.0**-kind.decimals
     same = (
         motion.axes == path.axes
@@ -213,7 +211,6 @@ def _round_path(path: Path, kind: Dialect) -> Path:
 
 
 def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
-    """Return the rows of a rounded path."""
     straight, whole = _measure_lines(path)
     rotary_only = [False, *((straight == 0) & (whole > 0)).tolist()]
     share = _divide_whole_by_straight(path)
@@ -261,7 +258,6 @@ def _write_header(
 
 
 def _clean_comment(text: str) -> str:
-    """Return text that may stand in a comment of any control."""
     return " ".join(_ODD.sub(" ", text.upper()).split())
 
 

@@ -8,7 +8,7 @@ stated.
     issue            what a certificate is made from, and whether it may be
     language         texts, numbers and names in one language, from one table
     *_sections       views of the template's sections
-    setup_figure, map_figures    pictures
+    map_figures      pictures of the map
     document         the HTML
     pdf              the PDF
 """

@@ -98,7 +98,6 @@ def _list_sources(content: Content) -> Iterator[Mapping[str, Any]]:
 
 
 def _list_digests(content: Content) -> set[str]:
-    """Return the digests of a result's own Runs, and of the result's whole input."""
     whole = as_object(content.get("provenance")).get("input_sha256")
     runs = [as_object(run).get("input_sha256") for run in content.get("runs", ())]
     return {one for one in (whole, *runs) if isinstance(one, str) and one}

@@ -9,15 +9,18 @@ import numpy as np
 
 from truepath.app.files.file_model import as_object
 from truepath.app.files.verdict import verdict_from_json
-from truepath.app.reporting.certificate.circle_section import describe_circles
-from truepath.app.reporting.certificate.driven_section import describe_driven
 from truepath.app.reporting.certificate.issue import Certificate, Source
 from truepath.app.reporting.certificate.language import Language
 from truepath.app.reporting.certificate.lengths import (
     say_lengths,
     say_measured_lengths,
 )
+from truepath.app.reporting.certificate.picture import paint
+from truepath.app.reporting.polar_figure import PolarWords, draw_polar_circles
 from truepath.app.reporting.templating import View
+from truepath.app.results.circle_figures import FIGURES
+from truepath.app.results.circles_at_standstill import CIRCLE_FIGURES
+from truepath.app.results.driven_figures import LINE_FIGURES
 from truepath.app.results.held_places import DOUBTFUL
 from truepath.app.results.number_format import SIGN
 
@@ -59,7 +62,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
         "driven": describe_driven(source.content, language),
-        "circles": describe_circles(source.content, language),
+        "circles": _describe_circles(source.content, language),
     }
 
 
@@ -176,7 +179,6 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
 def _say_mismatch(
     key: str, source: Source, certificate: Certificate, language: Language
 ) -> str:
-    """Return a warning where a file was made from another result; else nothing."""
     other, own = source.input_sha256, certificate.found.input_sha256
     if not other or other == own:
         return ""
@@ -269,7 +271,6 @@ def _um(value: float, language: Language) -> str:
 
 
 def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
-    """Yield what was measured, predicted and differs: mean, p95 and largest, U."""
     lengths = as_object(content.get("volumetric_error_um"))
     for name in _LENGTHS:
         one = as_object(lengths.get(name))
@@ -338,3 +339,113 @@ def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]
 
 def _base_name(file: str) -> str:
     return file.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
+    """Return figure and table of the circles; empty where none were driven.
+
+    content : of a `verification/1`; one of an earlier version has no centre to draw
+        its circles about, and they are stated without a figure
+    """
+    circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
+    missing: Sequence[int] = content.get("circles_missing", ())
+    words = _choose_words(language)
+    return {
+        "figure": paint(draw_polar_circles(circles, words)),
+        "head": (language.say("circle"), *map(words.name, FIGURES)),
+        "rows": [row for one in circles for row in _list_moving_circle(one, language)],
+        "missing": language.say(
+            "circles_missing", rows=", ".join(str(row + 1) for row in missing)
+        )
+        if missing
+        else "",
+    }
+
+
+def _choose_words(language: Language) -> PolarWords:
+    return PolarWords(
+        *(
+            language.own[f"circle_{name}"]
+            for name in (
+                "description",
+                "heading",
+                "counterclockwise",
+                "clockwise",
+                "predicted",
+                "ring",
+            )
+        ),
+        mark=language.mark,
+    )
+
+
+def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    heading = language.own["circle_heading"].format(
+        plane=one["plane"],
+        diameter=f"{one['diameter_mm']:g}",
+        feed=f"{one['feed_mm_min']:g}",
+    )
+    stated = one["figures_um"], one["uncertainty_um"]
+    predicted = one["predicted_um"], one["predicted_uncertainty_um"]
+    yield language.mark(heading), *_write_circle_figures(*stated, language)
+    yield language.say("circle_predicted"), *_write_circle_figures(*predicted, language)
+
+
+def _write_circle_figures(
+    value: Mapping[str, float], sigma: Mapping[str, float], language: Language
+) -> Iterator[str]:
+    for name in FIGURES:
+        known = name in value
+        yield language.write_expanded(value[name], sigma[name]) if known else "—"
+
+
+def describe_driven(content: Mapping[str, Any], language: Language) -> View:
+    """Return the figures of ISO 230-2, -6 and -4; empty where none were measured.
+
+    content : of a `verification/1`
+    """
+    lines: Sequence[Mapping[str, Any]] = content.get("lines", ())
+    circles: Sequence[Mapping[str, Any]] = content.get("circles", ())
+    return {
+        "line_head": (language.say("driven_line"), *LINE_FIGURES),
+        "lines": [
+            row
+            for one in lines
+            for row in _list_standard(
+                _name_line(one, language), one, LINE_FIGURES, language
+            )
+        ],
+        "circle_head": (language.say("circle"), "G", "F max", "F min"),
+        "circles": [
+            row
+            for one in circles
+            for row in _list_standard(
+                _name_circle(one, language), one, CIRCLE_FIGURES, language
+            )
+        ],
+    }
+
+
+def _name_line(one: Mapping[str, Any], language: Language) -> str:
+    standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
+    return language.say(
+        "driven_line_is", axes=one["axes"], standard=standard, runs=one["runs"]
+    )
+
+
+def _name_circle(one: Mapping[str, Any], language: Language) -> str:
+    radius = language.number(one["radius_mm"], 0)
+    return language.say("driven_circle_is", plane=one["plane"], radius=radius)
+
+
+def _list_standard(
+    name: str, one: Mapping[str, Any], figures: Sequence[str], language: Language
+) -> Iterator[Row]:
+    value, sigma, predicted = (
+        one[key] for key in ("figures_um", "uncertainty_um", "predicted_um")
+    )
+    yield name, *(language.write_expanded(value[f], sigma[f]) for f in figures)
+    yield (
+        language.say("circle_predicted"),
+        *(language.number(predicted[f]) if f in predicted else "—" for f in figures),
+    )

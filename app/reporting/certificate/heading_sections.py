@@ -43,7 +43,6 @@ def describe_verdict(certificate: Certificate, language: Language) -> View:
 
 
 def _say_verdict(verdict: Verdict, language: Language) -> View:
-    """Return state, title, text and reasons, the worst first."""
     reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
     key = verdict.state.replace("-", "_")
     texts = {
@@ -115,7 +114,6 @@ def _date_as_left(
 
 
 def _list_days(source: ResultSource, language: Language) -> str:
-    """Return the days on which the Runs of a result began."""
     runs: list[Mapping[str, Any]] = source.content.get("runs", [])
     known = (run.get("source", {}).get("started") for run in runs)
     days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))

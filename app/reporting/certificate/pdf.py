@@ -66,7 +66,6 @@ def print_pdf(html: str) -> bytes:
 
 @contextmanager
 def _collect_missing_letters() -> Generator[dict[str, None]]:
-    """Collect the letters that WeasyPrint warns of, in the order of the text."""
     missing: dict[str, None] = {}
 
     def keep(record: logging.LogRecord) -> bool:
