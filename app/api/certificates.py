@@ -237,7 +237,6 @@ def get_certificate(
 
 
 def _find_folder(service: Service, job_id: str) -> Path:
-    """Return where certificates of a job are kept; there may be none yet."""
     return service.results / service.store.get(job_id).id / "certificates"
 
 

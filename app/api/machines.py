@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     JsonValue,
-    field_validator,
 )
 
 from truepath.app.api.access_control import note_change
@@ -138,14 +138,8 @@ class NewMachine(MachineDescription):
         },
     )
 
-    id: MachineId
+    id: Annotated[MachineId, AfterValidator(check_machine_id)]
     identity: MachineIdentity = Field(default_factory=MachineIdentity)
-
-    @field_validator("id")
-    @classmethod
-    def _require_free_word(cls, given: str) -> str:
-        check_machine_id(given)
-        return given
 
 
 class MachineDevices(DeviceConfiguration):
@@ -391,7 +385,6 @@ def list_machine_conditions(
 def _check_reference(
     machine_id: str, request: MachineIdentity, service: Service
 ) -> None:
-    """Raise BadInput unless a reference is a usable calibration of the machine."""
     if request.reference_job is not None:
         service.calibrations.find_usable(machine_id, request.reference_job)
 
@@ -453,7 +446,6 @@ def _read_detail(machine_id: str, service: Service) -> MachineDetail:
 def _describe(
     record: MachineRecord, service: Service, holders: Mapping[str | None, str]
 ) -> dict[str, Any]:
-    """Return the content of a MachineEntry."""
     cells = {one.id: one for one in service.machines.list_all()}
     one = cells.get(record.id)
     return {

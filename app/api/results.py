@@ -21,7 +21,7 @@ from truepath.app.api.models.base import (
     TargetUm,
 )
 from truepath.app.api.models.discovery import DiscoveryOut
-from truepath.app.api.models.result import ErrorTablesOut, ResultOut
+from truepath.app.api.models.result import ErrorTablesOut, FigureOut, ResultOut
 from truepath.app.api.models.tables import (
     AxisLocationOut,
     LiveTableOut,
@@ -150,17 +150,8 @@ class EstimateOut(BaseModel):
     course: CourseOut
 
 
-class SizeOut(BaseModel):
+class SizeOut(FigureOut):
     """A length in µm with its standard uncertainty (k = 1)."""
-
-    value_um: float = Field(examples=[15.32])
-    uncertainty_um: float = Field(examples=[0.11])
-    scale_uncertainty_um: float | None = Field(
-        None,
-        description="The part of it that comes from the scale of all lengths, of air "
-        "and tracker. Earlier results do not have it, nor the scale in their sum.",
-        examples=[0.07],
-    )
 
 
 class SpreadOut(BaseModel):
@@ -261,7 +252,6 @@ def _decide(size: dict[str, float], tolerance_um: float | None) -> Conformity | 
 
 
 def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
-    """Return the decorator of a route that answers with a file."""
     content = {media_type: {"schema": {"type": kind}}}
     responses = {200: {"content": content}, **declare_problems(404, *refusals)}
     return router.get(path, response_class=FileResponse, responses=responses)

@@ -12,14 +12,10 @@ from contextlib import suppress
 from functools import lru_cache
 from urllib.parse import urlsplit
 
-import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from truepath.app.api.models.base import BASE, PREFIX
-from truepath.app.jobs.seldom import Seldom
-
-log = structlog.get_logger(__name__)
 
 ROOT_PATH = re.compile(r"(/[\w.~-]+)+", re.ASCII)
 _FOR = "x-forwarded-for"
@@ -67,8 +63,7 @@ class ForwardedHeaders:
         self, app: ASGIApp, trusted_proxies: Collection[str] = (), root_path: str = ""
     ) -> None:
         self._app, self._trusted = app, trusted_proxies
-        self._seldom = Seldom()
-        self._root_path = root_path
+        self._root_path = root_path.rstrip("/")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -77,12 +72,6 @@ class ForwardedHeaders:
             BASE.set(self._root_path)
             if is_trusted_proxy(peer, self._trusted):
                 self._believe(scope)
-            elif _FOR in Headers(scope=scope) and self._seldom.is_due():
-                log.warning(
-                    "forwarded headers are not believed; a proxy of yours has to be "
-                    "in trusted_proxies",
-                    peer=peer,
-                )
             path = "/" + scope["path"].lstrip("/")
             if f"{path}/".startswith(f"{BASE.get()}/") and not path.startswith(PREFIX):
                 path = path.removeprefix(BASE.get()) or "/"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -29,49 +29,42 @@ from truepath.app.api.models.tables import (
     VerdictOut,
 )
 
+T = TypeVar("T")
 
-class TrialTableOut(BaseModel):
-    """Numbers by the linear law beside the trials: one a position, µm or µrad.
+
+class TrialBothUnits(BaseModel, Generic[T]):
+    """What the linear law states beside the trials, µm or µrad.
 
     `tolerance` is δ of clause 8, by which `agrees` is decided.
     """
 
+    value_um: T | None = None
+    linear_uncertainty_um: T | None = None
+    mean_um: T | None = None
+    uncertainty_um: T | None = None
+    interval_95_low_um: T | None = None
+    interval_95_high_um: T | None = None
+    tolerance_um: T | None = None
+    value_urad: T | None = None
+    linear_uncertainty_urad: T | None = None
+    mean_urad: T | None = None
+    uncertainty_urad: T | None = None
+    interval_95_low_urad: T | None = None
+    interval_95_high_urad: T | None = None
+    tolerance_urad: T | None = None
+
+
+class TrialTableOut(TrialBothUnits[TableColumn]):
+    """Numbers along an axis, one a position."""
+
     position_mm: TableColumn | None = None
     position_deg: TableColumn | None = None
-    value_um: TableColumn | None = None
-    linear_uncertainty_um: TableColumn | None = None
-    mean_um: TableColumn | None = None
-    uncertainty_um: TableColumn | None = None
-    interval_95_low_um: TableColumn | None = None
-    interval_95_high_um: TableColumn | None = None
-    tolerance_um: TableColumn | None = None
-    value_urad: TableColumn | None = None
-    linear_uncertainty_urad: TableColumn | None = None
-    mean_urad: TableColumn | None = None
-    uncertainty_urad: TableColumn | None = None
-    interval_95_low_urad: TableColumn | None = None
-    interval_95_high_urad: TableColumn | None = None
-    tolerance_urad: TableColumn | None = None
     agrees: list[bool]
 
 
-class TrialNumberOut(BaseModel):
-    """One number by the linear law beside the trials, µm or µrad."""
+class TrialNumberOut(TrialBothUnits[float]):
+    """One number."""
 
-    value_um: float | None = None
-    linear_uncertainty_um: float | None = None
-    mean_um: float | None = None
-    uncertainty_um: float | None = None
-    interval_95_low_um: float | None = None
-    interval_95_high_um: float | None = None
-    tolerance_um: float | None = None
-    value_urad: float | None = None
-    linear_uncertainty_urad: float | None = None
-    mean_urad: float | None = None
-    uncertainty_urad: float | None = None
-    interval_95_low_urad: float | None = None
-    interval_95_high_urad: float | None = None
-    tolerance_urad: float | None = None
     agrees: bool
 
 
