@@ -82,8 +82,8 @@ class Settings(DeviceConfiguration, BaseSettings):
     trusted_hosts: tuple[str, ...] = ()
     """Names browsers may call this computer by, beside localhost and IP addresses."""
     trusted_proxies: tuple[_Network, ...] = ()
-    """Addresses or networks of the proxies whose `X-Forwarded-…` headers are believed;
-    those of anybody else are not."""
+    """Addresses or networks of the proxies whose `X-Forwarded-…` headers are trusted;
+    those of anybody else are ignored."""
     root_path: str = Field("", pattern=r"^(/[\w.~-]+)*/?$")
     """Path at which a reverse proxy shows the service, such as `/truepath`; one that a
     trusted proxy names in `X-Forwarded-Prefix` counts before it."""
