@@ -86,10 +86,11 @@ class MachineSettings(DeviceConfiguration):
     machine_file: Path
 
 
-def check_machine_id(machine_id: str) -> None:
-    """Raise ValueError for what cannot be the identifier of a machine."""
+def check_machine_id(machine_id: str) -> str:
+    """Return it; raise ValueError for what cannot be the identifier of a machine."""
     if machine_id in RESERVED_IDS or not re.match(MACHINE_ID, machine_id):
         raise ValueError(
             f"{machine_id!r} cannot name a machine; use up to 32 of a-z, 0-9 and -, "
             f"and none of {', '.join(sorted(RESERVED_IDS))}"
         )
+    return machine_id

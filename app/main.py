@@ -266,7 +266,6 @@ def _make_rules(settings: Settings) -> AccessRules:
 
 
 def _load_machines(settings: Settings, stack: ExitStack) -> list[ConfiguredMachine]:
-    """Return the machines by their identifiers, and how their devices are reached."""
     if settings.simulated:
         return _start_simulators(settings, stack)
     found = [
@@ -283,7 +282,6 @@ def _load_machines(settings: Settings, stack: ExitStack) -> list[ConfiguredMachi
 
 
 def _start_simulators(settings: Settings, stack: ExitStack) -> list[ConfiguredMachine]:
-    """Return benches, one a machine of the settings or `simulated_machines` of one."""
     contents: dict[str, Mapping[str, Any] | None] = {
         machine_id: _read_content(one.machine_file)
         for machine_id, one in settings.list_machines().items()

@@ -11,10 +11,16 @@ from __future__ import annotations
 import ipaddress
 import os
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import platformdirs
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -34,6 +40,7 @@ from truepath.app.machine_settings import (
 from truepath.app.service_log import LogFile
 
 _DASK = "dask://"
+_Network = Annotated[str, AfterValidator(lambda one: str(ipaddress.ip_network(one)))]
 
 
 class Settings(DeviceConfiguration, BaseSettings):
@@ -74,9 +81,9 @@ class Settings(DeviceConfiguration, BaseSettings):
     """Its private key (PEM). Both or neither."""
     trusted_hosts: tuple[str, ...] = ()
     """Names browsers may call this computer by, beside localhost and IP addresses."""
-    trusted_proxies: tuple[str, ...] = ()
-    """Addresses or networks of the proxies whose `X-Forwarded-…` headers are believed;
-    those of anybody else are not."""
+    trusted_proxies: tuple[_Network, ...] = ()
+    """Addresses or networks of the proxies whose `X-Forwarded-…` headers are trusted;
+    those of anybody else are ignored."""
     root_path: str = Field("", pattern=r"^(/[\w.~-]+)*/?$")
     """Path at which a reverse proxy shows the service, such as `/truepath`; one that a
     trusted proxy names in `X-Forwarded-Prefix` counts before it."""
@@ -161,44 +168,13 @@ class Settings(DeviceConfiguration, BaseSettings):
         return {**given, "executor": "dask", "dask_scheduler": scheduler}
 
     @model_validator(mode="after")
-    def _require_loopback(self) -> Self:
+    def _require_what_fits_together(self) -> Self:
         if not (self.is_loopback or self.tls_cert or self.allow_plain_http):
             raise ValueError(
                 f"host {self.host} can be reached from other computers, without "
                 "encryption; give tls_cert and tls_key (`truepath tls create` makes "
                 "them), or accept the risk with --allow-plain-http"
             )
-        return self
-
-    @field_validator("root_path")
-    @classmethod
-    def _end_without_slash(cls, given: str) -> str:
-        return given.rstrip("/")
-
-    @field_validator("trusted_proxies")
-    @classmethod
-    def _require_networks(cls, given: tuple[str, ...]) -> tuple[str, ...]:
-        for one in given:
-            try:
-                ipaddress.ip_network(one)
-            except ValueError as error:
-                raise ValueError(
-                    f"{error}; give addresses or networks, such as 127.0.0.1 or "
-                    "10.0.0.0/8"
-                ) from error
-        return given
-
-    @field_validator("machines")
-    @classmethod
-    def _require_identifiers(
-        cls, given: dict[str, MachineSettings]
-    ) -> dict[str, MachineSettings]:
-        for machine_id in given:
-            check_machine_id(machine_id)
-        return given
-
-    @model_validator(mode="after")
-    def _require_one_list_of_machines(self) -> Self:
         if self.machine_file is not None and ONLY_MACHINE in self.machines:
             raise ValueError(
                 f"machine_file and [machines.{ONLY_MACHINE}] are two machines of one "
@@ -211,13 +187,18 @@ class Settings(DeviceConfiguration, BaseSettings):
             )
         if self.simulated_machines > 1 and not self.simulated:
             raise ValueError("simulated_machines needs simulated = true")
-        return self
-
-    @model_validator(mode="after")
-    def _require_both_of_tls(self) -> Self:
         if (self.tls_cert is None) != (self.tls_key is None):
             raise ValueError("tls_cert and tls_key go together; give both or neither")
         return self
+
+    @field_validator("machines")
+    @classmethod
+    def _require_identifiers(
+        cls, given: dict[str, MachineSettings]
+    ) -> dict[str, MachineSettings]:
+        for machine_id in given:
+            check_machine_id(machine_id)
+        return given
 
     def list_machines(self) -> dict[str, MachineSettings]:
         """Return the machines by their identifiers, the single one first."""
@@ -296,7 +277,6 @@ def _find_default_file() -> Path | None:
 
 
 def _read_file_below(file: Path | None) -> type[Settings]:
-    """Return Settings that read this file below the environment."""
     if file is None:
         return Settings
     if not file.is_file():

@@ -88,7 +88,6 @@ class AccessControl:
 async def _let_in(
     access: Access, scope: Scope, method: str, route: str
 ) -> Actor | None:
-    """Return who sends the request. Raises NotLoggedIn, RoleTooLow, TooManyRequests."""
     least = find_least_role(method, route)
     is_open = least is ANYBODY
     if is_open and (route in FREE_TO_STOP or not scope["path"].startswith(PREFIX)):

@@ -108,7 +108,7 @@ def create_application(
     """Return the application.
 
     service : None only to describe the interface
-    trusted_proxies : addresses and networks whose forwarded headers are believed
+    trusted_proxies : addresses and networks whose forwarded headers are trusted
     root_path : path at which a proxy shows the service; empty at its root
     pages : routes of the operator page
     """

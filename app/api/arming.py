@@ -1,22 +1,93 @@
-"""What will move, looked at before it does."""
+"""What will move once a job is armed, looked at before it does, and what arms it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
+from typing import Literal
 
 from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
 
-from truepath.app.api.models.arming import ArmingOut, ArmingTarget, AxisRangeOut
-from truepath.app.api.models.base import JobId
-from truepath.app.api.models.condition import ConditionOut
+from truepath.app.api.machine import ConditionOut
+from truepath.app.api.models.base import JOB_ID, JobId, RequestBody
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import ServiceDep
 from truepath.app.api.session import ActorDep, owner_of
 from truepath.app.jobs.arming import Arming
+from truepath.app.jobs.conditions import ConditionType
 from truepath.app.jobs.job import format_utc
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
+
+
+_TOKEN = "Zq3c9xF0mB7sJt2kWvR8yLdPnHe5aUgo"  # noqa: S105 (an example)
+
+
+class ArmingTarget(BaseModel):
+    """A reflector that is measured."""
+
+    name: str = Field(examples=[""], description="Empty for the only one.")
+    on: Literal["tool", "workpiece"]
+    offset_mm: list[float] = Field(
+        examples=[[0.0, 0.0, -120.0]], description="Of the reflector from there."
+    )
+
+
+class AxisRangeOut(BaseModel):
+    """How far an axis goes."""
+
+    axis: str = Field(examples=["X"])
+    unit: Literal["mm", "deg"]
+    low: float = Field(examples=[20.0])
+    high: float = Field(examples=[480.0])
+
+
+class ArmingOut(BaseModel):
+    """What the machine will do, and the token to let it: good once, for this only."""
+
+    job: str = Field(examples=[JOB_ID])
+    version: int = Field(
+        examples=[3], description="Of the job; send it as If-Match when arming."
+    )
+    machine: str = Field(examples=["default"])
+    machine_name: str = Field(examples=["demo mill"])
+    machine_version: int = Field(examples=[1])
+    targets: list[ArmingTarget]
+    envelope: list[AxisRangeOut] = Field(
+        description="Swept box of all axes: of the rows, and of the straight way from "
+        "where the machine stands to the first of them. Axes that are not named stay "
+        "where they are."
+    )
+    max_feed_mm_min: float = Field(
+        examples=[6000.0], description="The largest of the plan."
+    )
+    duration_s: float = Field(description="As planned, dwells included.")
+    rows: int = Field(examples=[23])
+    grows: bool = Field(
+        description="Further rows are chosen on the way; the envelope is then the "
+        "travel of all axes, rows and duration are those known so far."
+    )
+    conditions: list[ConditionOut]
+    obstacles: list[ConditionType] = Field(
+        description="Conditions that stand in the way; arming is refused while one does"
+    )
+    plan_sha256: str = Field(description="Of the rows that the token is for.")
+    token: str = Field(examples=[_TOKEN], description="To POST with the arming.")
+    expires: str = Field(
+        examples=["2026-05-04T09:31:00.000Z"], description="When it can no longer arm."
+    )
+    expires_in_s: float = Field(examples=[60.0])
+
+
+class ArmRequest(RequestBody):
+    """The token that `arming` has answered with."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"token": _TOKEN}]}
+    )
+
+    token: str = Field(min_length=1, max_length=200, examples=[_TOKEN])
 
 
 @router.post("/{job_id}/arming", responses=declare_problems(404, 409))

@@ -1,9 +1,9 @@
-"""Who may hold a connection, and for how long: one more always finds a place.
+"""Limits on connections, so that one more is always accepted.
 
-A stop is a connection like any other. So all of them take half of the descriptors that
-are left at most, one address half of these, and one beyond that takes the place of the
-one whose client is the nearest to its deadline: for the rest of a request, or for
-reading the answer.
+A stop needs a connection like any other request. All connections together therefore
+take at most half of the free file descriptors, and those of one address half of that.
+Beyond it a new connection replaces the one whose client is nearest to its deadline: for
+sending the rest of a request, or for reading the answer.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ BODY_S = 20.0
 """For its body, and a second more for each `SLOWEST_BYTES_PER_S` of it."""
 SLOWEST_BYTES_PER_S = 4096
 UNREAD_S = 60.0
-"""So long may a client read nothing of an answer, or send nothing after a lot."""
+"""Longest pause of a client that reads an answer, or that has sent much of a body."""
 LONGEST_HEAD_BYTES = 1 << 16
 USUAL = 512
-"""So many connections are enough, or twice the streams if those are more."""
+"""Enough connections, or twice the streams if those are more."""
 _MOST_DESCRIPTORS = 1 << 16
 _PAUSE_S = 0.05
 
@@ -40,7 +40,7 @@ log = structlog.get_logger(__name__)
 
 
 class Connection(HttpToolsProtocol):
-    """A connection that knows until when its client has to get on."""
+    """A connection with a deadline for what its client has to do next."""
 
     due_s = 0.0
     _head_bytes = _unread_bytes = 0
@@ -69,13 +69,13 @@ class Connection(HttpToolsProtocol):
 
     @property
     def waits_for_client(self) -> bool:
-        """Whether the client has to get on, and not the service."""
+        """Whether the client has to act next, and not the service."""
         if self._waits_for_head or self.flow.write_paused:
             return True
         return self.cycle.more_body and not self.flow.read_paused
 
     def is_overdue(self) -> bool:
-        """Whether the client has had its time; to be asked now and then."""
+        """Whether the deadline of the client has passed; called at intervals."""
         now_s, unread_bytes = self.loop.time(), self.transport.get_write_buffer_size()
         if unread_bytes not in (0, self._unread_bytes):
             self._unread_bytes, self.due_s = unread_bytes, now_s + UNREAD_S
@@ -125,7 +125,7 @@ class Connections:
             await asyncio.sleep(0)  # to those accepted
 
     def close_overdue(self) -> None:
-        """Close the connections whose clients have had their time."""
+        """Close the connections whose deadline has passed."""
         for one in [*self._state.connections]:
             if isinstance(one, Connection) and one.is_overdue():
                 log.info("connection closed", client=one.client, reason="deadline")
@@ -146,11 +146,11 @@ class Connections:
             del self._opening[one]
 
     def _make_room(self, host: str) -> None:
-        """Close what one more connection of this address has to take the place of."""
+        """Close the connection that one more of this address replaces, if any."""
         held = self._list_all()
         if len(held) >= self._most // 2 and not is_trusted_proxy(host, self._trusted):
-            house = find_network(host)
-            own = [one for one in held if find_network(_host_of(one)) == house]
+            network = find_network(host)
+            own = [one for one in held if find_network(_host_of(one)) == network]
             if len(own) >= self._most // 2:
                 self._close_for_another(own, "too many of one address")
                 return
@@ -184,7 +184,7 @@ def find_most_connections(most_streams: int) -> int:
 
 
 def _rank(one: Any) -> tuple[bool, float]:
-    """Who waits for its client comes first, who speaks by a WebSocket last."""
+    """Connections that wait for their client come first, WebSockets last."""
     if isinstance(one, Connection):
         return not one.waits_for_client, one.due_s
     return True, float("inf")

@@ -66,7 +66,6 @@ def _describe(name: str, factory: Any) -> list[DriverOptionOut]:
 
 
 def _to_json(option: DriverOption) -> Any:
-    """Return the default as JSON has it; what JSON cannot have as its text."""
     if option.is_required:
         return None
     return json.loads(json.dumps(option.default, default=str), parse_constant=str)

@@ -9,8 +9,8 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.app.api.access_control import note_change, note_deletion, note_naming
+from truepath.app.api.arming import ArmRequest
 from truepath.app.api.job_description import describe_job
-from truepath.app.api.models.arming import ArmRequest
 from truepath.app.api.models.base import JobId, MachineId, Time, address
 from truepath.app.api.models.job import JobOut, JobPage
 from truepath.app.api.models.job_request import JobRequest

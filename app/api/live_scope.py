@@ -69,7 +69,6 @@ async def show_machine(websocket: WebSocket, machine_id: str) -> None:
 async def _show(
     websocket: WebSocket, service: Service, machine: MachineCell | None
 ) -> None:
-    """Send frames until the client leaves, its session ends, or the service does."""
     if machine is None:
         await websocket.close(POLICY, "there is no such machine")
         return

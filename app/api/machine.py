@@ -9,7 +9,6 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
-from truepath.app.api.models.condition import ConditionList, ConditionOut
 from truepath.app.api.models.machine_file import (
     MachineCoreOut,
     MotionLimitsOut,
@@ -22,6 +21,7 @@ from truepath.app.errors import NotFound
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.cell_status import CellStatus, Devices
 from truepath.app.jobs.cell_supervisor import CellSupervisor
+from truepath.app.jobs.conditions import ConditionType, Level
 from truepath.app.jobs.errors import NoMachine
 from truepath.app.jobs.job import format_utc_now
 from truepath.app.jobs.machine_cells import MachineCell
@@ -32,6 +32,43 @@ _NO_MACHINE = "no machine is set up; give the service a machine_file"
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])
 probes = APIRouter(tags=["system"])
+
+
+class TemperatureOut(BaseModel):
+    """What one thermometer shows."""
+
+    channel: str = Field(examples=["X_degC"])
+    value_degC: float  # noqa: N815
+    change_degC: float = Field(  # noqa: N815
+        description="Highest less lowest reading in the last `over_s`."
+    )
+    over_s: float = Field(description="600 s at most; less since the first reading.")
+
+
+class ConditionOut(BaseModel):
+    """Something that has to be so before the machine moves, as it is now."""
+
+    type: ConditionType
+    level: Level = Field(description="`unknown` where no device tells it.")
+    reason: str = Field(examples=["estop"], description="For programs; may be empty.")
+    message: str = Field(
+        examples=["a door is open; close it"],
+        description="What is wrong and what to do; empty where nothing is.",
+    )
+    is_required: bool = Field(
+        description="While this is `false`, no job is armed on this machine."
+    )
+    since: str = Field(description="When the level became what it is, UTC.")
+    temperatures: list[TemperatureOut] = Field(
+        default_factory=list["TemperatureOut"],
+        description="Of `temperature-steady`: what the thermometers show.",
+    )
+
+
+class ConditionList(BaseModel):
+    """All conditions of a machine."""
+
+    items: list[ConditionOut]
 
 
 class DeviceIdentity(BaseModel):

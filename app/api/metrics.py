@@ -161,8 +161,6 @@ def get_metrics(request: Request) -> Response:
 
 
 class _ServiceCollector(Collector):
-    """Reads the numbers of a service at each scrape."""
-
     def __init__(self, service: Service) -> None:
         self._service = service
 
@@ -198,7 +196,6 @@ def _collect_jobs(service: Service) -> Iterator[Metric]:
 
 
 def _collect_cells(machines: Machines) -> Iterator[Metric]:
-    """Yield the families of the cells, each with a sample a machine."""
     read = {
         one.id: (one.cell.status, one.cell.counters.read())
         for one in machines.list_all()

@@ -60,7 +60,6 @@ PagingDep = Annotated[Paging, Depends(Paging)]
 
 
 def _decode_cursor(after: str) -> int:
-    """Return the `seq` of a cursor. Raises BadInput for any other text."""
     try:
         text = base64.urlsafe_b64decode(after.encode()).decode()
         kind, _, digits = text.partition(":")

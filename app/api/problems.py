@@ -126,7 +126,7 @@ def problem(
 
 
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Name the refusals of a route for its documentation; see `document_refusals`."""
+    """Name the refusals of a route for its documentation; see `document`."""
     return {status: {"model": Problem} for status in statuses}
 
 

@@ -45,7 +45,6 @@ def _version(
         Header(description='Version that was read, `"<version>"`.', examples=['"3"']),
     ] = "",
 ) -> int:
-    """Return the version that If-Match names. 428 without, 412 if it names none."""
     if not if_match or if_match.strip() == "*":
         raise HTTPException(428, "say by If-Match which version you have read")
     match = _TAG.match(if_match.strip())
@@ -66,7 +65,6 @@ def _version_if_given(
         ),
     ] = "",
 ) -> int | None:
-    """Return the version that If-Match names, None without. 412 if it names none."""
     is_any = not if_match or if_match.strip() == "*"
     return None if is_any else _version(if_match)
 

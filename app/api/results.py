@@ -1,4 +1,7 @@
-"""What jobs found: the estimate on the way, tables, reports, discoveries, trends."""
+"""What jobs found: the estimate on the way, tables, reports, discoveries, trends.
+
+Uncertainties are standard ones (k = 1).
+"""
 
 from __future__ import annotations
 
@@ -8,25 +11,34 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
+from pydantic import BaseModel, Field
 
-from truepath.app.api.models.base import CompensationName, JobId, RunId, TargetUm
+from truepath.app.api.models.base import (
+    JOB_ID,
+    CompensationName,
+    JobId,
+    RunId,
+    TargetUm,
+)
 from truepath.app.api.models.discovery import DiscoveryOut
-from truepath.app.api.models.estimate import EstimateOut
-from truepath.app.api.models.reanalysis import ReanalysisOut
-from truepath.app.api.models.result import ErrorTablesOut, ResultOut
-from truepath.app.api.models.tables import TablesOut
+from truepath.app.api.models.result import ErrorTablesOut, FigureOut, ResultOut
+from truepath.app.api.models.tables import (
+    AxisLocationOut,
+    LiveTableOut,
+    SquarenessOut,
+    TablesOut,
+    Vector3,
+    VerdictOut,
+)
 from truepath.app.api.models.trend import TrendOut
 from truepath.app.api.models.verification import VerificationOut
-from truepath.app.api.models.volumetric_error import (
-    VolumetricErrorOfResult,
-    VolumetricMapOut,
-)
 from truepath.app.api.problems import declare_problems
 from truepath.app.api.service import Service, ServiceDep
-from truepath.app.api.tolerances import find_machine_tolerance_um, hold_against
 from truepath.app.errors import NotFound
+from truepath.app.files.verdict import State as VerdictState
 from truepath.app.files.verdict import Verdict, verdict_from_json, verdict_json
 from truepath.app.jobs.reanalysis import RUNS, SUMMARY
+from truepath.app.results.conformity import Conformity, decide_conformity
 
 router = APIRouter(prefix="/jobs", tags=["results"])
 
@@ -37,8 +49,209 @@ _REPORT_POLICY = (
 )
 
 
+_COVERAGE = 2.0  # k of expanded uncertainties
+
+
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_POSITIONS = [[0.0, 0.0, 0.0], [0.0, 0.0, 62.5]]
+
+
+class RunFigures(BaseModel):
+    """What a result of a Run states in short."""
+
+    verdict: VerdictState | None
+    volumetric_error_um: float = Field(
+        description="Mean length of the volumetric error over the travel."
+    )
+    uncertainty_um: float = Field(description="Its standard uncertainty (k = 1).")
+
+
+class RunFailure(BaseModel):
+    """Why a Run has no result."""
+
+    family: str = Field(examples=["AlignmentError"])
+    detail: str
+
+
+class ReanalysedRun(BaseModel):
+    """One Run before and after; `before` is of the newest job of that Run alone."""
+
+    run_id: str
+    name: str
+    truepath: str = Field(description="Version that has analysed it.")
+    before_job: str | None
+    before: RunFigures | None
+    after: RunFigures | None
+    failure: RunFailure | None
+    took_s: float
+
+
+class ReanalysisOut(BaseModel):
+    """What has become of every Run."""
+
+    schema_: str = Field(alias="schema", examples=["reanalysis/1"])
+    truepath: str
+    total: int
+    analysed: int
+    failed: int
+    compared: int = Field(description="Runs that have a result before and after.")
+    unchanged: int = Field(description="Of these, the same volumetric error.")
+    largest_change_um: float | None
+    verdict_changes: dict[str, int] = Field(examples=[{"usable -> doubtful": 2}])
+    analyses: list[ReanalysedRun]
+
+
+class CourseOut(BaseModel):
+    """How the uncertainty came down: columns, one row an estimate, oldest first."""
+
+    elapsed_s: list[float]
+    done: list[int]
+    volumetric_uncertainty_um: list[float]
+
+
+class CommandedPlacesOut(BaseModel):
+    """Where the rows of the path about the newest line should be seen.
+
+    As the standstills so far place the machine before the tracker: what lies beside
+    the line between two of them is an error of the machine, of the tracker, or noise.
+    """
+
+    first_row: int
+    tracker_mm: list[Vector3] = Field(description="One place a row.")
+
+
+class EstimateOut(BaseModel):
+    """The newest live estimate."""
+
+    job_id: str = Field(examples=[JOB_ID])
+    verdict: VerdictOut
+    volumetric_uncertainty_um: float = Field(
+        description="Root mean square, over the axis travel, of the standard "
+        "uncertainty of the volumetric error."
+    )
+    done: int = Field(description="Finished lines or points behind it.")
+    total: int = Field(description="Lines or points of the plan.")
+    cells: int
+    device_time_s: float = Field(description="The tracker's clock.")
+    elapsed_s: float = Field(description="Since the stream began.")
+    is_last: bool
+    age_s: float
+    dropped_blocks: int = Field(description="Of the stream, for want of time.")
+    error_tables: dict[str, LiveTableOut]
+    squareness_urad: dict[str, SquarenessOut]
+    axis_location: dict[str, AxisLocationOut] | None = Field(
+        None, description="Of machines with rotary axes."
+    )
+    commanded: CommandedPlacesOut | None = Field(
+        None,
+        description="Of straight lines to one target, once the tracker's pose is "
+        "known.",
+    )
+    course: CourseOut
+
+
+class SizeOut(FigureOut):
+    """A length in µm with its standard uncertainty (k = 1)."""
+
+
+class SpreadOut(BaseModel):
+    """Length of the volumetric error over the travel."""
+
+    mean: SizeOut
+    p95: SizeOut = Field(description="Below it lie 95 % of the places.")
+    largest: SizeOut
+    conformity: Conformity | None = Field(
+        description="Of the mean by ISO 14253-1 with k = 2; null without a tolerance."
+    )
+    conformity_p95: Conformity | None = Field(
+        description="Of `p95` against the tolerance of the machine, by ISO 14253-1 "
+        "with k = 2; null where the machine has none."
+    )
+
+
+class VolumetricErrorOfResult(BaseModel):
+    """The volumetric error before, and as full compensation is expected to leave it."""
+
+    job_id: str = Field(examples=[JOB_ID])
+    verdict: VerdictState = Field(description="Of the result.")
+    tolerance_um: float | None = Field(description="Of the mean, as asked for.")
+    machine_tolerance_um: float | None = Field(
+        description="What 95 % of the places in the travel of the machine may err by "
+        "at most, as it is set now; null where it has no tolerance.",
+        examples=[15.0],
+    )
+    before: SpreadOut
+    after_expected: SpreadOut
+    on: str = Field(description="Where it was computed, in words.")
+
+
+class VolumetricMapOut(BaseModel):
+    """The volumetric error on a grid over the travel, mean of both directions.
+
+    Without the rigid motion of the whole volume. Uncertainties are standard ones.
+    """
+
+    job_id: str = Field(examples=[JOB_ID])
+    state: Literal["before", "after"]
+    compensation: str | None = Field(
+        description="Kept files whose correction it is; null for a full correction.",
+        examples=["linuxcnc-10-hold"],
+    )
+    verdict: VerdictState = Field(description="Of the result.")
+    target: str = Field(description="Whose error it is; empty where it has no name.")
+    points: int = Field(description="An axis.", examples=[9])
+    axes: list[str] = Field(examples=[["X", "Y", "Z"]])
+    position: list[list[float]] = Field(
+        description="mm for linear axes, X slowest; rotary axes rest at their zero.",
+        examples=[_POSITIONS],
+    )
+    error_um: list[Vector] = Field(
+        description="δ = actual − nominal as far as it is known; 0 after a full "
+        "correction.",
+        examples=[[[4.1, -2.2, 0.6], [3.9, -2.4, 0.9]]],
+    )
+    uncertainty_um: list[Vector] = Field(examples=[[[0.3, 0.3, 0.2]]])
+    length_um: list[float] = Field(
+        description="Of the error; after compensation the expected one of what is "
+        "left, over the errors that the measurement allows.",
+        examples=[[4.69, 4.67]],
+    )
+    is_measured: list[bool] = Field(
+        description="False far beyond what was measured: extrapolated.",
+        examples=[[True, True]],
+    )
+
+
+def find_machine_tolerance_um(service: Service, job_id: str) -> float | None:
+    """Return the tolerance of the machine of a job; None where nobody knows one."""
+    machine_id = service.store.get(job_id).machine
+    if machine_id is None:
+        return None
+    try:
+        return service.setup.registry.get(machine_id).tolerance_um
+    except NotFound:
+        return None
+
+
+def hold_against(
+    spread: dict[str, Any], mean_um: float | None, machine_um: float | None
+) -> SpreadOut:
+    """Return sizes in µm with what they are against both tolerances."""
+    return SpreadOut(
+        **spread,
+        conformity=_decide(spread["mean"], mean_um),
+        conformity_p95=_decide(spread["p95"], machine_um),
+    )
+
+
+def _decide(size: dict[str, float], tolerance_um: float | None) -> Conformity | None:
+    if tolerance_um is None:
+        return None
+    expanded_um = _COVERAGE * size["uncertainty_um"]
+    return decide_conformity(size["value_um"], expanded_um, tolerance_um)
+
+
 def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
-    """Return the decorator of a route that answers with a file."""
     content = {media_type: {"schema": {"type": kind}}}
     responses = {200: {"content": content}, **declare_problems(404, *refusals)}
     return router.get(path, response_class=FileResponse, responses=responses)

@@ -36,7 +36,7 @@ HOLDS = NEVER_LIMITED | {f"POST {PREFIX}/jobs/{{job_id}}/pause"}
 """Brings a machine to a stand: on threads that other requests do not have."""
 
 LONG_LIVED = frozenset({f"GET {PREFIX}/events", f"GET {PREFIX}/jobs/{{job_id}}/events"})
-"""Answers that go on: to a page of another site they would tell all that happens."""
+"""Streams: they would show a page of another site all that happens."""
 
 MOVES = frozenset(
     {

@@ -94,8 +94,8 @@ class Guard:
     async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a page of this service or a program open a WebSocket, nobody else.
 
-        A browser lets every page open one to anywhere: only the origin tells. Stops
-        are taken from everybody.
+        A browser lets every page open one to any address; only the origin shows which
+        page it was. Stops are accepted from everybody.
         """
         headers = Headers(scope=scope)
         is_ours = self._is_ours(headers.get("host", "")) and _is_same_site(headers)
@@ -188,9 +188,9 @@ class _Answer:
 
 
 def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
-    """Tell whether a request is for a stop; its address is then written plainly.
+    """Whether a request is for a stop; its address is then normalised.
 
-    A proxy may have put something before it, a slash behind it, or doubled one.
+    A proxy may have added a prefix, a slash at the end, or doubled one.
     """
     found = pattern.search(re.sub("/{2,}", "/", scope["path"]))
     if found:
@@ -199,7 +199,7 @@ def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
 
 
 def _leave_body(scope: Scope, receive: Receive) -> Receive:
-    """Let a request have no body; what was sent as one is never looked at."""
+    """Leave the body of a request out; it is never read."""
     of_body = (b"content-length", b"content-type", b"transfer-encoding")
     scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in of_body]
     empty: Message = {"type": "http.request", "body": b"", "more_body": False}
@@ -212,7 +212,7 @@ def _leave_body(scope: Scope, receive: Receive) -> Receive:
 
 
 def _is_guarded(scope: Scope) -> bool:
-    """Whether a request changes something, or is told all that happens."""
+    """Whether a request changes something, or opens a stream of events."""
     method = scope["method"]
     return method in _UNSAFE or find_route(method, scope["path"]) in LONG_LIVED
 

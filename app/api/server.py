@@ -60,7 +60,7 @@ class Server(uvicorn.Server):
             log_config=None,
             access_log=False,
             server_header=False,
-            proxy_headers=False,  # the application believes those of its own proxies
+            proxy_headers=False,  # the application reads those of trusted proxies
             timeout_graceful_shutdown=GRACE_S,
             ssl_certfile=tls.cert if tls else None,
             ssl_keyfile=tls.key if tls else None,
@@ -90,7 +90,7 @@ class Server(uvicorn.Server):
             ).start()
 
     async def on_tick(self, counter: int) -> bool:
-        """Look after the connections as well."""
+        """Close overdue connections as well."""
         if counter % _TICKS_A_LOOK == 0:
             self._connections.close_overdue()
         return await super().on_tick(counter)

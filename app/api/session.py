@@ -97,7 +97,7 @@ async def log_in(
     """Log in with name and password."""
     note_change(request, old={}, new={"name": given.name})
     source = find_network(find_source(request.scope))
-    # Not on a thread: who guesses one name holds up nobody who has another.
+    # Not on a thread: guessing one name must not delay log-ins by other names.
     await asyncio.sleep(access.find_delay_s(given.name, source))
     token, actor = await run_sync(
         access.log_in, given.name, given.password, source, limiter=_LOGGING_IN

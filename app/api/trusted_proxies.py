@@ -1,7 +1,4 @@
-"""Which computers may say for whom they pass a request on: the proxies of a setting.
-
-Anybody can send forwarded headers; those of anybody else count for nothing.
-"""
+"""Forwarded headers of the proxies that the settings name; all others are ignored."""
 
 from __future__ import annotations
 
@@ -12,14 +9,10 @@ from contextlib import suppress
 from functools import lru_cache
 from urllib.parse import urlsplit
 
-import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from truepath.app.api.models.base import BASE, PREFIX
-from truepath.app.jobs.seldom import Seldom
-
-log = structlog.get_logger(__name__)
 
 ROOT_PATH = re.compile(r"(/[\w.~-]+)+", re.ASCII)
 _FOR = "x-forwarded-for"
@@ -47,7 +40,7 @@ def find_peer(scope: Scope) -> str:
 
 @lru_cache(4096)
 def find_network(host: str) -> str:
-    """Return what one household of addresses shares: of IPv6 the first 64 bits."""
+    """Return what the addresses of one site share: of IPv6 the first 64 bits."""
     address = _read_address(host)
     if address is None or address.version == 4:
         return host
@@ -55,9 +48,9 @@ def find_network(host: str) -> str:
 
 
 class ForwardedHeaders:
-    """Puts whom a trusted proxy passes a request on for in place of the proxy.
+    """Replaces a trusted proxy by the client whose request it forwards.
 
-    Before all other middleware; `find_peer` still tells the proxy.
+    Before all other middleware; `find_peer` still returns the proxy.
 
     root_path : path at which the proxies show the service; one that a trusted proxy
         names counts before it. It may still stand in the requests that they pass on
@@ -67,8 +60,7 @@ class ForwardedHeaders:
         self, app: ASGIApp, trusted_proxies: Collection[str] = (), root_path: str = ""
     ) -> None:
         self._app, self._trusted = app, trusted_proxies
-        self._seldom = Seldom()
-        self._root_path = root_path
+        self._root_path = root_path.rstrip("/")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -76,20 +68,14 @@ class ForwardedHeaders:
             scope.setdefault("state", {})["peer"] = peer = find_source(scope)
             BASE.set(self._root_path)
             if is_trusted_proxy(peer, self._trusted):
-                self._believe(scope)
-            elif _FOR in Headers(scope=scope) and self._seldom.is_due():
-                log.warning(
-                    "forwarded headers are not believed; a proxy of yours has to be "
-                    "in trusted_proxies",
-                    peer=peer,
-                )
+                self._apply_headers(scope)
             path = "/" + scope["path"].lstrip("/")
             if f"{path}/".startswith(f"{BASE.get()}/") and not path.startswith(PREFIX):
                 path = path.removeprefix(BASE.get()) or "/"
             scope["path"], scope["state"]["base"] = path, BASE.get()
         await self._app(scope, receive, send)
 
-    def _believe(self, scope: Scope) -> None:
+    def _apply_headers(self, scope: Scope) -> None:
         headers = Headers(scope=scope)
         prefix = headers.get("x-forwarded-prefix", "").rstrip("/")
         if ROOT_PATH.fullmatch(prefix):

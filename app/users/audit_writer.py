@@ -82,7 +82,6 @@ class AuditWriter:
             log.error("the audit log is not complete", not_written=lost)
 
     def _count_repeat(self, entry: Entry) -> bool:
-        """Return whether the same was recorded shortly before; it is counted then."""
         key = entry.who, entry.source, entry.what, entry.outcome, str(entry.new)
         if key not in self._repeats and len(self._repeats) >= MOST_KINDS:
             many = Entry("", "", "", "", "requests of many kinds", entry.outcome)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.api.models.machine import NewMachine
+from truepath.app.api.machines import NewMachine
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.job import Job, JobKind
 from truepath.app.jobs.machine_registry import MachineRegistry

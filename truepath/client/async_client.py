@@ -10,7 +10,7 @@ from typing import Any, Self, TypeVar
 
 import httpx2
 
-from truepath.client import machine_requests, requests
+from truepath.client import requests
 from truepath.client.bodies import (
     Arming,
     Condition,
@@ -89,15 +89,15 @@ class AsyncClient:
 
     async def connect(self, machine_id: str = "current") -> Json:
         """Open the ports of a machine and return who answers. Moves nothing."""
-        return await self._run(ask(machine_requests.connect(machine_id)))
+        return await self._run(ask(requests.connect(machine_id)))
 
     async def get_machine(self) -> Json:
         """Return the machine file and who has answered."""
-        return await self._run(ask(machine_requests.get_machine()))
+        return await self._run(ask(requests.get_machine()))
 
     async def list_conditions(self, machine_id: str = "current") -> list[Condition]:
         """Return what has to be so before the machine moves, as it is now."""
-        return await self._run(ask(machine_requests.list_conditions(machine_id)))
+        return await self._run(ask(requests.list_conditions(machine_id)))
 
     async def create_job(
         self, *, idempotency_key: str | None = None, **order: Any
@@ -166,45 +166,39 @@ class AsyncClient:
 
     async def list_machines(self) -> list[Machine]:
         """Return all machines, those that the service drives first."""
-        return await self._run(ask(machine_requests.list_machines()))
+        return await self._run(ask(requests.list_machines()))
 
     async def get_machine_record(self, machine_id: str) -> MachineRecord:
         """Return a machine of the registry, with its configuration and its versions."""
-        return await self._run(ask(machine_requests.get_machine_record(machine_id)))
+        return await self._run(ask(requests.get_machine_record(machine_id)))
 
     async def add_machine(self, machine_id: str, **content: Any) -> MachineRecord:
         """Add a machine; `machine_file`, `identity` are those of `POST /machines`."""
-        return await self._run(ask(machine_requests.add_machine(machine_id, content)))
+        return await self._run(ask(requests.add_machine(machine_id, content)))
 
     async def change_machine(self, machine_id: str, **change: Any) -> MachineRecord:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
-        return await self._run(ask(machine_requests.change_machine(machine_id, change)))
+        return await self._run(ask(requests.change_machine(machine_id, change)))
 
     async def remove_machine(self, machine_id: str, version: int) -> None:
         """Drive a machine no more, as it was read; what was measured of it stays."""
-        await self._run(ask(machine_requests.remove_machine(machine_id, version)))
+        await self._run(ask(requests.remove_machine(machine_id, version)))
 
     async def set_machine_file(
         self, machine_id: str, machine_file: Json
     ) -> MachineRecord:
         """Describe a machine anew by its machine file. Moves nothing."""
-        return await self._run(
-            ask(machine_requests.set_machine_file(machine_id, machine_file))
-        )
+        return await self._run(ask(requests.set_machine_file(machine_id, machine_file)))
 
     async def set_machine_devices(
         self, machine_id: str, **devices: Any
     ) -> MachineRecord:
         """Choose drivers and options of a machine. Moves nothing."""
-        return await self._run(
-            ask(machine_requests.set_machine_devices(machine_id, devices))
-        )
+        return await self._run(ask(requests.set_machine_devices(machine_id, devices)))
 
     async def get_machine_history(self, machine_id: str, **query: Any) -> Json:
         """Return a quantity over all calibrations; `quantity`, `position`."""
-        return await self._run(
-            ask(machine_requests.get_machine_history(machine_id, query))
-        )
+        return await self._run(ask(requests.get_machine_history(machine_id, query)))
 
     async def get_machine_changes(
         self, machine_id: str, since: str, until: str | None = None
@@ -214,23 +208,19 @@ class AsyncClient:
         until : job of the later calibration; None for the newest usable one
         """
         query = {"since": since, "until": until}
-        return await self._run(
-            ask(machine_requests.get_machine_changes(machine_id, query))
-        )
+        return await self._run(ask(requests.get_machine_changes(machine_id, query)))
 
     async def get_machine_temperature(self, machine_id: str, **query: Any) -> Json:
         """Return how its errors depend on temperature; `sensor`, `job`, …"""
-        return await self._run(
-            ask(machine_requests.get_machine_temperature(machine_id, query))
-        )
+        return await self._run(ask(requests.get_machine_temperature(machine_id, query)))
 
     async def get_machine_standing(self, machine_id: str) -> Json:
         """Return whether a machine is within its tolerance and as it was."""
-        return await self._run(ask(machine_requests.get_machine_standing(machine_id)))
+        return await self._run(ask(requests.get_machine_standing(machine_id)))
 
     async def compare_machines(self, **query: Any) -> Json:
         """Compare machines by their newest calibrations; `machine`, `quantity`."""
-        return await self._run(ask(machine_requests.compare_machines(query)))
+        return await self._run(ask(requests.compare_machines(query)))
 
     async def get_verification(self, job_id: str) -> Json:
         """Return `verification.json`."""
@@ -364,7 +354,6 @@ class AsyncClient:
                 return
 
     async def _run(self, steps: Steps[T]) -> T:
-        """Drive the steps of a verb, and return what they return."""
         try:
             step = next(steps)
             while True:
@@ -383,7 +372,6 @@ class AsyncClient:
             return end.value
 
     async def _send(self, request: Request[Any]) -> Answer:
-        """Send a request once. Raises Unreachable."""
         try:
             with ExitStack() as files:
                 upload = request.open_upload(files)

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 
 import httpx2
 
-from truepath.client import machine_requests, requests
+from truepath.client import requests
 from truepath.client.bodies import (
     Arming,
     Condition,
@@ -90,15 +90,15 @@ class Client:
 
     def connect(self, machine_id: str = "current") -> Json:
         """Open the ports of a machine and return who answers. Moves nothing."""
-        return self._run(ask(machine_requests.connect(machine_id)))
+        return self._run(ask(requests.connect(machine_id)))
 
     def get_machine(self) -> Json:
         """Return the machine file and who has answered."""
-        return self._run(ask(machine_requests.get_machine()))
+        return self._run(ask(requests.get_machine()))
 
     def list_conditions(self, machine_id: str = "current") -> list[Condition]:
         """Return what has to be so before the machine moves, as it is now."""
-        return self._run(ask(machine_requests.list_conditions(machine_id)))
+        return self._run(ask(requests.list_conditions(machine_id)))
 
     def create_job(self, *, idempotency_key: str | None = None, **order: Any) -> Job:
         """Take on a job; `kind` and the rest are those of `POST /jobs`.
@@ -165,37 +165,35 @@ class Client:
 
     def list_machines(self) -> list[Machine]:
         """Return all machines, those that the service drives first."""
-        return self._run(ask(machine_requests.list_machines()))
+        return self._run(ask(requests.list_machines()))
 
     def get_machine_record(self, machine_id: str) -> MachineRecord:
         """Return a machine of the registry, with its configuration and its versions."""
-        return self._run(ask(machine_requests.get_machine_record(machine_id)))
+        return self._run(ask(requests.get_machine_record(machine_id)))
 
     def add_machine(self, machine_id: str, **content: Any) -> MachineRecord:
         """Add a machine; `machine_file`, `identity` are those of `POST /machines`."""
-        return self._run(ask(machine_requests.add_machine(machine_id, content)))
+        return self._run(ask(requests.add_machine(machine_id, content)))
 
     def change_machine(self, machine_id: str, **change: Any) -> MachineRecord:
         """Change who a machine is, its tolerance or its reference; the rest stays."""
-        return self._run(ask(machine_requests.change_machine(machine_id, change)))
+        return self._run(ask(requests.change_machine(machine_id, change)))
 
     def remove_machine(self, machine_id: str, version: int) -> None:
         """Drive a machine no more, as it was read; what was measured of it stays."""
-        self._run(ask(machine_requests.remove_machine(machine_id, version)))
+        self._run(ask(requests.remove_machine(machine_id, version)))
 
     def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
         """Describe a machine anew by its machine file. Moves nothing."""
-        return self._run(
-            ask(machine_requests.set_machine_file(machine_id, machine_file))
-        )
+        return self._run(ask(requests.set_machine_file(machine_id, machine_file)))
 
     def set_machine_devices(self, machine_id: str, **devices: Any) -> MachineRecord:
         """Choose drivers and options of a machine. Moves nothing."""
-        return self._run(ask(machine_requests.set_machine_devices(machine_id, devices)))
+        return self._run(ask(requests.set_machine_devices(machine_id, devices)))
 
     def get_machine_history(self, machine_id: str, **query: Any) -> Json:
         """Return a quantity over all calibrations; `quantity`, `position`."""
-        return self._run(ask(machine_requests.get_machine_history(machine_id, query)))
+        return self._run(ask(requests.get_machine_history(machine_id, query)))
 
     def get_machine_changes(
         self, machine_id: str, since: str, until: str | None = None
@@ -205,21 +203,19 @@ class Client:
         until : job of the later calibration; None for the newest usable one
         """
         query = {"since": since, "until": until}
-        return self._run(ask(machine_requests.get_machine_changes(machine_id, query)))
+        return self._run(ask(requests.get_machine_changes(machine_id, query)))
 
     def get_machine_temperature(self, machine_id: str, **query: Any) -> Json:
         """Return how its errors depend on temperature; `sensor`, `job`, …"""
-        return self._run(
-            ask(machine_requests.get_machine_temperature(machine_id, query))
-        )
+        return self._run(ask(requests.get_machine_temperature(machine_id, query)))
 
     def get_machine_standing(self, machine_id: str) -> Json:
         """Return whether a machine is within its tolerance and as it was."""
-        return self._run(ask(machine_requests.get_machine_standing(machine_id)))
+        return self._run(ask(requests.get_machine_standing(machine_id)))
 
     def compare_machines(self, **query: Any) -> Json:
         """Compare machines by their newest calibrations; `machine`, `quantity`."""
-        return self._run(ask(machine_requests.compare_machines(query)))
+        return self._run(ask(requests.compare_machines(query)))
 
     def get_verification(self, job_id: str) -> Json:
         """Return `verification.json`."""
@@ -348,7 +344,6 @@ class Client:
                 return
 
     def _run(self, steps: Steps[T]) -> T:
-        """Drive the steps of a verb, and return what they return."""
         try:
             step = next(steps)
             while True:
@@ -367,7 +362,6 @@ class Client:
             return end.value
 
     def _send(self, request: Request[Any]) -> Answer:
-        """Send a request once. Raises Unreachable."""
         try:
             with ExitStack() as files:
                 upload = request.open_upload(files)

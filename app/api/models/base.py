@@ -119,7 +119,6 @@ _NO_SCHEMA = frozenset({"config", "default", "metadata"})
 
 
 def _make_strict(schema: Any) -> Any:
-    """Return a core schema whose numbers and truth values are strict."""
     if isinstance(schema, list):
         return [_make_strict(one) for one in cast(list[Any], schema)]
     if not isinstance(schema, dict):

@@ -22,8 +22,7 @@ from truepath.app.api.models.base import (
     Time,
 )
 from truepath.app.api.models.plan import PlanRequest
-from truepath.app.api.models.plan_rows import Point, Waypoint
-from truepath.app.api.models.workspace import KeepOut
+from truepath.app.api.models.plan_rows import KeepOut, Point, Waypoint
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.live_notice import OnNotice
 from truepath.app.jobs.requested_job import RequestedJob

@@ -18,8 +18,7 @@ from truepath.app.api.models.base import (
     TargetUm,
 )
 from truepath.app.api.models.plan_document import PlanDocumentOut
-from truepath.app.api.models.plan_rows import PlanOut
-from truepath.app.api.models.workspace import WorkspaceIn
+from truepath.app.api.models.plan_rows import PlanOut, WorkspaceIn
 from truepath.app.jobs.transitions import State
 
 MOST_MINUTES = 60.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -14,7 +14,6 @@ from truepath.app.api.models.model_file import (
     RunDigestOut,
     UsedModelOut,
 )
-from truepath.app.api.models.monte_carlo import TrialsOut
 from truepath.app.api.models.result_run import (
     AlignmentOut,
     NoiseFoundOut,
@@ -24,10 +23,85 @@ from truepath.app.api.models.result_run import (
 from truepath.app.api.models.tables import (
     MeasuredTablesOut,
     ObservabilityOut,
+    TableColumn,
     TablesOut,
     Vector3,
     VerdictOut,
 )
+
+T = TypeVar("T")
+
+
+class TrialBothUnits(BaseModel, Generic[T]):
+    """What the linear law states beside the trials, µm or µrad.
+
+    `tolerance` is δ of clause 8, by which `agrees` is decided.
+    """
+
+    value_um: T | None = None
+    linear_uncertainty_um: T | None = None
+    mean_um: T | None = None
+    uncertainty_um: T | None = None
+    interval_95_low_um: T | None = None
+    interval_95_high_um: T | None = None
+    tolerance_um: T | None = None
+    value_urad: T | None = None
+    linear_uncertainty_urad: T | None = None
+    mean_urad: T | None = None
+    uncertainty_urad: T | None = None
+    interval_95_low_urad: T | None = None
+    interval_95_high_urad: T | None = None
+    tolerance_urad: T | None = None
+
+
+class TrialTableOut(TrialBothUnits[TableColumn]):
+    """Numbers along an axis, one a position."""
+
+    position_mm: TableColumn | None = None
+    position_deg: TableColumn | None = None
+    agrees: list[bool]
+
+
+class TrialNumberOut(TrialBothUnits[float]):
+    """One number."""
+
+    agrees: bool
+
+
+class TrialMapOut(BaseModel):
+    """The volumetric error at a few positions: x, y and z of one after another."""
+
+    of: str
+    position: list[list[float]]
+    value_um: TableColumn
+    linear_uncertainty_um: TableColumn
+    mean_um: TableColumn
+    uncertainty_um: TableColumn
+    interval_95_low_um: TableColumn
+    interval_95_high_um: TableColumn
+    tolerance_um: TableColumn
+    agrees: list[bool]
+
+
+class TrialsOut(BaseModel):
+    """The uncertainties held against trials."""
+
+    method: str
+    seed: int
+    trials: int
+    block: int
+    significant_digits: int
+    coverage: float
+    interval: Literal["symmetric", "shortest"]
+    settled: bool
+    agrees: bool
+    numbers: int
+    agreeing: int
+    largest_disagreement: float
+    error_tables: dict[str, TrialTableOut]
+    squareness_urad: dict[str, TrialNumberOut]
+    axis_location: dict[str, TrialNumberOut]
+    volumetric_error: TrialMapOut
 
 
 class LeftOutOut(BaseModel):

@@ -2,6 +2,7 @@
 import { number, t } from "../texts.js";
 import { decimalsOf, shown, unitOf } from "../units.js";
 import { colour, font } from "./colours.js";
+import { axisStyle, drawFilling, drawLevel } from "./filling-chart.js";
 
 export const COVERAGE = 2;
 
@@ -50,29 +51,20 @@ export function roundReach(reach) {
  */
 export function drawErrors(element, table, { reach = null, span = null, read = () => {} } = {}) {
   const drawn = { table, reach, span, data: columns(table) };
-  const chart = new uPlot(options(element, drawn, read), rows(drawn.data), element);
-  const watcher = new ResizeObserver(() => {
-    if (element.clientWidth) chart.setSize(sizeOf(element));
-  });
-  watcher.observe(element);
+  const { chart, close } = drawFilling(element, rows(drawn.data), options(drawn, read));
   return {
     update(next, nextReach) {
       Object.assign(drawn, { table: next, reach: nextReach, data: columns(next) });
       chart.setData(rows(drawn.data));
     },
-    close() {
-      watcher.disconnect();
-      chart.destroy();
-    },
+    close,
   };
 }
 
 const rows = ({ x, value, low, high, up, down }) =>
   [x, value, low, high, ...(up ? [up, down] : [])];
 
-const sizeOf = (element) => ({ width: element.clientWidth, height: element.clientHeight });
-
-function options(element, drawn, read) {
+function options(drawn, read) {
   const accent = colour("accent");
   const range = () => (drawn.reach === null ? around(drawn) : symmetric(drawn.reach));
   // Not aligned to whole pixels: a smooth error must not look like a staircase.
@@ -80,8 +72,6 @@ function options(element, drawn, read) {
   const edge = line("transparent");
   const ways = drawn.data.up ? [line(colour("trace-y"), 1.75), line(colour("trace-z"), 1.75, [5, 4])] : [];
   return {
-    ...sizeOf(element),
-    legend: { show: false },
     padding: [6, 18, 0, 0],
     cursor: { drag: { x: false, y: false }, y: false, points: { size: 8 } },
     scales: { x: { time: false }, y: { range } },
@@ -99,8 +89,7 @@ function axes({ table, reach }) {
   const named = reach === null;
   const label = (text) => (named ? { label: text, labelSize: 18, labelGap: 2, labelFont: font(13) } : {});
   const common = {
-    stroke: colour("quiet"), font: font(12), ticks: { show: false },
-    grid: { stroke: colour("line"), width: 1 },
+    ...axisStyle(), grid: { stroke: colour("line"), width: 1 },
     values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))),
   };
   const x = { ...common, size: 24, space: 56, grid: { show: false }, ...label(`${table.axis} (${unitOf(table.positionKind)})`) };
@@ -150,18 +139,7 @@ function hatchUnmeasured(chart, { measured, positionKind }) {
   ctx.restore();
 }
 
-function drawZero(chart) {
-  const y = Math.round(chart.valToPos(0, "y", true)) + 0.5;
-  const { left, width } = chart.bbox;
-  chart.ctx.save();
-  chart.ctx.strokeStyle = colour("line-strong");
-  chart.ctx.lineWidth = 1;
-  chart.ctx.beginPath();
-  chart.ctx.moveTo(left, y);
-  chart.ctx.lineTo(left + width, y);
-  chart.ctx.stroke();
-  chart.ctx.restore();
-}
+const drawZero = (chart) => drawLevel(chart, 0, { tone: "line-strong", width: 1, dash: [] });
 
 function reading(index, { table, data }) {
   if (index === null || index === undefined) return "";

@@ -1,19 +1,23 @@
 /* Step 3: what will move, and the hold that starts it. */
-import { h } from "../dom.js";
+import * as api from "../api.js";
+import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, isExtra, machineName, rowsNow, stepOf, waitsForArming } from "../flow.js";
-import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
+import { card, errorNotice, head, kindOf, linkButton, notice, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { figure, quantity } from "../units.js";
-import { adviceCard } from "./advice-card.js";
+import { adviceCard, placeText } from "./advice-card.js";
 import { armingCard } from "./arming-card.js";
 import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
-import { programCard } from "./program-card.js";
-import { isSafetyRead, safetyCard } from "./safety-card.js";
-import { stationNotices } from "./station-notice.js";
 import { again } from "./run.js";
+
+const SAFETY_TEXTS = ["check.before_clear", "check.before_reflector", "check.before_sight"];
+const STATION_REASONS = {
+  "not-moved": "station.not-moved", "not-seen": "station.not-seen", residual: "station.residual",
+  moved: "station.moved",
+};
 
 /** Button that leads on: held, because the machine moves. */
 export function lead(state, { actions, go }) {
@@ -144,4 +148,78 @@ function rows({ axes, position }, machine) {
         low: figure(low, kind, 1), high: quantity(high, kind, 1),
         from: figure(from, kind, 1), to: quantity(to, kind, 1) })));
   });
+}
+
+/** What a person has to do with the tracker before the job is armed, as notices. */
+function stationNotices(job) {
+  const { station } = job;
+  if (!station || !waitsForArming(job)) return [];
+  const check = station.checks.find((one) => one.station === station.number);
+  const place = placeText(station.position_mm);
+  const values = { number: number(station.number), total: number(station.total), place };
+  const asked = notice("held", t("station.title", values), t("station.text", values), t("station.action"));
+  return check?.problem ? [refused(check), asked] : [asked];
+}
+
+function refused({ problem, text }) {
+  return notice("fault", t(STATION_REASONS[problem]), text, t("station.again"));
+}
+
+/** A card with a download a control, there as soon as the job has a plan. */
+function programCard() {
+  const downloads = h("div", { class: "downloads", role: "group", "aria-label": t("program.title") });
+  const element = card(t("program.title"), h("p", {}, t("program.text")), downloads);
+  element.hidden = true;
+  let offered = "";
+
+  async function offer(id) {
+    const controls = await api.dialects();
+    downloads.replaceChildren(...controls.map(({ name, control }) =>
+      linkButton(api.links.program(id, name), "download", control, { download: "" })));
+    element.hidden = false;
+  }
+
+  return {
+    element,
+    update(job, plan) {
+      if (!job || !plan || offered === job.id) return;
+      offered = job.id;
+      // Without the list there is no card: the path can be driven all the same.
+      offer(job.id).catch(() => { element.hidden = true; });
+    },
+  };
+}
+
+/** Whether each sentence has been in sight since the job asks to be armed. */
+const isSafetyRead = (read, job) => Boolean(read) && read.key === readKey(job) && read.count === SAFETY_TEXTS.length;
+
+/** Armed once more, as after the tracker was moved, it is to be read once more. */
+const readKey = (job) => `${job.id}:${job.station?.number ?? 1}:${job.state}`;
+
+/** Card with the sentences; keeps `safetyRead` of the store; `close` ends the watching. */
+function safetyCard(store) {
+  const items = SAFETY_TEXTS.map((key) => h("li", {}, icon("warning"), t(key)));
+  const seen = new Set();
+  const style = getComputedStyle(document.documentElement);
+  const [top, bottom] = ["--bar", "--footer"].map((name) => Number.parseFloat(style.getPropertyValue(name)));
+  // What lies under the bar or behind the button is not in sight.
+  const watcher = new IntersectionObserver(note, { threshold: 0.99, rootMargin: `-${top}px 0px -${bottom}px 0px` });
+  let key = "";
+
+  function note(entries) {
+    for (const { isIntersecting, target } of entries) if (isIntersecting) seen.add(target);
+    store.set({ safetyRead: { key, count: seen.size } });
+  }
+
+  return {
+    element: h("div", { class: "safety below" }, card(t("check.before"), h("ul", { class: "before" }, items))),
+    update(job) {
+      if (!job || readKey(job) === key) return;
+      key = readKey(job);
+      seen.clear();
+      watcher.disconnect();
+      for (const item of items) watcher.observe(item); // tells at once what is in sight already
+    },
+    close: () => watcher.disconnect(),
+  };
 }

@@ -2,12 +2,12 @@
 import { h, icon, mark, s } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
 import { card, head, notice, pairs } from "../parts.js";
-import { number, t } from "../texts.js";
+import { wordProblem } from "../problems.js";
+import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { conditionsCard } from "./conditions-card.js";
 import { deviceCard } from "./device-card.js";
 import { dropZone } from "./drop.js";
-import { lastErrorCard } from "./last-error-card.js";
 
 /** Button that leads on. */
 export function lead({ machine, busy, job }, { actions, go }) {
@@ -172,4 +172,24 @@ function volume(machine) {
   SEEN.map((edge) => s("path", { d: path(edge) })),
   label(0, 1, -6, 22, "X", 0, "middle"), label(1, 2, 10, 16, "Y", 1, "start"),
   label(0, 4, -10, 4, "Z", 2, "end"));
+}
+
+/** The card; it stays until the devices answer again or somebody takes it away. */
+function lastErrorCard(forget) {
+  const body = h("div");
+  const element = h("section", { class: "card", "data-card": "last-error", hidden: true },
+    h("h2", {}, t("connect.last_error")), body,
+    h("button", { class: "button below", type: "button", onclick: forget }, t("connect.forget_error")));
+  let shown = null;
+  return {
+    element,
+    update({ deviceError: error }) {
+      if (error === shown) return;
+      shown = error;
+      element.hidden = !error;
+      if (!error) return;
+      const { title, text, action } = wordProblem(error.problem);
+      body.replaceChildren(h("p", { class: "quiet" }, dateTime(error.at)), notice("held", title, text, action));
+    },
+  };
 }

@@ -3,7 +3,7 @@ import { links } from "../api.js";
 import { h, icon } from "../dom.js";
 import { isDiscovery } from "../flow.js";
 import { card, head, linkButton, notice } from "../parts.js";
-import { t } from "../texts.js";
+import { known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCards, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
@@ -11,7 +11,8 @@ import { closingCard, versionsCard } from "./model-card.js";
 import { newMeasurement, onward } from "./onward.js";
 import { stripsCard } from "./strips-card.js";
 import { verdictBand } from "./verdict-band.js";
-import { whereCard } from "./where-card.js";
+
+const MOST_SHARES = 6;
 
 /** Button that leads on. */
 export function lead(state, { actions, go }) {
@@ -104,3 +105,32 @@ const complete = ({ expected }) =>
   (expected === undefined ? "" : t("discover.complete", { value: micrometres(expected) }));
 
 const micrometres = (value) => quantity(value, "gap");
+
+/** A card with a bar for each grouping; null where the discovery does not tell. */
+function whereCard(explained) {
+  if (!explained) return null;
+  const { before, after } = explained;
+  const rows = Object.entries(before).sort(([, a], [, b]) => b - a).slice(0, MOST_SHARES);
+  const highest = Math.max(...rows.map(([name, share]) => Math.max(share, after[name] ?? 0)), 0.01);
+  const bar = (share, kind) => {
+    const inside = h("i", { class: kind });
+    inside.style.width = `${(100 * share) / highest}%`;
+    return inside;
+  };
+  const percent = (share) => number(100 * share, 0);
+  const row = ([name, share]) => [h("dt", {}, wordGrouping(name)),
+    h("dd", {}, h("div", { "aria-hidden": "true" }, bar(share, "is-before"), bar(after[name] ?? 0, "is-after")),
+      h("span", {}, t("where.share", { before: percent(share), after: percent(after[name] ?? 0) })))];
+  const element = card(t("where.title"), h("p", { class: "quiet" }, t("where.text")),
+    h("dl", { class: "shares" }, rows.map(row)));
+  element.dataset.where = "";
+  return element;
+}
+
+/** A grouping in words: "position of X", "region of X and Y", "moving axis", "time". */
+function wordGrouping(name) {
+  const [group, of = ""] = name.split(" of ");
+  const [one, other] = of.split(" and ");
+  const key = `where.${group.split(" ")[0]}`;
+  return known(key, "") ? t(key, { of: known(`sensor.${of}`, of), one, other }) : name;
+}

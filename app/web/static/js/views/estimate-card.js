@@ -2,11 +2,12 @@
 import { h, mark, write } from "../dom.js";
 import { isMoving } from "../flow.js";
 import { segments, tableFrame } from "../parts.js";
-import { drawCourse } from "../plots/course-chart.js";
+import { colour } from "../plots/colours.js";
 import { COVERAGE, drawErrors, reachOf, roundReach } from "../plots/error-chart.js";
+import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
-import { clock, number, t } from "../texts.js";
-import { figure, quantity, unitOf } from "../units.js";
+import { clock, duration, number, t } from "../texts.js";
+import { figure, quantity, shown, unitOf } from "../units.js";
 
 let chosenAxis = null;
 
@@ -168,3 +169,62 @@ function ageText({ done, total, age_s }, job) {
   const values = { done: number(done), total: number(total), unit, age: number(Math.floor(age_s)) };
   return t(isMoving(job) ? "estimate.age" : "estimate.last", values);
 }
+
+const SHORTEST_S = 30;
+
+/** Draw the course on a logarithmic scale; answers {update(course, target_um), close}.
+ *
+ * course: columns elapsed_s and volumetric_uncertainty_um (k = 1); target_um: k = 1, or null
+ */
+function drawCourse(element) {
+  const drawn = { target: null };
+  const { chart, close } = drawFilling(element, [[], []], options(drawn));
+  return {
+    update({ elapsed_s, volumetric_uncertainty_um }, target_um) {
+      drawn.target = target_um === null ? null : expanded(target_um);
+      chart.setData([elapsed_s, volumetric_uncertainty_um.map(expanded)]);
+    },
+    close,
+  };
+}
+
+const expanded = (um) => COVERAGE * shown(um, "error");
+
+function options(drawn) {
+  const common = axisStyle();
+  return {
+    padding: [8, 14, 0, 0],
+    scales: {
+      x: { time: false, range: (_, low, high) => [0, Math.max(high ?? 0, SHORTEST_S)] },
+      y: { distr: 3, range: (chart) => spread([...chart.data[1], drawn.target]) },
+    },
+    axes: [
+      { ...common, size: 26, space: 56, grid: { show: false },
+        values: (_, marks) => marks.map(duration) },
+      { ...common, size: 48, space: 22, grid: { stroke: colour("line"), width: 1 },
+        splits: (_chart, _axis, low, high) => roundMarks(low, high),
+        // Where room is short a mark comes as null: a line without a number.
+        values: (_, marks) => marks.map((m) => (m === null ? "" : number(m, decimalsOf(m)))) },
+    ],
+    series: [{}, { stroke: colour("accent"), width: 2.25, pxAlign: 0,
+      points: { show: true, size: 6, fill: colour("accent") } }],
+    hooks: { draw: [(chart) => drawLevel(chart, drawn.target)] },
+  };
+}
+
+/** Limits that hold all values, a little apart; a decade where there is none yet. */
+function spread(values) {
+  const positive = values.filter((v) => v > 0);
+  if (!positive.length) return [1, 10];
+  return [Math.min(...positive) / 1.5, Math.max(...positive) * 1.5];
+}
+
+/** 1, 2, 5, 10, … between limits; only powers of ten over many decades. */
+function roundMarks(low, high) {
+  const steps = Math.log10(high / low) > 2.2 ? [1] : [1, 2, 5];
+  const first = Math.floor(Math.log10(low));
+  const decades = Array.from({ length: Math.ceil(Math.log10(high)) - first + 1 }, (_, i) => 10 ** (first + i));
+  return decades.flatMap((decade) => steps.map((step) => step * decade)).filter((m) => m >= low && m <= high);
+}
+
+const decimalsOf = (mark) => Math.max(0, -Math.floor(Math.log10(mark) + 1e-9));

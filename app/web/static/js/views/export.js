@@ -2,13 +2,12 @@
 import * as api from "../api.js";
 import { h } from "../dom.js";
 import { isDiscovery, reach, statesTables } from "../flow.js";
-import { card, head, linkButton, notice, wordFormat } from "../parts.js";
+import { card, head, linkButton, notice, problemNotice, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { exportCard } from "./export-card.js";
 import { newMeasurement, onward } from "./onward.js";
-import { simulatedLoader } from "./simulated-tables.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -64,3 +63,36 @@ function keptFiles(found, load, said) {
 
 const left = ({ volumetric_error_um: { after } }) => t("export.kept_leaves", {
   value: quantity(after.mean, "gap"), u: quantity(COVERAGE * after.mean_uncertainty, "gap"), k: COVERAGE });
+
+/** What loads files of a job into its simulated control; null where the devices are real.
+ *
+ * changed(): hears that the control has others now
+ */
+function simulatedLoader(job, { system }, changed) {
+  if (!system?.simulated || !job.machine) return null;
+  const said = h("div", { "aria-live": "polite" });
+
+  async function order(request) {
+    said.replaceChildren(...await request().then(() => [], refusal));
+    changed();
+  }
+
+  /** Button for kept files, or the word that the control has them. */
+  function button(made, loaded) {
+    if (loaded.job_id === job.id && loaded.compensation_id === made.id) {
+      return h("span", { class: "row-actions" }, h("span", { class: "tag" }, t("export.loaded")),
+        h("button", { class: "button", type: "button", "data-needs": "metrologist", "data-unload": made.id,
+          onclick: () => order(() => api.clearSimulatedTables(job.machine)) }, t("export.unload")));
+    }
+    return h("button", { class: "button", type: "button", "data-needs": "metrologist", "data-load": made.id,
+      onclick: () => order(() => api.loadSimulatedTables(job.machine, { job_id: job.id, compensation_id: made.id })),
+    }, t("export.load"));
+  }
+
+  return { said, button, read: () => api.simulatedTables(job.machine) };
+}
+
+function refusal(error) {
+  if (!(error instanceof api.Problem)) throw error;
+  return [problemNotice(error)];
+}

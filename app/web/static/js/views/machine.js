@@ -1,14 +1,16 @@
 /* The step Machine: which machines there are, how each stands, and who it is. */
 import * as api from "../api.js";
+import { Problem } from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
 import { addressOf, isActive, isConnected, isMeasuring } from "../flow.js";
+import { holdToConfirm } from "../hold.js";
 import { card, head, notice, wordOf } from "../parts.js";
+import { lineOf } from "../problems.js";
 import { dateTime, number, plain, t, typed } from "../texts.js";
 import { decimalsOf, quantity, shown, stored, unitOf } from "../units.js";
 import { deviceCard } from "./device-card.js";
 import { wordEntry } from "./history-card.js";
 import { machineForm, mayDescribe } from "./machine-form.js";
-import { removalCard } from "./machine-removal.js";
 
 const DAY_MS = 86400e3;
 const HOUR_MS = 3600e3;
@@ -240,4 +242,24 @@ function toleranceField(kept) {
   const field = h("div", { class: "text-field" }, h("label", { for: input.id }, t("machine.tolerance"), h("span", { class: "unit" }, unitOf("gap"))), input);
   const note = h("div", {}, h("p", { class: "field-note", id: "machine-tolerance-note" }, t("machine.tolerance_note")), error);
   return { field, note, read };
+}
+
+/** Card that removes a machine; `remove()` refuses with a Problem. */
+function removalCard({ id, name }, remove) {
+  const error = h("p", { class: "field-error", role: "alert" });
+  const button = h("button", { class: "button", type: "button", id: "machine-remove" },
+    icon("cross"), t("machine.remove_hold", { name: name || id }));
+  holdToConfirm(button, async () => {
+    button.disabled = true;
+    write(error, "");
+    try {
+      await remove();
+    } catch (refused) {
+      if (!(refused instanceof Problem)) throw refused;
+      error.replaceChildren(...(refused.status === 412 ? [t("machine.remove_stale")] : lineOf(refused)));
+    }
+    button.disabled = false;
+  });
+  return h("details", { class: "card", "data-card": "remove" }, h("summary", {}, t("machine.remove")),
+    h("div", { class: "stack" }, h("p", {}, t("machine.remove_text", { id })), error, h("div", {}, button)));
 }

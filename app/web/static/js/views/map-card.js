@@ -1,18 +1,17 @@
 /* The volumetric error in the volume: arrows in space or in a plane, before and after compensation. */
 import * as api from "../api.js";
 import { h, mark, write } from "../dom.js";
-import { problemNotice, segments, wordFormat } from "../parts.js";
-import { roundReach } from "../plots/error-chart.js";
+import { problemNotice, segments, tableFrame, wordFormat } from "../parts.js";
+import { COVERAGE, roundReach } from "../plots/error-chart.js";
 import { lengthScale, scaleKey } from "../plots/length-scale.js";
 import { drawSlice, PLANES } from "../plots/map-slice.js";
 import { drawVolume } from "../plots/map-volume.js";
 import { VIEWS } from "../plots/scene.js";
 import { prefer, preference } from "../preferences.js";
 import { dateTime, number, t } from "../texts.js";
-import { quantity } from "../units.js";
-import { LINEAR, readMap, readPlaces } from "./map-reading.js";
-import { mapTable } from "./map-table.js";
+import { figure, quantity, unitOf } from "../units.js";
 
+const LINEAR = ["X", "Y", "Z"];
 const [VOLUME, PLACES] = ["volume", "places"];
 const [FACTOR_STEPS, DECADE] = [60, 15]; // of the slider
 const LONGEST = 0.12; // of the travel's diagonal, the largest arrow at first
@@ -248,4 +247,65 @@ function spoken({ points }) {
   const mean = points.reduce((sum, p) => sum + p.length_um, 0) / points.length;
   return t("map.spoken", { mean: quantity(mean, "gap"), largest: quantity(largest.length_um, "gap"),
     place: largest.at_mm.map((v, i) => `${LINEAR[i]} ${quantity(v, "travel")}`).join(", ") });
+}
+
+/** A map of the service for drawing; `result` says which range was measured.
+ *
+ * columns: those of X, Y and Z in a position
+ * points: [{index, at_mm, error_um, expanded_um, length_um, isMeasured}, …]
+ */
+function readMap(found, result) {
+  const columns = LINEAR.map((name) => found.axes.indexOf(name));
+  const pick = (row) => columns.map((c) => row[c]);
+  const places = found.position.map(pick);
+  const levels = columns.map((_, i) => [...new Set(places.map((at) => at[i]))].sort((a, b) => a - b));
+  return {
+    columns, count: found.points, isScattered: false, levels, hasDirection: found.error_um.some((error) => error.some(Boolean)),
+    travel: levels.map((own) => [own[0], own.at(-1)]),
+    measured: LINEAR.map((name) => rangeOf(result.measured_range?.[name])),
+    points: places.map((at_mm, i) => ({
+      at_mm, index: at_mm.map((v, k) => levels[k].indexOf(v)),
+      error_um: found.error_um[i], expanded_um: found.uncertainty_um[i].map((u) => COVERAGE * u),
+      length_um: found.length_um[i], isMeasured: found.is_measured[i],
+    })),
+  };
+}
+
+const rangeOf = (range) => (range ? [range.from_mm, range.to_mm] : null);
+
+/** What a verification has measured where the machine stood still, in the travel of a map; the places lie on no grid. */
+function readPlaces({ places }, map) {
+  const points = places.position.map((position, i) => ({
+    at_mm: map.columns.map((c) => position[c]), error_um: places.measured_um[i],
+    expanded_um: places.measured_uncertainty_um[i].map((u) => COVERAGE * u),
+    length_um: Math.hypot(...places.measured_um[i]), isMeasured: true,
+  }));
+  return { ...map, isScattered: true, hasDirection: true, points: points.filter((_, i) => places.standstill[i]) };
+}
+
+/** A table that is written when it is opened. */
+function mapTable(map) {
+  const content = tableFrame(t("map.table"));
+  const details = h("details", { class: "map-table" }, h("summary", {}, t("map.table")), content);
+  details.addEventListener("toggle", () => {
+    if (details.open && !content.children.length) content.append(table(map));
+  });
+  return details;
+}
+
+function table({ points, levels, hasDirection, isScattered }) {
+  const kept = levels.map((own) => new Set([0, Math.floor((own.length - 1) / 2), own.length - 1]));
+  const rows = isScattered ? points : points.filter(({ index }) => index.every((i, k) => kept[k].has(i)));
+  const title = (text) => h("th", { class: "right", scope: "col" }, text);
+  const micro = unitOf("gap");
+  return h("table", {},
+    h("thead", {}, h("tr", {}, ["X", "Y", "Z"].map((name) => title(`${name} (${unitOf("travel")})`)),
+      hasDirection && ["δx", "δy", "δz"].map((name) => title(`${name} ± U (${micro})`)), title(`${t("map.length")} (${micro})`),
+      h("th", { scope: "col" }, t("map.range")))),
+    h("tbody", {}, rows.map(({ at_mm, error_um, expanded_um, length_um, isMeasured }) => h("tr", {},
+      at_mm.map((v) => h("td", { class: "right" }, figure(v, "travel"))),
+      hasDirection && error_um.map((v, i) => h("td", { class: "right" }, `${figure(v, "gap")} ± ${figure(expanded_um[i], "gap")}`)),
+      h("td", { class: "right" }, figure(length_um, "gap")),
+      h("td", {}, t(isMeasured ? "map.measured" : "map.unmeasured"))))),
+    h("caption", {}, t(isScattered ? "map.table_places" : "map.table_note", { k: COVERAGE })));
 }

@@ -7,23 +7,23 @@ import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { sayUnobservable } from "../statements.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
-import { dateTime, number, t } from "../texts.js";
+import { dateTime, known, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
+import { compareCard } from "./compare-card.js";
+import { askCard } from "./discover.js";
 import { gradeCard } from "./grade-card.js";
+import { headline } from "./headline.js";
+import { historyCard } from "./history-card.js";
+import { mapCard } from "./map-card.js";
+import { newMeasurement, onward } from "./onward.js";
+import { findProof, isProof } from "./proof.js";
 import { referenceCard } from "./reference-card.js";
 import { residualCard } from "./residual-card.js";
 import { showTable } from "./table-sheet.js";
-import { askCard } from "./discover.js";
-import { budgetCard } from "./budget-card.js";
-import { compareCard } from "./compare-card.js";
-import { headline } from "./headline.js";
-import { historyCard } from "./history-card.js";
-import { newMeasurement, onward } from "./onward.js";
-import { mapCard } from "./map-card.js";
-import { findProof, isProof } from "./proof.js";
 import { overTimeCard } from "./trend-form.js";
-import { trialsCard } from "./trials-card.js";
 import { usableMark, verdictBand } from "./verdict-band.js";
+
+const BUDGET_COLUMNS = ["volume", "x", "y", "z"];
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -217,4 +217,41 @@ function squareness(result) {
         h("th", { class: "right" }, t("result.value")),
         h("th", { class: "right" }, t("result.u", { k: COVERAGE })))),
       h("tbody", {}, rows))));
+}
+
+/** What the trials say, with the way to the report; or the button that asks for them. */
+function trialsCard(job, result, actions) {
+  const trials = result.monte_carlo;
+  if (!trials) return job.run_id ? askingForTrials(job, actions) : null;
+  const key = !trials.settled ? "trials.unsettled" : trials.agrees ? "trials.agrees" : "trials.differs";
+  const counts = { trials: number(trials.trials), agreeing: number(trials.agreeing), numbers: number(trials.numbers) };
+  return card(t("trials.title"), h("p", {}, t(key, counts)),
+    h("div", {}, linkButton(links.report(job.id), "report", t("result.report"), { target: "_blank", rel: "noopener" })));
+}
+
+function askingForTrials(job, actions) {
+  return card(t("trials.title"), h("p", { class: "quiet" }, t("trials.text")),
+    h("div", {}, h("button", { class: "button", type: "button", "data-needs": "operator", onclick: () => actions.validate(job.run_id) },
+      icon("check"), h("span", {}, t("trials.ask")))));
+}
+
+/** The card; null where the result has no budget. */
+function budgetCard({ uncertainty_budget: budget }) {
+  if (!budget) return null;
+  const { sources_um: sources, total_um: total } = budget;
+  const share = ({ volume }) => (100 * volume ** 2) / (total.volume ** 2 || 1);
+  const rows = Object.entries(sources).filter(([, parts]) => parts.volume > 0).sort((a, b) => b[1].volume - a[1].volume);
+  const micro = unitOf("gap");
+  const title = (text) => h("th", { class: "right", scope: "col" }, text);
+  const cells = (parts) => BUDGET_COLUMNS.map((name) => h("td", { class: "right" }, figure(COVERAGE * parts[name], "gap")));
+  const element = card(t("budget.title"),
+    h("p", { class: "quiet" }, t("budget.text", { k: COVERAGE, unit: micro })),
+    tableFrame(t("budget.title"), h("table", { class: "budget" },
+      h("thead", {}, h("tr", {}, h("th", { scope: "col" }, t("budget.source")), h("th", { scope: "col" }, t("budget.share")),
+        title(t("budget.volume")), ["X", "Y", "Z"].map(title))),
+      h("tbody", {}, rows.map(([source, parts]) => h("tr", { "data-source": source }, h("td", {}, known(`budget.${source}`, source)),
+        h("td", { class: "budget-share" }, h("i", { style: `width:${share(parts)}%` }), h("span", {}, `${number(share(parts), share(parts) < 10 ? 1 : 0)} %`)),
+        cells(parts))), h("tr", { class: "budget-total" }, h("td", {}, t("budget.total")), h("td", {}, ""), cells(total))))));
+  element.dataset.card = "budget";
+  return element;
 }

@@ -1,19 +1,19 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
-import { h, write } from "../dom.js";
+import { h, icon, write } from "../dom.js";
 import {
   addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, isTrend, isVerification, rowsNow,
 } from "../flow.js";
-import { card, head, markStale, segments } from "../parts.js";
-import { t } from "../texts.js";
-import { figure, unitOf } from "../units.js";
-import { endingNotices, mayGoOn } from "./ending-notices.js";
+import { holdToConfirm } from "../hold.js";
+import { card, earlyEndNotice, errorNotice, head, kindOf, markStale, notice, segments, wordOf } from "../parts.js";
+import { known, number, t } from "../texts.js";
+import { figure, quantity, unitOf } from "../units.js";
 import { estimateCard } from "./estimate-card.js";
 import { healthCard } from "./health-card.js";
-import { liveNotices, noticeKey } from "./live-notices.js";
-import { motionButtons } from "./motion-buttons.js";
 import { pathCard } from "./path-card.js";
 import { progressCard } from "./progress-card.js";
+import { verdictNotice } from "./verdict-band.js";
 
+const RESUMABLE = new Set(["measure-otf", "measure-standstill", "measure-extra"]);
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
   analyse: ["aligning", "estimating", "reporting"],
@@ -190,4 +190,102 @@ function positionCard() {
     list.replaceChildren(...outputs.map(({ name, kind, output }) =>
       h("li", {}, h("b", {}, name), output, h("span", { class: "unit" }, unitOf(kind)))));
   }
+}
+
+/** Whether a measurement that was cut short may be prepared to go on. */
+const mayGoOn = (job) =>
+  Boolean(job.links?.verbs?.acknowledge) && RESUMABLE.has(job.kind);
+
+/** Notices of the end of a job, or of what holds it. */
+function endingNotices(job) {
+  const early = earlyEndNotice(job);
+  const shown = hasEnded(job) ? [...endOf(job, early), mayGoOn(job) && goesOn(job)]
+    : [job.state === "cancelling" && cancelling(job), job.error && errorNotice(job, "held"), repeated(job), early];
+  return shown.filter(Boolean).map((said) => h("div", { class: "below" }, said));
+}
+
+function endOf(job, early) {
+  if (job.state === "succeeded") return [verdictNotice(job), early];
+  const kept = isMeasuring(job) && job.run_id ? t("run.kept") : "";
+  if (job.state === "cancelled") return [notice(null, t("cancel.over"), isMeasuring(job) ? t("cancel.over_text") : "", kept)];
+  return [errorNotice(job) ?? notice("fault", wordOf(job.state), t("run.ended", { kind: kindOf(job.kind) }), kept)];
+}
+
+/** What acknowledging leads to, before it is asked for. */
+const goesOn = (job) => notice("held", t("goon.title"), t("goon.text"),
+  t(job.station ? "goon.closure_station" : "goon.closure"));
+
+const cancelling = (job) => notice("held", t("cancel.under_way"),
+  t(job.kind === "measure-standstill" ? "cancel.finishes_point" : "cancel.finishes_line"));
+
+/** Lines that were lost and are planned anew. */
+function repeated({ health }) {
+  const times = health?.repeats ?? 0;
+  return times ? notice(null, t("run.repeated"), t("run.repeated_text", { times: number(times) })) : null;
+}
+
+/** What the notices look like: it changes where one has to be drawn anew. */
+const noticeKey = (job) => JSON.stringify([job.state, (job.notices ?? []).map(
+  ({ number: n, kind, grade, is_over, action }) => [n, kind, grade, is_over, action])]);
+
+/** Each notice, the newest first; where the machine is held for one, what may be done. */
+function liveNotices(job, actions) {
+  const notices = [...(job.notices ?? [])].reverse();
+  const asked = job.state === "paused" && notices[0]?.action === "pause";
+  return notices.map((one, i) => h("div", { class: "below", role: i === 0 ? "status" : null },
+    describe(one, job), asked && i === 0 ? choice(actions) : null));
+}
+
+function describe(one, job) {
+  const values = {
+    axis: one.axis, row: number(one.since_row), size: quantity(one.size_um, "error"),
+    u: quantity(2 * one.uncertainty_um, "error"), grade: known(`notice.${one.grade}`, one.grade),
+    unit: t(job.kind === "measure-standstill" ? "notice.point" : "notice.line"),
+  };
+  const over = one.is_over ? t("notice.over") : "";
+  const done = known(`notice.done_${one.action}`, "");
+  const tone = one.is_over || hasEnded(job) ? null : "held";
+  return notice(tone, known(`notice.${one.kind}`, one.kind, values), t("notice.text", values), over || done);
+}
+
+/** Lines are driven again only while the button is held: the machine moves. */
+function choice(actions) {
+  const button = (then) => {
+    const element = h("button", { class: "button", type: "button", id: `then-${then}`, "data-needs": "operator" },
+      icon("play"), t(`notice.then_${then}`));
+    holdToConfirm(element, () => actions.resume(then));
+    return element;
+  };
+  return h("div", { class: "below" }, h("p", {}, t("notice.ask")),
+    h("div", { class: "motion-buttons" }, button("check"), button("replan")));
+}
+
+/** Pause at a touch; resume, and end in order, held. */
+function motionButtons(actions) {
+  const pause = h("button", { class: "button", type: "button", id: "pause", "data-needs": "operator", onclick: actions.pause },
+    icon("pause"), t("run.pause"));
+  const resume = h("button", { class: "button", type: "button", id: "resume", "data-needs": "operator" },
+    icon("play"), t("run.resume"));
+  const words = h("span");
+  const cancel = h("button", { class: "button", type: "button", id: "cancel", "data-needs": "operator" }, icon("check"), words);
+  holdToConfirm(resume, () => actions.resume());
+  holdToConfirm(cancel, actions.cancel);
+  const element = h("div", { class: "motion-buttons" }, pause, resume, cancel);
+  return {
+    element,
+    update({ job, link }) {
+      element.hidden = !isMoving(job);
+      pause.disabled = !["running", "resuming"].includes(job.state);
+      resume.disabled = job.state !== "paused" || link.stale;
+      cancel.disabled = ["cancelling", "aborting"].includes(job.state) || link.stale;
+      write(words, t(cancelLabel(job)));
+    },
+  };
+}
+
+/** A machine that is held is not moved on for the sake of being cancelled. */
+function cancelLabel({ kind, state }) {
+  if (state === "cancelling") return "cancel.under_way";
+  if (state === "paused") return "cancel.hold_here";
+  return kind === "measure-standstill" ? "cancel.hold_point" : "cancel.hold_line";
 }

@@ -3,8 +3,9 @@ import { links } from "../api.js";
 import { h } from "../dom.js";
 import { place } from "../flow.js";
 import { card, head, linkButton, notice, segments, tableFrame } from "../parts.js";
+import { colour } from "../plots/colours.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { drawOverTime } from "../plots/time-chart.js";
+import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
 import { number, t } from "../texts.js";
 import { quantity, shown, unitOf } from "../units.js";
@@ -167,3 +168,70 @@ function runsCard({ runs, later }) {
 
 const notTold = () => card(t("trend.not_told"), h("ul", { class: "lines" },
   ["volume", "within", "direction", "begun"].map((key) => h("li", {}, t(`trend.not_told.${key}`)))));
+
+/** Draw a chart; answers {close}.
+ *
+ * measured, predicted: {hours, value, low, high}, in shown units; limit: of the quantity, or null
+ * floor: lowest value drawn, or null for where the values end
+ */
+function drawOverTime(element, { measured, predicted, limit = null, floor = null }) {
+  const data = rows(measured, predicted);
+  return drawFilling(element, data, options(data, limit, floor));
+}
+
+/** One column of hours; values where there are some, else null. */
+function rows(measured, predicted) {
+  const hours = [...measured.hours, ...predicted.hours];
+  const first = ({ hours: own }, values) => [...values, ...Array(hours.length - own.length).fill(null)];
+  const last = ({ hours: own }, values) => [...Array(hours.length - own.length).fill(null), ...values];
+  const parts = ["value", "low", "high"];
+  return [hours, ...parts.map((part) => first(measured, measured[part])),
+    ...parts.map((part) => last(predicted, predicted[part]))];
+}
+
+function options(data, limit, floor) {
+  const common = axisStyle();
+  const hidden = { stroke: "transparent", points: { show: false } };
+  const values = (_, marks) => marks.map((m) => number(m, decimalsFor(marks)));
+  const all = [...data.slice(1).flat(), limit].filter((v) => v !== null);
+  const [low, high] = [floor ?? Math.min(...all, 0), Math.max(...all, 0)];
+  const room = 0.06 * (high - low || 1);
+  return {
+    padding: [8, 18, 0, 0],
+    scales: { x: { time: false }, y: { range: () => [floor ?? low - room, high + room] } },
+    axes: [
+      { ...common, size: 26, space: 56, grid: { show: false }, values },
+      { ...common, size: 48, space: 26, grid: { stroke: colour("line"), width: 1 }, values },
+    ],
+    series: [{},
+      { stroke: colour("accent"), width: 1.5, points: { show: true, size: 8, fill: colour("accent") } },
+      hidden, hidden,
+      { stroke: colour("trace-y"), width: 2.25, dash: [7, 5], pxAlign: 0, points: { show: false } },
+      hidden, hidden],
+    bands: [{ series: [6, 5], fill: colour("band") }],
+    hooks: { draw: [(chart) => drawIntervals(chart), (chart) => drawLevel(chart, limit)] },
+  };
+}
+
+function decimalsFor(marks) {
+  const step = marks.length > 1 ? Math.abs(marks[1] - marks[0]) : 1;
+  return step >= 1 ? 0 : step >= 0.1 ? 1 : 2;
+}
+
+/** The interval of each measured value. */
+function drawIntervals(chart) {
+  const [hours, , low, high] = chart.data;
+  const { ctx } = chart;
+  ctx.save();
+  ctx.strokeStyle = colour("accent");
+  ctx.lineWidth = 2 * devicePixelRatio;
+  ctx.beginPath();
+  hours.forEach((hour, i) => {
+    if (low[i] === null) return;
+    const x = chart.valToPos(hour, "x", true);
+    ctx.moveTo(x, chart.valToPos(low[i], "y", true));
+    ctx.lineTo(x, chart.valToPos(high[i], "y", true));
+  });
+  ctx.stroke();
+  ctx.restore();
+}
