@@ -20,7 +20,7 @@ from truepath.app.compensation.format import (
     InterpolatedTable,
     TableFormat,
 )
-from truepath.app.compensation.linuxcnc import (
+from truepath.app.compensation.linuxcnc_kinematics import (
     list_pin_places,
     read_kinematics,
     write_kinematics,
