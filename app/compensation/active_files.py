@@ -45,7 +45,7 @@ class ActiveFiles:
 
     texts : by name; files_sha256 : digest by name
     before : the files in whose place these are, active while that was measured which
-        these were made of; made_of : its digest, where the account tells it
+        these were made of; made_of : its digest, where the account has it
     """
 
     format: str
@@ -93,7 +93,7 @@ class ActiveFiles:
 
 @dataclass(frozen=True, slots=True)
 class GivenTables:
-    """What somebody says of the tables that the control had while it was measured.
+    """The tables that the control had during the measurement, as far as stated.
 
     data : the files by name; account : of these, where it is known
     is_difference : files are wanted of what these lack, not of both

@@ -68,7 +68,7 @@ def _ask(name: str, make: Any) -> CompensationFormat:
 
 
 def _check(call: str, answer: Any) -> Any:
-    """Return what a format of somebody else has made of it. Raises ValueError."""
+    """Validate what a third-party format returns. Raises ValueError."""
     if call == "write":
         if not answer:
             raise ValueError("it has written no file")

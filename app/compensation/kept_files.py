@@ -34,7 +34,7 @@ class CompensationOrder:
     format : name of an installed one; spacing_mm : of the rows
     unmeasured : what tables have where an axis was not measured
     choices : of the format, by name
-    given : what the control had while it was measured, where somebody says it
+    given : what the control had while it was measured, where stated
     """
 
     format: str

@@ -37,7 +37,7 @@ _LONG = (3.0, 1.5)  # times the usual way between stamps: a gap; the second if n
 _LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
 _LATE_S = 0.02  # and of a computer that was busy
 _ROUND = 0.005  # of a rate: so far it may be off a whole number of rows a second
-_LEAST = 100  # rows that tell a rate
+_LEAST = 100  # rows that determine a rate
 
 
 def read_clock(

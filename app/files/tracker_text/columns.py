@@ -57,7 +57,7 @@ _POLAR = _list_words(
 DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
 _RISING = 0.995  # of its steps: so a time goes on, maybe with a wrap
-_KINDS = 200  # rows that tell what a column without a name holds
+_KINDS = 200  # rows that show what a column without a name holds
 
 
 @dataclass(frozen=True, slots=True)

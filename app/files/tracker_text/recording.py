@@ -304,7 +304,7 @@ def _read_temperatures(
 ) -> tuple[TemperatureSamples | None, tuple[RunEvent, ...]]:
     """Return the rows at which a temperature changes, the first and the last.
 
-    What is not believed is NaN, and told.
+    What is not believed is NaN, and reported.
     """
     sensors = [column for column in columns if column.role.endswith("_degC")]
     if not sensors:
