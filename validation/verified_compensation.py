@@ -17,10 +17,9 @@ import numpy as np
 from document import table, write_section
 from recordings import plan_program, random_air, random_content, run_of
 
-from truepath.app.compensation.active_files import follow_approach
+from truepath.app.compensation.active_files import make_active_files
 from truepath.app.compensation.error_map import map_errors
 from truepath.app.compensation.export import export_result
-from truepath.app.compensation.installed import load_format
 from truepath.app.files.machine_file import machine_from_json
 from truepath.app.files.result_file import CalibrationResult, result_from_json
 from truepath.app.motion.verification_kinds import VerificationKind
@@ -112,7 +111,8 @@ def _verify(
     )
     added = None
     if files:
-        added = follow_approach(load_format(FORMAT).read(files, machine), machine)
+        data = {name: text.encode() for name, text in files.items()}
+        added = make_active_files(data, FORMAT, machine, {}).added
     return verify(result, run_of(recording), correction=added)
 
 
