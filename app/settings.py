@@ -40,7 +40,19 @@ from truepath.app.machine_settings import (
 from truepath.app.service_log import LogFile
 
 _DASK = "dask://"
-_Network = Annotated[str, AfterValidator(lambda one: str(ipaddress.ip_network(one)))]
+
+
+def _check_network(text: str) -> str:
+    try:
+        ipaddress.ip_network(text)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}: give an address or a network, such as 10.0.0.0/8"
+        ) from error
+    return text
+
+
+_Network = Annotated[str, AfterValidator(_check_network)]
 
 
 class Settings(DeviceConfiguration, BaseSettings):
