@@ -16,14 +16,23 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from pathlib import Path
+from typing import Any
 
+import structlog
+
+from truepath.app.errors import WorkerDied
+from truepath.app.progress import Progress
 from truepath.app.service_log import read_log_settings, receive_log, send_log
 from truepath.app.thread_limits import choose_thread_limits
+
+log = structlog.get_logger(__name__)
 
 BACKGROUND_NICENESS = 10
 """Of processes that compute: the reader of the tracker's port goes first."""
@@ -175,3 +184,117 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """From the process: the value of the call, or what it has raised."""
+
+    value: Any = None
+    error: Exception | None = None
+
+
+class WorkerProcess:
+    """A child process that computes one call after another.
+
+    `call` belongs to one thread at a time, `kill` to any.
+
+    prepare : function of a module, called first
+    """
+
+    def __init__(
+        self, name: str, *, niceness: int = 0, prepare: Callable[[], None] | None = None
+    ) -> None:
+        self._process = ChildProcess(name, _compute, prepare, niceness=niceness)
+        self._process.start()
+        self._is_busy = self._is_ready = False
+
+    def call(
+        self, function: Callable[..., Any], on_progress: Progress | None = None
+    ) -> Any:
+        """Return the value of a function, or raise what it raises, or WorkerDied.
+
+        on_progress : passed to the function if given; what it raises is logged
+        """
+        self._is_busy = True
+        try:
+            answer = self._wait_for_answer(function, on_progress)
+        except BaseException:
+            self.kill()
+            raise
+        finally:
+            self._is_busy = False
+        if answer.error is not None:
+            raise answer.error
+        return answer.value
+
+    def kill(self) -> None:
+        """End the process, whatever it does. Idempotent, any thread."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End the process for good: in order where it is idle."""
+        is_idle = not self._is_busy and (self._is_ready or self._process.link.poll())
+        if is_idle and self._process.alive:
+            self._process.link.close()
+            self._process.join(_END_S)
+        self._process.close()
+
+    def _wait_for_answer(
+        self, function: Callable[..., Any], on_progress: Progress | None
+    ) -> Answer:
+        call = function, on_progress is not None
+        self._exchange(lambda: self._process.link.send(call))
+        while True:
+            message = self._exchange(self._process.link.recv)
+            self._is_ready = True
+            match message:
+                case (share, stage) if on_progress is not None:  # how far it is
+                    try:
+                        on_progress(share, stage)
+                    except Exception as error:
+                        log.warning("progress cannot be reported", error=repr(error))
+                case Answer():
+                    return message
+
+    def _exchange(self, step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except (EOFError, OSError) as error:
+            raise WorkerDied(
+                "a computing process ended without an answer: killed, or out of "
+                "memory; run it again, or with fewer workers"
+            ) from error
+
+
+def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
+    """Body of the process: call what comes until nobody is there to ask."""
+    if prepare is not None:
+        try:
+            prepare()
+        except Exception:
+            log.exception("the worker process is not prepared; tasks run all the same")
+    with suppress(EOFError, OSError):
+        link.send(None)  # it is prepared
+        while True:
+            answer = _answer(link)
+            try:
+                link.send(answer)
+            except (TypeError, AttributeError, ValueError) as error:
+                unsent = TypeError(f"the value cannot be sent: {error}")
+                link.send(Answer(error=unsent))
+
+
+def _answer(link: Connection) -> Answer:
+    try:
+        function, reports_progress = link.recv()
+    except (EOFError, OSError):
+        raise
+    except Exception as error:  # what was sent cannot be imported here
+        return Answer(error=error)
+    if reports_progress:
+        function = partial(function, on_progress=lambda *done: link.send(done))
+    try:
+        return Answer(function())
+    except Exception as error:
+        return Answer(error=error)

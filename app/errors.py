@@ -83,3 +83,7 @@ class NotFound(JobError):
 
 class MeasurementFailed(TruepathError):
     """A measurement that ended before its path did; what was recorded is kept."""
+
+
+class WorkerDied(TruepathError):
+    """A computing process ended without an answer: killed, or out of memory."""

@@ -29,10 +29,10 @@ from truepath.app.api.results import send_page
 from truepath.app.api.service import Service, ServiceDep
 from truepath.app.api.session import ActorDep
 from truepath.app.api.thread_pools import on_threads
+from truepath.app.child_process import WorkerProcess
 from truepath.app.errors import NotFound
 from truepath.app.files.identity_file import Identity
 from truepath.app.files.verdict import State as VerdictState
-from truepath.app.jobs.executor import WorkerProcess
 from truepath.app.jobs.identities import describe_identity, find_machine, keep_identity
 from truepath.app.jobs.machine_registry import MachineRecord
 

@@ -355,7 +355,7 @@ def create_compensation(
     was measured, they are combined with the tables that it had, or the difference.
     """
     from truepath.app.compensation.active_files import GivenTables
-    from truepath.app.compensation.kept_files import CompensationOrder, keep_files
+    from truepath.app.compensation.order import CompensationOrder, keep_files
     from truepath.app.compensation.unmeasured import Unmeasured
 
     folder = _find_folder(service, job_id)

@@ -26,6 +26,7 @@ from starlette.types import Scope
 from truepath.app import errors as app_errors
 from truepath.app.api.models.base import Problem, address
 from truepath.app.jobs import errors as job_errors
+from truepath.app.jobs.conditions import NotInOrder
 from truepath.app.jobs.job import Failure
 from truepath.app.users import errors as user_errors
 
@@ -89,7 +90,7 @@ def describe_error(error: Exception) -> dict[str, Any]:
         extra["current_job"] = address(f"/jobs/{error.job_id}")
     if isinstance(error, job_errors.NotInControl):
         extra["controller"] = error.controller
-    if isinstance(error, job_errors.NotInOrder):
+    if isinstance(error, NotInOrder):
         extra["conditions"] = [one.type for one in error.obstacles]
     if isinstance(error, job_errors.StillNeeded):
         extra["dependents"] = list(error.dependents)

@@ -2,102 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from truepath.app.compensation.active_files import (
-    ActiveFiles,
-    GivenTables,
-    make_active_files,
-)
-from truepath.app.compensation.export import SPACING_MM, export_files
-from truepath.app.compensation.unmeasured import Unmeasured
 from truepath.app.errors import NotFound
-from truepath.app.files.result_file import read_result
-from truepath.app.files.whole_files import read_whole
-from truepath.app.kinematics.machine import Machine
 
-_STEM = "compensation"
-_ACCOUNT = f"{_STEM}.json"  # written last: who has it has all files
-
-
-@dataclass(frozen=True, slots=True)
-class CompensationOrder:
-    """What files are asked for.
-
-    format : name of an installed one; spacing_mm : of the rows
-    unmeasured : what tables have where an axis was not measured
-    choices : of the format, by name
-    given : what the control had while it was measured, where stated
-    """
-
-    format: str
-    spacing_mm: float = SPACING_MM
-    unmeasured: Unmeasured = Unmeasured.HOLD
-    choices: Mapping[str, str] = field(default_factory=dict[str, str])
-    given: GivenTables = field(default_factory=GivenTables)
-
-    @property
-    def name(self) -> str:
-        """Names them among those of a result: the same order makes the same files."""
-        chosen = "".join(f"-{self.choices[key]}" for key in sorted(self.choices))
-        spacing = repr(float(self.spacing_mm)).removesuffix(".0")
-        given = "-difference" if self.given.is_difference else ""
-        if self.given.data:
-            every = sorted(hashlib.sha256(d).digest() for d in self.given.data.values())
-            given += f"-combined-{hashlib.sha256(b''.join(every)).hexdigest()[:8]}"
-        return f"{self.format}-{spacing}-{self.unmeasured.value}{chosen}{given}"
-
-
-def keep_files(
-    source: Path, folder: Path, order: CompensationOrder, *, accept_verdict: bool
-) -> tuple[str, dict[str, Any]]:
-    """Write the files below `folder`; return their name there and their account.
-
-    source : a result or model file; tables that the service has made, and the control
-        had as it was measured, need not be given
-
-    Raises what `export_files` raises.
-    """
-    order = _find_given(source, folder, order)
-    export_files(
-        source,
-        order.format,
-        folder / order.name / _STEM,
-        spacing_mm=order.spacing_mm,
-        unmeasured=order.unmeasured,
-        choices=order.choices,
-        accept_verdict=accept_verdict,
-        given=order.given,
-    )
-    return order.name, read_account(folder, order.name)
-
-
-def _find_given(
-    source: Path, folder: Path, order: CompensationOrder
-) -> CompensationOrder:
-    """Return the order with the active tables, where the service has made them."""
-    given, stated = order.given, read_result(source).provenance.get("active_tables")
-    if not (given.data or given.is_difference) and stated:
-        for kept in folder.parent.parent.glob(f"*/{folder.name}/*/{_ACCOUNT}"):
-            account = json.loads(kept.read_bytes())
-            if account.get("files_sha256") == stated:
-                data = {name: read_whole(kept.parent / name) for name in stated}
-                return replace(order, given=GivenTables(data, account))
-    return order
-
-
-def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
-    """Return files that are kept with a result. Raises NotFound."""
-    account = read_account(folder.parent, folder.name)
-    data = {name: read_whole(folder / name) for name in account["files"]}
-    return make_active_files(data, account["format"], machine, account)
+STEM = "compensation"
+ACCOUNT = f"{STEM}.json"  # written last: who has it has all files
 
 
 def read_account(folder: Path, name: str) -> dict[str, Any]:
@@ -105,7 +20,7 @@ def read_account(folder: Path, name: str) -> dict[str, Any]:
     place = _find_kept(folder).get(name)
     if place is None:
         raise NotFound(f"no compensation {name!r} is kept here")
-    account = json.loads((place / _ACCOUNT).read_text(encoding="utf-8"))
+    account = json.loads((place / ACCOUNT).read_text(encoding="utf-8"))
     return {**account, "files": [Path(file).name for file in account["files"]]}
 
 
@@ -117,14 +32,14 @@ def list_accounts(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 def find_file(folder: Path, name: str, file: str) -> Path:
     """Return the place of one of the files, or of their account. Raises NotFound."""
-    if file not in (*read_account(folder, name)["files"], _ACCOUNT):
+    if file not in (*read_account(folder, name)["files"], ACCOUNT):
         raise NotFound(f"compensation {name!r} has no file {file!r}")
     return folder / name / file
 
 
 def pack_files(folder: Path, name: str) -> bytes:
     """Return all files and their account as a ZIP archive. Raises NotFound."""
-    names = (*read_account(folder, name)["files"], _ACCOUNT)
+    names = (*read_account(folder, name)["files"], ACCOUNT)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for file in names:
@@ -133,4 +48,4 @@ def pack_files(folder: Path, name: str) -> bytes:
 
 
 def _find_kept(folder: Path) -> dict[str, Path]:
-    return {place.parent.name: place.parent for place in folder.glob(f"*/{_ACCOUNT}")}
+    return {place.parent.name: place.parent for place in folder.glob(f"*/{ACCOUNT}")}

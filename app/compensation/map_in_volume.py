@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float64
 
 from truepath.app.compensation.error_map import ErrorMap, map_errors
 from truepath.app.compensation.format import Correction
-from truepath.app.compensation.kept_files import read_kept_files
+from truepath.app.compensation.order import read_kept_files
 from truepath.app.compensation.remaining_error import remove_rigid_motion
 from truepath.app.errors import BadInput
 from truepath.app.files.file_model import encode_json

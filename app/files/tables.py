@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
@@ -106,7 +105,7 @@ class Table:
     def cells(self, name: str) -> list[str]:
         """Return a column as it stands in the file, empty cells as empty texts."""
         self.require(name)
-        column = pc.cast(self.data[name], pa.string()).to_pylist()
+        column = self.data[name].cast(pa.string()).to_pylist()
         return [cell or "" for cell in column]
 
     def texts(self, name: str) -> list[str]:
@@ -231,13 +230,15 @@ def _holds_texts(field: pa.Field, file: str) -> bool:
 
 def _unpack_texts(column: pa.ChunkedArray, file: str, name: str) -> pa.ChunkedArray:
     """Return texts one by one, which were read as each one once, if they are short."""
+    import pyarrow.compute as pc  # slow to import, and no reader of a table needs it
+
     size = 0
     for part in column.chunks:
         lengths = pc.call_function("binary_length", [part.dictionary])
         size += pc.call_function("sum", [lengths.take(part.indices)]).as_py() or 0
     if size > max(SMALL_BYTES, MAX_NUMBER_BYTES * len(column)):
         raise BundleError("holds long texts, not numbers", file=file, column=name)
-    return pc.cast(column, pa.string())
+    return column.cast(pa.string())
 
 
 def _refuse_large(rows: int, columns: int, packed_bytes: int, file: str) -> None:
@@ -329,16 +330,18 @@ def _convert_column(table: Table, name: str) -> NDArray[np.float64]:
         raise BundleError(
             f"holds {column.type}, not numbers", file=table.file, column=name
         )
-    value = pc.cast(column, pa.float64(), safe=False).to_numpy()
+    value = column.cast(pa.float64(), safe=False).to_numpy()
     return np.array(value, np.float64)
 
 
 def _parse_column(table: Table, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
     if _is_number(column):
-        return pc.cast(column, pa.float64())
+        return column.cast(pa.float64())
+    import pyarrow.compute as pc
+
     column = pc.call_function("utf8_trim_whitespace", [column])
     if _is_number(column):
-        return pc.cast(column, pa.float64())
+        return column.cast(pa.float64())
     index = _find_first_text(column)
     shown = str(column[index].as_py())[:40]
     raise table.error(f"is {shown!r}, not a number", index, name)
@@ -346,7 +349,7 @@ def _parse_column(table: Table, name: str, column: pa.ChunkedArray) -> pa.Chunke
 
 def _is_number(column: pa.ChunkedArray) -> bool:
     try:
-        pc.cast(column, pa.float64())
+        column.cast(pa.float64())
     except pa.ArrowInvalid:
         return False
     return True

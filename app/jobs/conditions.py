@@ -10,9 +10,11 @@ everything again before it moves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from truepath.app.errors import JobError
 from truepath.app.jobs.calibrations import Standing
 from truepath.app.jobs.cell_status import MOVING, CellStatus, ControllerLevels
 from truepath.app.jobs.stream_watch import StreamLevels, Temperature
@@ -101,6 +103,14 @@ class Condition:
     def is_obstacle(self) -> bool:
         """Whether it keeps the machine from being let move."""
         return self.is_required and self.level is Level.FALSE
+
+
+class NotInOrder(JobError):
+    """Something that is known to be wrong keeps the machine from being let move."""
+
+    def __init__(self, obstacles: Sequence[Condition]) -> None:
+        super().__init__("; ".join(one.message for one in obstacles))
+        self.obstacles = tuple(obstacles)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,8 @@ import structlog
 from distributed import Client, KilledWorker
 from distributed.comm.core import CommClosedError
 
-from truepath.app.jobs.errors import WorkerDied, WorkersAway
+from truepath.app.errors import WorkerDied
+from truepath.app.jobs.errors import WorkersAway
 
 log = structlog.get_logger(__name__)
 T = TypeVar("T")

@@ -19,11 +19,11 @@ from truepath.app.jobs.arming import (
     list_commanded,
     summarise_motion,
 )
+from truepath.app.jobs.conditions import NotInOrder
 from truepath.app.jobs.context import JobContext
 from truepath.app.jobs.errors import (
     CellDown,
     NotInControl,
-    NotInOrder,
     QueueFull,
     StorageUnavailable,
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from truepath.app.errors import (
     BadInput,
@@ -12,9 +11,6 @@ from truepath.app.errors import (
     MeasurementFailed,
     TruepathError,
 )
-
-if TYPE_CHECKING:
-    from truepath.app.jobs.conditions import Condition
 
 
 class StaleVersion(JobError):
@@ -129,14 +125,6 @@ class ArmTokenOther(JobError):
     """The token to arm with is unknown, or was given for something else."""
 
 
-class NotInOrder(JobError):
-    """Something that is known to be wrong keeps the machine from being let move."""
-
-    def __init__(self, obstacles: Sequence[Condition]) -> None:
-        super().__init__("; ".join(one.message for one in obstacles))
-        self.obstacles = tuple(obstacles)
-
-
 class MeasurementEnded(MeasurementFailed):
     """The cell ended a measurement before its path did; the machine stands in order.
 
@@ -170,10 +158,6 @@ class Interrupted(TruepathError):
 
 class GivenUp(TruepathError):
     """The service ended each time that the job computed; it is not begun again."""
-
-
-class WorkerDied(TruepathError):
-    """A computing process ended without an answer: killed, or out of memory."""
 
 
 class WorkersAway(TruepathError):

@@ -17,8 +17,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from truepath.app.errors import WorkerDied
 from truepath.app.files.whole_files import replace_file
-from truepath.app.jobs.errors import Aborted, TaskFailed, WorkerDied
+from truepath.app.jobs.errors import Aborted, TaskFailed
 from truepath.app.jobs.executor import Computation, ProcessExecutor, Task
 from truepath.app.jobs.job import Json, Progress
 from truepath.app.jobs.runs import RunCatalogue

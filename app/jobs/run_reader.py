@@ -20,14 +20,12 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from truepath.app.child_process import BACKGROUND_NICENESS
-from truepath.app.errors import BundleError
+from truepath.app.child_process import BACKGROUND_NICENESS, WorkerProcess
+from truepath.app.errors import BundleError, WorkerDied
 from truepath.app.files.bundle import MAX_BYTES, check_archive, read_bundle
 from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.run import Run
 from truepath.app.files.runs_in_time import TimedRun
-from truepath.app.jobs.errors import WorkerDied
-from truepath.app.jobs.executor import WorkerProcess
 from truepath.app.measurement.run_reading import open_recorded
 from truepath.app.progress import Progress
 

@@ -177,7 +177,7 @@ def verify_recorded(
     asked : `tolerance_um`, and what the answer is to repeat of the request
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.app.compensation.kept_files import read_kept_files
+    from truepath.app.compensation.order import read_kept_files
     from truepath.app.files.result_file import read_result
     from truepath.app.reporting.verification_report import write_verification
     from truepath.app.results.verification import verify

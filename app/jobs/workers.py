@@ -17,8 +17,8 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal, TypeVar
 
+from truepath.app.child_process import WorkerProcess
 from truepath.app.errors import BadInput
-from truepath.app.jobs.executor import WorkerProcess
 from truepath.app.settings import Settings
 
 T = TypeVar("T")

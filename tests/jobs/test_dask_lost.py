@@ -13,7 +13,7 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.jobs.errors import WorkerDied
+from truepath.app.errors import WorkerDied
 from truepath.app.jobs.workers import Workers, open_workers
 
 pytest.importorskip("distributed")

@@ -13,7 +13,8 @@ import time
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.jobs.errors import Aborted, TaskFailed, WorkerDied
+from truepath.app.errors import WorkerDied
+from truepath.app.jobs.errors import Aborted, TaskFailed
 from truepath.app.jobs.executor import ProcessExecutor
 from truepath.app.progress import ignore_progress
 

@@ -23,13 +23,12 @@ from truepath.app.jobs import active_job, cell_measurement, workflow
 from truepath.app.jobs import database as databases
 from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.conditions import ConditionType, Observed
+from truepath.app.jobs.conditions import ConditionType, NotInOrder, Observed
 from truepath.app.jobs.dispatcher import Dispatcher
 from truepath.app.jobs.errors import (
     CellBusy,
     CellDown,
     NoMachine,
-    NotInOrder,
     NotResumable,
     StaleVersion,
     StorageUnavailable,

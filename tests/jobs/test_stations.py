@@ -16,9 +16,8 @@ from truepath.app.files.commanded_file import encode_commanded_json
 from truepath.app.files.machine_file import machine_to_json
 from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
 from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.conditions import Observed
+from truepath.app.jobs.conditions import NotInOrder, Observed
 from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import NotInOrder
 from truepath.app.jobs.job import JobKind
 from truepath.app.jobs.machine_cells import Machines
 from truepath.app.jobs.requested_job import RequestedJob

@@ -13,8 +13,8 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import BadInput
-from truepath.app.jobs.errors import WorkerDied, WorkersAway
+from truepath.app.errors import BadInput, WorkerDied
+from truepath.app.jobs.errors import WorkersAway
 from truepath.app.jobs.workers import (
     ProcessWorkers,
     Workers,
