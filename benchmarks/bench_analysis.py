@@ -14,16 +14,17 @@ import numpy as np
 import paper_method
 from measure import measure, ratio
 
-from truepath.app.alignment.align import align
-from truepath.app.files.bundle import read_bundle
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results.analysis import analyse
-from truepath.simulators import paths, synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.alignment.align import align
+from truepath.files.bundle.bundle import read_bundle
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.analysis import analyse
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 SEED, ROWS, FEED = 5, 72, 2500.0
 SPACING_MM = 22.0

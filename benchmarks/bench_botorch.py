@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
-from truepath.app.kinematics.splines import CubicSpline, natural_spline
-from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.kinematics.splines import CubicSpline, natural_spline
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
 
 KNOTS = np.linspace(0.0, 6.0, 7)
 VARIANCE, CASES, PLACES = 1e-2, 10, 601

@@ -24,33 +24,33 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from truepath.app.estimation.observability import usual_precision_matrix
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import Machine, MotionLimits
-from truepath.app.kinematics.splines import natural_spline
-from truepath.app.kinematics.symbols import SQUARENESS
-from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.app.motion.corner_path import corner_path
-from truepath.app.motion.motion_times import Drive, Stops, row_times_s
-from truepath.app.motion.workspace import Workspace
-from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
-from truepath.app.planning.design_state import DesignState, inverse
-from truepath.app.planning.initial_design import choose_station, start_design
-from truepath.app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
-from truepath.app.planning.next_configuration import (
+from truepath.estimation.problem.observability import usual_precision_matrix
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import Machine, MotionLimits
+from truepath.kinematics.machine.symbols import SQUARENESS
+from truepath.kinematics.splines import natural_spline
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.motion.motion_times import Drive, Stops, row_times_s
+from truepath.motion.paths.corner_path import corner_path
+from truepath.motion.workspace.workspace import Workspace
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.planning.design_state import DesignState, inverse
+from truepath.planning.initial_design import choose_station, start_design
+from truepath.planning.lines.leg_choice import LegChoice, SearchEffort, SearchRegion
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath.planning.points.next_configuration import (
     PointDesignState,
     next_configuration,
     search_space,
 )
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.drivers.interfaces.records import Path as MachinePath
-from truepath.simulators import synthetic
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath_drivers.interfaces.records import Path as MachinePath
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 FEED, DWELL_S = 6000.0, 0.4

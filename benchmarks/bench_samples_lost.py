@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from truepath.app.child_process import BACKGROUND_NICENESS
-from truepath.app.cli.calibration import follow
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.planning.default_path import default_path
+from truepath.child_process import BACKGROUND_NICENESS
+from truepath.cli.calibration import follow
 from truepath.client import Client
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.planning.lines.default_path import default_path
+from truepath_simulators.scenario import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 DOCUMENT = Path(__file__).parents[1] / "docs" / "measurement.md"

@@ -29,9 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
 from document import table, write_section
 
-from truepath.app.errors import PlanningError
-from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
-from truepath.app.planning.plan import Plan
+from truepath.errors import PlanningError
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.planning.plan import Plan
 
 FIRST_WORLD = 1001
 

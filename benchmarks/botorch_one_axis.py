@@ -12,7 +12,7 @@ from botorch.optim import optimize_acqf
 from gpytorch.kernels import Kernel
 from gpytorch.means import ZeroMean
 
-from truepath.app.kinematics.splines import CubicSpline
+from truepath.kinematics.splines import CubicSpline
 
 RESTARTS, RAW = 8, 64
 

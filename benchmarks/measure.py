@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from truepath.app.thread_limits import choose_thread_limits
+from truepath.thread_limits import choose_thread_limits
 
 
 @dataclass(frozen=True, slots=True)

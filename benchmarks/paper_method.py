@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath.app.alignment.observations import Observations
-from truepath.app.alignment.sequence import fit_rigid
-from truepath.app.kinematics.effects.error_motion import find_arm
-from truepath.app.kinematics.symbols import list_error_motions
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.sequence import fit_rigid
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.machine.symbols import list_error_motions
 
 
 @dataclass(frozen=True)

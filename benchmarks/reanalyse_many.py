@@ -15,17 +15,17 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.event_bus import EventBus
-from truepath.app.jobs.executor import ProcessExecutor
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.run_reader import RunReader
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.science import analyse_recorded, prepare
-from truepath.app.jobs.store import Store
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.run_reader import RunReader
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.event_bus import EventBus
+from truepath.jobs.workers.executor import ProcessExecutor
+from truepath.jobs.workers.science import analyse_recorded, prepare
 
 
 def measure(bundle: Path, count: int, workers: int, folder: Path) -> None:

@@ -16,29 +16,29 @@ from judging import map_mm, true_map_mm, volume
 from recordings import machine_content, random_air, random_content, run_of
 from target_seats import draw_machine, remove_rigid_motion
 
-from truepath.app.alignment.align import align_all
-from truepath.app.estimation.batch import estimate
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.motion.line_of_sight import Box
-from truepath.app.motion.workspace import StationAreas, Workspace
-from truepath.app.planning.plan import Plan
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.drivers.interfaces.records import Path as MachinePath
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.tracker_head import TrackerPose
-from truepath.simulators.truth_machine import perfect
+from truepath.alignment.align import align_all
+from truepath.estimation.solve.batch import estimate
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.planning.plan import Plan
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath_drivers.interfaces.records import Path as MachinePath
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
+from truepath_simulators.machine.tracker_head import TrackerPose
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
 
 PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
 USUAL = TrackerSpecification()

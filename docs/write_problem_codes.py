@@ -12,7 +12,7 @@ from pathlib import Path
 
 from page_section import write_section
 
-from truepath.app.api.problems import BY_STATUS, PROBLEM_KINDS
+from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
 
 PAGE = Path(__file__).with_name("rest-api.md")
 BEGIN, END = "<!-- codes -->", "<!-- end of codes -->"
@@ -44,7 +44,7 @@ def write_tables() -> str:
 
 def _list_named(known: set[str]) -> list[tuple[str, str]]:
     """Return what the page words beside the kinds of problem."""
-    file = files("truepath.app.web") / "static" / "locales" / "en.json"
+    file = files("truepath.service.page") / "static" / "locales" / "en.json"
     texts: dict[str, str] = json.loads(file.read_text("utf-8"))
     codes = {k.removeprefix(_WORDED): t for k, t in texts.items() if _WORDED in k}
     return sorted(

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from truepath.drivers.cnc.modbus import registers as r
+from truepath_drivers.cnc.modbus import registers as r
 
 PAGE = Path(__file__).with_name("modbus-register-map.md")
 

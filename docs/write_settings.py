@@ -10,7 +10,7 @@ from pathlib import Path
 
 from page_section import write_section
 
-from truepath.app.operation.settings_text import SettingText, list_settings
+from truepath.operation.settings_text import SettingText, list_settings
 
 PAGE = Path(__file__).with_name("settings.md")
 BEGIN, END = "<!-- settings -->", "<!-- end of settings -->"

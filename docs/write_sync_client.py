@@ -1,4 +1,4 @@
-"""Writes `truepath/client/sync_client.py` from `async_client.py`, which is edited.
+"""Writes `app/truepath/client/sync_client.py` from `async_client.py`, which is edited.
 
 Both faces have the same methods; what differs is in the words of `_WORDS` alone.
 """
@@ -10,7 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-CLIENT = Path(__file__).parents[1] / "truepath" / "client"
+CLIENT = Path(__file__).parents[1] / "app" / "truepath" / "client"
 _HEAD = "# Written by docs/write_sync_client.py from async_client.py; change that.\n"
 _WORDS = (
     (r"for programs on asyncio", "for programs that wait for each answer"),

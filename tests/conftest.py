@@ -17,25 +17,26 @@ import numpy as np
 import pytest
 import structlog
 
-from truepath.app.files.bundle import zip_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.run_reader import RunReader
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.machine import (
+from truepath.catalogue.run_reader import RunReader
+from truepath.catalogue.store.database import Database
+from truepath.files.bundle.bundle import zip_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent))
 from postgres_server import PostgresServer

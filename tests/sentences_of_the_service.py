@@ -8,9 +8,9 @@ import re
 from collections.abc import Iterator
 from textwrap import dedent
 
-from truepath.app.estimation import observability, separation
-from truepath.app.kinematics import identifiable
-from truepath.app.results import plan_document
+from truepath.answers.plan import plan_document
+from truepath.estimation.problem import observability, separation
+from truepath.kinematics import identifiable
 
 _NAMES = "EXZ, EYZ"
 ENGLISH = frozenset(

@@ -11,14 +11,14 @@ import sys
 import pytest
 import structlog
 
-from truepath.app.child_process import ChildProcess
-from truepath.app.errors import BadInput
-from truepath.app.service_log import LogFile, configure_log
+from truepath.child_process import ChildProcess
+from truepath.errors import BadInput
+from truepath.service_log import LogFile, configure_log
 
 BODIES = """
 import logging, os, time
 import structlog
-from truepath.app.child_process import ChildProcess
+from truepath.child_process import ChildProcess
 
 def log_lines(link):
     logging.getLogger("driver").info("connected to %s", "COM3")

@@ -2,10 +2,10 @@
 
 import pytest
 
-from truepath.app import plugins
-from truepath.app.compensation.installed import list_formats
-from truepath.app.kinematics.effects.catalogue import list_families
-from truepath.app.web.pages import LANGUAGES, catalogue
+from truepath import plugins
+from truepath.compensation.installed import list_formats
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.service.page.pages import LANGUAGES, catalogue
 
 
 @pytest.fixture

@@ -15,8 +15,9 @@ from figures import plt
 from recordings import random_air, random_content
 from study import study
 
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.worlds import synthetic
 
 MACHINES, FEED_MM_MIN = 20, 10_000.0
 

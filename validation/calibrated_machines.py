@@ -7,14 +7,14 @@ from pathlib import Path
 
 from recordings import plan_program, random_air, random_content, run_of
 
-from truepath.app.files.file_model import encode_json
-from truepath.app.results.analysis import analyse
-from truepath.app.results.result_json import result_json
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.documents.file_model import encode_json
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.worlds import synthetic
 
 LINES, FEED_MM_MIN = 24, 6000.0
 _WIDEST_UM = 8  # of lost motion

@@ -10,12 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.symbols import is_straightness, is_turn, list_error_motions
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.symbols import (
+    is_straightness,
+    is_turn,
+    list_error_motions,
+)
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.truth_machine import TruthMachine
 
 RUNS, STEP_MM, MARGIN_MM = 5, 25.0, 10.0
 REPEATABILITY = {"um": 0.4, "urad": 1.0}

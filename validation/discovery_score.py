@@ -11,9 +11,9 @@ import numpy as np
 from hidden_worlds import World
 from recordings import run_of
 
-from truepath.app.discovery.discover import discover
-from truepath.app.errors import EstimationError
-from truepath.app.results.discovery_json import discovery_json
+from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.discovery.discover import discover
+from truepath.errors import EstimationError
 
 NOTHING, UNNAMED = "nothing", "unnamed"
 _REFUSED = {

@@ -39,17 +39,17 @@ from stream_disturbances import (
 )
 from target_seats import draw_machine, remove_rigid_motion
 
-from truepath.app.errors import TruepathError
-from truepath.app.files.run import Run
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results.analysis import analyse
-from truepath.app.results.findings import Findings
-from truepath.simulators import paths, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.recording import Recording
-from truepath.simulators.synthetic import Setting, record
-from truepath.simulators.truth_machine import perfect
+from truepath.errors import TruepathError
+from truepath.files.bundle.run import Run
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.analysis import analyse
+from truepath.results.findings import Findings
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import Setting, record
 
 SEED, CLEAN, _CLEAN_FROM = 9801, 120, 1000
 _GRID = 300

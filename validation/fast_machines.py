@@ -18,18 +18,18 @@ from forecasts import FIRST_SEED, program_of
 from recordings import random_air, random_content
 from study import Study, study
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.workspace import Workspace
-from truepath.app.planning.plan import Plan
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.dynamics import InertialBend
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.paths import chord_path
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import Program
-from truepath.simulators.tracker_head import random_pose
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.workspace.workspace import Workspace
+from truepath.planning.plan import Plan
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath_simulators.hidden.dynamics import InertialBend
+from truepath_simulators.machine.tracker_head import random_pose
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.paths import chord_path
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
 
 MACHINES, FAST_MACHINES = 5, 5
 FEEDS_MM_MIN = (6000.0, 10_000.0, 16_000.0)

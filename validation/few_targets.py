@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.observations import Observations
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.paths import standstill_points
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion.paths import standstill_points
+from truepath_simulators.worlds import synthetic
 
 POINTS, OFF_MM, OTHER = 200, 0.02, "another"
 KINDS = {

@@ -17,21 +17,21 @@ from few_targets import KINDS, OTHER, draw_machine, measure
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
-from truepath.app.alignment.observations import Observations
-from truepath.app.estimation.batch import Estimate, estimate
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.information import compute_posterior
-from truepath.app.estimation.normal_equations import compute_information
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results.error_tables import build_error_tables
-from truepath.simulators import synthetic
-from truepath.simulators.machine_file import MachineFile, parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.truth_machine import TruthMachine, perfect
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.solve.batch import Estimate, estimate
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.error_tables import build_error_tables
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine_file import MachineFile, parse_machine
+from truepath_simulators.worlds import synthetic
 
 MACHINES, FIRST_SEED, GRID = 20, 1001, 300
 SHAPES = 8  # of an error motion here: four harmonics, a sine and a cosine each

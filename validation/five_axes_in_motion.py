@@ -27,23 +27,23 @@ from target_seats import (
     summarize,
 )
 
-from truepath.app.discovery.discover import discover
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.motion.configurations import split_by_target
-from truepath.app.motion.motion_times import travel_time_s
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.results.analysis import analyse
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.recording import Recording
+from truepath.discovery.discover import discover
+from truepath.estimation.live.live import LiveEstimator
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.motion.configurations import split_by_target
+from truepath.motion.motion_times import travel_time_s
+from truepath.planning.lines.default_path import default_path
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath.results.analysis import analyse
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.worlds.recording import Recording
 
 FIRST_SEED, MACHINES, PLANS, WORLDS = 1001, 10, 8, 8
 OFF_MM, FAR_MM = 0.02, 3.0  # that a target sits off its place

@@ -15,17 +15,17 @@ from document import table, write_section
 from recordings import random_air, random_content
 from study import study
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.workspace import Workspace
-from truepath.app.planning.plan import Plan
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators import synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import Program
-from truepath.simulators.tracker_head import random_pose
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.workspace.workspace import Workspace
+from truepath.planning.plan import Plan
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.machine.tracker_head import random_pose
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
 
 # Machines of lower seeds were looked at while the method was made.
 FIRST_SEED = 1001

@@ -15,15 +15,16 @@ import numpy as np
 from ideal_test import signal_to_noise
 from recordings import plan_program, random_air, random_content
 
-from truepath.simulators import paths, synthetic
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
-from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.warming import ThermalGrowth
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.synthetic import ROUGH, Setting
+from truepath_simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import ROUGH, Setting
 
 KINDS = (
     "single",

@@ -17,17 +17,17 @@ from information_bound import true_noise
 from judging import true_parameters
 from recordings import run_of
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.observations import Observations
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.normal_equations import compute_information
-from truepath.app.kinematics.conditions import Conditions
-from truepath.app.kinematics.effects.base import Effect, Parameter
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.model import MachineModel
-from truepath.simulators.recording import Recording
-from truepath.simulators.tracker_head import Air
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect, Parameter
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.tracker_head import Air
+from truepath_simulators.worlds.recording import Recording
 
 CELL_MM = 3.0
 

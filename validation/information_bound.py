@@ -16,17 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from judging import Volume, map_mm, true_parameters
 
-from truepath.app.alignment.observations import Observations
-from truepath.app.estimation.batch import Estimate
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.information import compute_posterior
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.normal_equations import compute_information
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.effects.inertial_bend import InertialBend
-from truepath.app.kinematics.model import MachineModel
-from truepath.simulators.recording import Recording
-from truepath.simulators.tracker_head import Air
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.effects.inertial_bend import InertialBend
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.tracker_head import Air
+from truepath_simulators.worlds.recording import Recording
 
 
 @dataclass(frozen=True)

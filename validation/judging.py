@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.machine import Machine
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results.error_tables import choose_table_positions
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.error_tables import choose_table_positions
+from truepath_simulators.machine.truth_machine import TruthMachine
 
 _NODES = 12
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.workspace import moving_targets
-from truepath.drivers.interfaces.records import Path
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.workspace.workspace import moving_targets
+from truepath_drivers.interfaces.records import Path
 
 _TURN_DEG, _LEAST_TURN_DEG, _TRIES = 25.0, 10.0, 40
 _SLOWEST_DEG_MIN, _MARGIN = 1800.0, 2.0

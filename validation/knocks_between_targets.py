@@ -25,14 +25,14 @@ from target_seats import (
     record_seated,
 )
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.default_points import default_points
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.turning_paths import turning_points
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.paths.default_points import default_points
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.motion.turning_paths import turning_points
+from truepath_simulators.worlds.recording import Recording
 
 FIRST_SEED, MACHINES = 8401, 6
 SIZES_UM = (0.0, 20.0, 100.0)

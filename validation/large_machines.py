@@ -18,12 +18,13 @@ from information_bound import ideal
 from judging import map_mm, true_map_mm, volume
 from recordings import CHAINS, machine_content, random_air, run_of
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.knots import join_cells
-from truepath.app.results.analysis import analyse
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import join_rack, random_machine
+from truepath.alignment.align import align
+from truepath.estimation.problem.knots import join_cells
+from truepath.results.analysis import analyse
+from truepath_simulators.machine.random_machine import join_rack, random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.worlds import synthetic
 
 FEED_MM_MIN, STEP_MM = 24_000.0, 0.008
 FIRST_SEED = 1001  # nothing was improved on these machines

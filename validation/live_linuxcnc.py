@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 from document import table, write_section
 
-from truepath.app.files.bundle import write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     CellConfig,
     CellState,
     CellVerb,
@@ -36,14 +35,15 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.simulators.bench import Bench
-from truepath.simulators.linuxcnc.files import LinuxCncMachine
-from truepath.simulators.linuxcnc.rig import LinuxCncRig
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3
@@ -64,7 +64,7 @@ HEAD = (
     "factor",
     "inside 2u",
 )
-_MAIN = "import sys; from truepath.app.cli.command import main; sys.exit(main())"
+_MAIN = "import sys; from truepath.cli.command import main; sys.exit(main())"
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,19 @@ from draws import keep_rows, make_parser, read_rows
 from hidden_worlds import draw_program
 from recordings import random_air, random_content, run_of
 
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.files.run import Run
-from truepath.simulators import paths, synthetic
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.motion import Motion
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.hidden.setup import SetupStep, TableDrift
-from truepath.simulators.hidden.warming import ThermalGrowth
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.recording import Recording
-from truepath.simulators.synthetic import Setting
+from truepath.estimation.live.live import LiveEstimator
+from truepath.files.bundle.run import Run
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.setup import SetupStep, TableDrift
+from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import Setting
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "live.md"

@@ -14,8 +14,8 @@ from document import table, write_section
 from figures import plt
 from stochastic_splines import bending, draw, independent, learnt, sigma
 
-from truepath.app.kinematics.splines import natural_spline
-from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.kinematics.splines import natural_spline
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
 
 KNOTS = np.linspace(0.0, 6.0, 7)
 VARIANCE = 0.01

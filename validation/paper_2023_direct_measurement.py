@@ -18,16 +18,16 @@ from matplotlib.axes import Axes
 from recordings import machine_content, papers_program
 from study import Study, study
 
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.symbols import (
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     is_straightness,
     is_turn,
     list_error_motions,
 )
-from truepath.simulators import synthetic
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.worlds import synthetic
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
 SEED, ERROR_SCALE, FEED_MM_MIN = 231, 0.4, 2500.0

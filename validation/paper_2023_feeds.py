@@ -22,14 +22,15 @@ from recordings import (
 )
 from study import Study, study
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.sequence import fit_rigid
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
+from truepath.alignment.align import align
+from truepath.alignment.stream.sequence import fit_rigid
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")

@@ -17,10 +17,10 @@ from judging import Volume, map_mm, volume
 from recordings import machine_content, papers_program
 from study import Study, study
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.simulators import synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import random_machine
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.worlds import synthetic
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
 SEEDS = (2023, 2024, 2025)

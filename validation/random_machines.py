@@ -18,7 +18,7 @@ from judging import table_deviations, true_parameters
 from recordings import plan_program, random_air, random_content
 from study import Study, study
 
-from truepath.simulators import synthetic
+from truepath_simulators.worlds import synthetic
 
 MACHINES, LINES, FEED_MM_MIN = 20, 24, 6000.0
 

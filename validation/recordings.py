@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.configurations import Configurations
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
-from truepath.simulators import paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.tracker_head import Air
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath_simulators.machine.tracker_head import Air
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds.recording import Recording
 
 CHAINS = ("w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-b-X-Z-t", "w-X-Y-b-Z-t", "w-Z-b-Y-X-t")
 

@@ -20,17 +20,17 @@ from recordings import run_of
 from scipy.stats import qmc
 from target_seats import remove_rigid_motion
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.files.file_model import encode_json
-from truepath.app.files.result_file import decode_result
-from truepath.app.results.analysis import analyse
-from truepath.app.results.result_json import result_json
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.rules import Rules
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.recording import Recording
-from truepath.simulators.truth_machine import perfect
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.documents.file_model import encode_json
+from truepath.files.earlier.result_file import decode_result
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.worlds.recording import Recording
 
 MACHINES, FIRST_SEED = 20, 7001  # which nothing was made or mended on
 POSITIONS = 2048

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from truepath.app.kinematics.splines import CubicSpline
-from truepath.app.numerics.design_criteria import IntegratedVariance
+from truepath.kinematics.splines import CubicSpline
+from truepath.numerics.design_criteria import IntegratedVariance
 
 
 def independent(spline: CubicSpline) -> IntegratedVariance:

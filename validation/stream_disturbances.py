@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.records import TrackerSamples
 
 Disturb = Callable[[TrackerSamples, np.random.Generator], TrackerSamples]
 

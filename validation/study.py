@@ -8,11 +8,11 @@ import numpy as np
 from judging import Volume, map_mm, true_map_mm, volume
 from recordings import run_of
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.observations import Observations
-from truepath.app.estimation.batch import Estimate, estimate
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.simulators.recording import Recording
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.solve.batch import Estimate, estimate
+from truepath.kinematics.coarse_model import build_run_models
+from truepath_simulators.worlds.recording import Recording
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,23 @@ import numpy as np
 from document import table, write_section
 from recordings import run_of
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.batch import estimate
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.numerics.rigid import cross_matrix
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.truth_machine import perfect
+from truepath.alignment.align import align
+from truepath.estimation.solve.batch import estimate
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.numerics.rigid import cross_matrix
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
 
 MACHINES, FIRST_SEED, POINTS, GRID = 20, 1, 200, 300
 OFF_MM = (0.005, 0.02, 0.1, 3.0)

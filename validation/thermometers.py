@@ -17,14 +17,14 @@ import numpy as np
 from document import table, write_section
 from recordings import plan_program, run_of
 
-from truepath.app.compensation.remaining_error import remove_rigid_motion
-from truepath.app.files.result_file import result_from_json
-from truepath.app.files.run import Run
-from truepath.app.results.discovery import discover_runs
-from truepath.app.results.prediction import predict
-from truepath.simulators.hidden.warming import ThermalGrowth
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting, record
+from truepath.answers.discovery.discovery import discover_runs
+from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.files.bundle.run import Run
+from truepath.files.earlier.result_file import result_from_json
+from truepath.results.prediction import predict
+from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds.synthetic import Setting, record
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "environment.md"
 _FEED_MM_MIN, _LINES, _POINTS = 6000.0, 30, 400

@@ -17,20 +17,20 @@ import numpy as np
 from document import table, write_section
 from recordings import plan_program, random_air, random_content, run_of
 
-from truepath.app.compensation.active_files import make_active_files
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult, result_from_json
-from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.verification_points import make_verification_points
-from truepath.app.results.analysis import analyse
-from truepath.app.results.held_places import K
-from truepath.app.results.result_json import result_json
-from truepath.app.results.verification import Verification, verify
-from truepath.simulators import synthetic
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.program import Program
+from truepath.answers.verification.places.held_places import K
+from truepath.answers.verification.verification import Verification, verify
+from truepath.compensation.active_files import make_active_files
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult, result_from_json
+from truepath.motion.paths.verification_kinds import VerificationKind
+from truepath.motion.paths.verification_points import make_verification_points
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
 
 MACHINES, LINES, FEED_MM_MIN = 40, 60, 6000.0
 FIRST_SEED = 501  # which nothing was made or mended on

@@ -18,15 +18,15 @@ from judging import map_mm, table_deviations, true_map_mm, true_parameters, volu
 from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.batch import Estimate
-from truepath.app.estimation.common_basis import find_common_basis
-from truepath.app.estimation.disturbances import estimate_checked
-from truepath.app.estimation.drift import estimate_drift
-from truepath.app.estimation.drift_course import Course
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.results.outlook import LookAhead
+from truepath.alignment.align import align
+from truepath.answers.trend.outlook import LookAhead
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.over_time.drift import estimate_drift
+from truepath.estimation.over_time.drift_course import Course
+from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.common_basis import find_common_basis
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.model import MachineModel
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "time.md"
 USED = {"all, 6 to 10": 10, "the first 4": 4}

@@ -16,14 +16,14 @@ from typing import Self
 import numpy as np
 from recordings import CHAINS, machine_content, plan_program, random_air
 
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.motion import Motion
-from truepath.simulators.machine_file import MachineFile, parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.recording import Recording
-from truepath.simulators.tracker_head import TrackerClock
-from truepath.simulators.truth_machine import TruthMachine
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_head import TrackerClock
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_file import MachineFile, parse_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
 
 HOUR_S = 3600.0
 _STEP_S, _END_S = 20.0, 30.0 * HOUR_S

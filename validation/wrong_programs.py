@@ -20,10 +20,10 @@ from document import table, write_section
 from recordings import plan_program, random_content
 from target_seats import draw_machine
 
-from truepath.simulators import paths, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.synthetic import Setting, record
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds.synthetic import Setting, record
 
 SEED = 9901
 _FEWEST_INSIDE = 0.85  # of the components inside 2 u

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.cleaning import find_valid_samples
-from truepath.app.errors import AlignmentError
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators.profile import Limits
-from truepath.simulators.synthetic import ROUGH, Defects, Setting
+from truepath.alignment.align import align
+from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.errors import AlignmentError
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
 
 
 def nominal_error_mm(seen):

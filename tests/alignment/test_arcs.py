@@ -9,19 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.nominal_path import compute_nominal_path
-from truepath.app.alignment.streaming import StreamingAlignment
-from truepath.app.errors import AlignmentError
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.effects.nuisance import TimingLaw
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import ROUGH, Defects, Setting
+from truepath.alignment.align import align
+from truepath.alignment.stream.nominal_path import compute_nominal_path
+from truepath.alignment.streaming import StreamingAlignment
+from truepath.errors import AlignmentError
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.effects.nuisance import TimingLaw
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.closure import find_committed
-from truepath.app.errors import AlignmentError
-from truepath.simulators.program import Program
+from truepath.alignment.align import align
+from truepath.alignment.closure import find_committed
+from truepath.errors import AlignmentError
+from truepath_simulators.motion.program import Program
 
 # To and fro along Y, then far away: the first three places are on one line.
 PLACES = [

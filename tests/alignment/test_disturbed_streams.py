@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting, record
+from truepath.alignment.align import align
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds.synthetic import Setting, record
 
 
 def drive(run_of, rows, feed_mm_min, **setting):

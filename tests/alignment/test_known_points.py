@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.known_points import (
+from truepath.alignment.known_points import (
     compare_stations,
     hold_against_plan,
     measure_points,
 )
-from truepath.app.errors import AlignmentError
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.tracker_head import TrackerPose, place_anew
+from truepath.errors import AlignmentError
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine.tracker_head import TrackerPose, place_anew
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 POINTS = np.array(
     [[10, 10, 10], [490, 390, 10], [490, 10, 290], [10, 390, 290], [250, 200, 150]],

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import AlignmentError
-from truepath.simulators.synthetic import Setting
+from truepath.alignment.align import align
+from truepath.errors import AlignmentError
+from truepath_simulators.worlds.synthetic import Setting
 
 FAR_OFF = Setting(error_scale=40.0)
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.simulators.synthetic import Setting
+from truepath.alignment.align import align
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.streaming import StreamingAlignment
-from truepath.app.errors import AlignmentError
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.alignment.align import align
+from truepath.alignment.streaming import StreamingAlignment
+from truepath.errors import AlignmentError
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from truepath.app.numerics.rigid import RigidTransform, fit_rigid
+from truepath.numerics.rigid import RigidTransform, fit_rigid
 
 
 @pytest.fixture

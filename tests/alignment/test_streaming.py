@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.app.alignment import streaming
-from truepath.app.alignment.align import align
-from truepath.app.alignment.streaming import StreamingAlignment
-from truepath.app.errors import AlignmentError
-from truepath.simulators.synthetic import ROUGH, Defects, Setting
+from truepath.alignment import streaming
+from truepath.alignment.align import align
+from truepath.alignment.streaming import StreamingAlignment
+from truepath.errors import AlignmentError
+from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
 
 
 def rows_of(tracker, rows):

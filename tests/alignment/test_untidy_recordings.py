@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import AlignmentError
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.alignment.align import align
+from truepath.errors import AlignmentError
+from truepath_drivers.interfaces.records import TrackerSamples
 
 STEP_S = 0.002
 

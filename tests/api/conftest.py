@@ -16,30 +16,30 @@ import uvicorn
 from arming import arm_over_http
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.api.service import Service
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.machine_file import machine_from_json, machine_to_json
-from truepath.app.jobs.calibrations import Calibrations
-from truepath.app.jobs.cell_setup import CellSetup
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.deletion import Deletion
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.event_bus import EventBus
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.machine_cells import MachineCell, Machines
-from truepath.app.jobs.machine_registry import MachineRegistry
-from truepath.app.jobs.machine_setup import MachineSetup
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.app.planning.default_path import default_path
-from truepath.app.reporting.analysis_files import render_analysis, write_analysis
-from truepath.app.results.analysis import analyse
-from truepath.app.users.access import Access, AccessRules
-from truepath.simulators.scenario import load_machine
+from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.catalogue.calibrations import Calibrations
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.jobs.dispatch.deletion import Deletion
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.event_bus import EventBus
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath.machines.setup.cell_setup import CellSetup
+from truepath.machines.setup.machine_setup import MachineSetup
+from truepath.planning.lines.default_path import default_path
+from truepath.results.analysis import analyse
+from truepath.service.api.application import create_application
+from truepath.service.api.service import Service
+from truepath.users.access import Access, AccessRules
+from truepath_simulators.scenario import load_machine
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "jobs")]
 from scripted_cell import (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jsonschema import Draft202012Validator
 
-from truepath.app.api.route_roles import find_route
+from truepath.service.api.security.route_roles import find_route
 
 _DOCUMENT = Path(__file__).parents[2] / "docs" / "openapi.json"
 

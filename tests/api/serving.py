@@ -7,8 +7,8 @@ import threading
 from contextlib import contextmanager
 from dataclasses import replace
 
-from truepath.app.api.application import create_application
-from truepath.app.api.server import Server
+from truepath.service.api.application import create_application
+from truepath.service.api.server import Server
 
 
 @contextmanager

@@ -16,10 +16,12 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from truepath.app.api.access_control import COOKIE, AccessControl
-from truepath.app.api.application import create_application
-from truepath.app.api.models.job_request import JobRequest
-from truepath.app.api.route_roles import (
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.measurement.messages import ControllerRead
+from truepath.service.api.application import create_application
+from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.security.access_control import COOKIE, AccessControl
+from truepath.service.api.security.route_roles import (
     ANYBODY,
     LEAST_ROLES,
     MOVES,
@@ -27,13 +29,11 @@ from truepath.app.api.route_roles import (
     find_least_role,
     find_route,
 )
-from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.measurement.messages import ControllerRead
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.back_off import RateLimit
-from truepath.app.users.roles import PERSONAL_ROLES, Role, includes
-from truepath.app.web import pages
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.service.page import pages
+from truepath.users.access import Access, AccessRules
+from truepath.users.back_off import RateLimit
+from truepath.users.roles import PERSONAL_ROLES, Role, includes
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 PASSWORD = "a long sentence is easy"
 API = "/api/v1"
@@ -56,7 +56,7 @@ def access(service, rules):
 def tokens(access, monkeypatch):
     """The token of each role."""
     monkeypatch.setattr(
-        "truepath.app.users.accounts.hash_password", lambda password: password
+        "truepath.users.accounts.hash_password", lambda password: password
     )
     for role in PERSONAL_ROLES:
         access.accounts.add(role, role, PASSWORD)
@@ -430,7 +430,9 @@ def test_the_audit_log_has_what_was_done_and_what_was_refused(client, tokens, ac
 def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
     reached, access, tokens, monkeypatch
 ):
-    monkeypatch.setattr("truepath.app.api.access_control.AUDIT_PATIENCE_S", 0.05)
+    monkeypatch.setattr(
+        "truepath.service.api.security.access_control.AUDIT_PATIENCE_S", 0.05
+    )
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     headers = bearer(tokens[Role.OPERATOR])
     assert reached.post(f"{API}/plans", headers=headers).status_code == 200

@@ -30,18 +30,19 @@ from service_process import (
 )
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.main import open_service
-from truepath.app.settings import load_settings
-from truepath.simulators import paths, synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.hidden.drawing import as_json
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.guides import Squareness
-from truepath.simulators.hidden.screws import LateralBacklash
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+from truepath.main import open_service
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath_simulators.hidden.drawing import as_json
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.guides import Squareness
+from truepath_simulators.hidden.screws import LateralBacklash
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 5
 SPEED = 15.0

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from truepath.app.results.machine_documents import Calibration, changes_json
+from truepath.answers.history.machine_documents import Calibration, changes_json
 
 
 @pytest.fixture

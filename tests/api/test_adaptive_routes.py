@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.measurement.messages import PartRequested
-from truepath.app.planning.adaptive_plan import Part
-from truepath.drivers.interfaces.records import Path
+from truepath.measurement.messages import PartRequested
+from truepath.planning.adaptive_plan import Part
+from truepath_drivers.interfaces.records import Path
 
 REQUEST = {"kind": "measure-adaptive", "target_um": 2.0}
 

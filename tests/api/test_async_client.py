@@ -7,8 +7,8 @@ import asyncio
 import httpx2
 import pytest
 
-from truepath.app.api.application import create_application
 from truepath.client import AsyncClient, Busy, JobEnded, StaleVersion
+from truepath.service.api.application import create_application
 
 PATH = [
     {"x_mm": 10, "y_mm": 10, "z_mm": 10},

@@ -8,10 +8,10 @@ import shutil
 import pypdf
 import pytest
 
-from truepath.app.api.models.base import PREFIX
-from truepath.app.api.route_roles import LEAST_ROLES
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.users.roles import Role
+from truepath.catalogue.job import Job, JobKind
+from truepath.service.api.models.base import PREFIX
+from truepath.service.api.security.route_roles import LEAST_ROLES
+from truepath.users.roles import Role
 
 
 @pytest.fixture

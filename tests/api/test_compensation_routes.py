@@ -9,8 +9,8 @@ import zipfile
 
 import pytest
 
-from truepath.app.compensation.export import export_files
-from truepath.app.compensation.unmeasured import Unmeasured
+from truepath.compensation.export import export_files
+from truepath.compensation.tables.unmeasured import Unmeasured
 
 
 @pytest.fixture

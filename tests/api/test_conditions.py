@@ -11,13 +11,13 @@ import pytest
 from arming import arm_over_http
 from service_process import ROWS, arm, create, follow, process, wait_for
 
-from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
-from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.conditions import Finding, Level, Observed
-from truepath.app.jobs.stream_watch import StreamLevels
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
-from truepath.simulators.rig import running_rig
-from truepath.simulators.scenario import load_machine
+from truepath.machines.cell_status import CellStatus, ControllerLevels
+from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.conditions import Finding, Level, Observed
+from truepath.machines.conditions.stream_watch import StreamLevels
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
+from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.scenario import load_machine
 
 AT = "/api/v1/machines/current/conditions"
 GETS = 20

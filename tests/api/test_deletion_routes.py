@@ -9,10 +9,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.jobs.job import Stage
-from truepath.app.jobs.reconciliation import reconcile
-from truepath.app.jobs.retention import Retention, RetentionRules
+from truepath.catalogue.job import Stage
+from truepath.errors import BundleError
+from truepath.jobs.dispatch.reconciliation import reconcile
+from truepath.jobs.dispatch.retention import Retention, RetentionRules
 
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
 LATER = datetime.now(UTC) + timedelta(days=25)

@@ -7,10 +7,10 @@ import re
 import pytest
 from described_answers import list_errors, read_document, resolve
 
-from truepath.app.api.job_description import describe_job
-from truepath.app.api.route_roles import LEAST_ROLES
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.transitions import VERB_TRANSITIONS, State, Verb
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.transitions import VERB_TRANSITIONS, State, Verb
+from truepath.service.api.job_description import describe_job
+from truepath.service.api.security.route_roles import LEAST_ROLES
 
 OPERATIONS = {
     operation["operationId"]: operation

@@ -17,7 +17,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from truepath.app.api.application import create_application
+from truepath.service.api.application import create_application
 
 HEADERS = {"host": "127.0.0.1"}
 CHECKS = [
@@ -29,7 +29,7 @@ CHECKS = [
 ]
 DOCUMENT = read_document()
 EXAMPLES = json.loads(
-    resources.files("truepath.app.api").joinpath("examples.json").read_text()
+    resources.files("truepath.service.api").joinpath("examples.json").read_text()
 )
 OPERATIONS = sorted(
     (path, method)

@@ -14,14 +14,14 @@ import pytest
 from fastapi import APIRouter
 from pydantic import TypeAdapter
 
-from truepath.app import errors as app_errors
-from truepath.app.api import problems
-from truepath.app.api.application import create_application, describe_interface
-from truepath.app.api.models.job_request import JobRequest
-from truepath.app.api.problems import find_kind_of_status
-from truepath.app.jobs import errors as job_errors
-from truepath.app.jobs.job import Failure
-from truepath.drivers.interfaces import errors as device_errors
+from truepath import errors as app_errors
+from truepath.catalogue import errors as job_errors
+from truepath.catalogue.job import Failure
+from truepath.service.api import problems
+from truepath.service.api.application import create_application, describe_interface
+from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.problems import find_kind_of_status
+from truepath_drivers.interfaces import errors as device_errors
 
 ROOT = Path(__file__).parents[2]
 HTTP_METHODS = {"get", "post", "put", "patch", "delete"}
@@ -44,7 +44,7 @@ def operations(document):
 
 def test_the_checked_in_description_is_current():
     kept = (ROOT / "docs" / "openapi.json").read_text(encoding="utf-8")
-    command = "python -m truepath.app.api.application docs/openapi.json"
+    command = "python -m truepath.service.api.application docs/openapi.json"
     assert kept == describe_interface(), command
 
 
@@ -92,7 +92,7 @@ def test_all_paths_but_probes_are_versioned(operations):
 
 def test_writing_the_file_writes_the_description(tmp_path):
     file = tmp_path / "openapi.json"
-    module = "truepath.app.api.application"
+    module = "truepath.service.api.application"
     subprocess.run([sys.executable, "-m", module, str(file)], check=True)
     assert file.read_text(encoding="utf-8") == describe_interface()
 

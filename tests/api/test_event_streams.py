@@ -13,11 +13,11 @@ import pytest
 from arming import arm_over_http
 from scripted_cell import wait_until
 
-from truepath.app.api import events
-from truepath.app.api.topics import Topics
-from truepath.app.jobs.errors import StorageFull, StorageUnavailable
-from truepath.app.jobs.job import Job, JobEvent, JobKind, encode_job
-from truepath.app.jobs.transitions import State
+from truepath.catalogue.errors import StorageFull, StorageUnavailable
+from truepath.catalogue.job import Job, JobEvent, JobKind, encode_job
+from truepath.catalogue.transitions import State
+from truepath.service.api.routes import events
+from truepath.service.api.topics import Topics
 
 EVENTS = "/api/v1/events"
 

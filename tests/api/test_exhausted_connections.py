@@ -13,7 +13,7 @@ import service_process
 from service_process import ROWS, arm, create, follow, moving, process, wait_for
 from serving import serving
 
-from truepath.app.users.certificates import create_certificate
+from truepath.users.certificates import create_certificate
 
 STOP = b"POST /api/v1/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
 UNFINISHED = {
@@ -97,7 +97,7 @@ def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descrip
 @pytest.fixture
 def hasty(monkeypatch):
     """Deadlines that a test can wait for, and places for 16 connections."""
-    from truepath.app.api import connections
+    from truepath.service.api.security import connections
 
     monkeypatch.setattr(connections, "HEAD_S", 0.6)
     monkeypatch.setattr(connections, "BODY_S", 0.6)

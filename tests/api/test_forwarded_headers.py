@@ -10,9 +10,9 @@ import pytest
 from serving import serving
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.roles import Role
+from truepath.service.api.application import create_application
+from truepath.users.access import Access, AccessRules
+from truepath.users.roles import Role
 
 LOOPBACK = "127.0.0.1"
 PASSWORD = "a long sentence is easy"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
+from truepath.service.api.application import create_application
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import pytest
 from arming import arm_over_http, request_token
 from scripted_cell import wait_until
 
-from truepath.app.jobs.arm_tokens import ArmTokens
-from truepath.app.jobs.errors import (
+from truepath.catalogue.errors import (
     ArmTokenExpired,
     ArmTokenUsed,
     StorageUnavailable,
 )
+from truepath.jobs.dispatch.arm_tokens import ArmTokens
 
 UNKNOWN = "/api/v1/jobs/019a0000-0000-7000-8000-000000000000"
 

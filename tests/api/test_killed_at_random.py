@@ -20,8 +20,8 @@ import pytest
 from arming import arm_over_http
 from service_process import ENDS, SPEED, process, wait_for
 
-from truepath.simulators.rig import Rig, running_rig
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.scenario import load_machine
 
 HARMS = 50
 """Of each of the four seeds: 200 in all."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.api.job_description import describe_job
-from truepath.app.jobs.job import decode_job
+from truepath.catalogue.job import decode_job
+from truepath.service.api.job_description import describe_job
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ import pytest
 from arming import arm_over_http
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.jobs.job import JobEvent
-from truepath.app.main import open_service
-from truepath.app.settings import load_settings
-from truepath.simulators import paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.job import JobEvent
+from truepath.main import open_service
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
 
 SPEED = 6.0
 ROWS, KNOCKED_S, KNOCK_MM = 34, 82.0, 0.03  # since the stream began

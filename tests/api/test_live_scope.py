@@ -13,13 +13,13 @@ from starlette.websockets import WebSocketDisconnect
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from truepath.app.api.application import create_application
-from truepath.app.api.live_scope import open_scopes
-from truepath.app.jobs.sample_feed import CHUNK, CHUNKS, SampleFeed
-from truepath.app.measurement.messages import BlockRecorded
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.roles import Role
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.machines.sample_feed import CHUNK, CHUNKS, SampleFeed
+from truepath.measurement.messages import BlockRecorded
+from truepath.service.api.application import create_application
+from truepath.service.api.live_scope import open_scopes
+from truepath.users.access import Access, AccessRules
+from truepath.users.roles import Role
+from truepath_drivers.interfaces.records import TrackerSamples
 
 HOST = {"host": "127.0.0.1:8411"}
 PATH = "/api/v1/machines/{}/live"
@@ -107,7 +107,7 @@ def test_the_scope_ends_with_the_service(address, service):
 def test_a_socket_needs_a_session(service, monkeypatch, path):
     access = Access(service.database, AccessRules(log_in_required=True))
     monkeypatch.setattr(
-        "truepath.app.users.accounts.hash_password", lambda password: password
+        "truepath.users.accounts.hash_password", lambda password: password
     )
     access.accounts.add("viewer", Role.VIEWER, "a long sentence is easy")
     token = access.tokens.open_session("viewer")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from shutil import copytree
 
-from truepath.app.files.temperature_file import temperature_model_from_json
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.transitions import State
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.transitions import State
+from truepath.files.earlier.temperature_file import temperature_model_from_json
 
 BASE = "/api/v1/machines"
 

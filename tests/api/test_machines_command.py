@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.simulators.scenario import load_machine
+from truepath.cli.command import run
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.api.machines import NewMachine
-from truepath.app.files.machine_file import machine_to_json
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.machine_registry import MachineRegistry
-from truepath.app.jobs.machine_setup import show_devices
-from truepath.app.jobs.transitions import State
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.machines.setup.machine_setup import show_devices
+from truepath.service.api.routes.machines import NewMachine
+from truepath_simulators.scenario import load_machine
 
 BASE = "/api/v1/machines"
 DEVICES = {

@@ -7,18 +7,18 @@ from prometheus_client.parser import text_string_to_metric_families
 from scripted_cell import wait_until
 from starlette.testclient import TestClient
 
-from truepath.app.api import metrics as metrics_module
-from truepath.app.api.application import create_application
-from truepath.app.jobs.cell_counters import CellCounters
-from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.measurement.durations import BOUNDS_S, Durations
-from truepath.app.measurement.messages import (
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.machines.cell_counters import CellCounters
+from truepath.measurement.durations import BOUNDS_S, Durations
+from truepath.measurement.messages import (
     CellState,
     CellVerb,
     MeasurementProgress,
     RunClosed,
     StateChanged,
 )
+from truepath.service.api.application import create_application
+from truepath.service.api.routes import metrics as metrics_module
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.machine_file import machine_to_json
-from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.planning.default_path import default_path
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.planning.lines.default_path import default_path
 
 JOBS, PLANS = "/api/v1/jobs", "/api/v1/plans"
 NOBODY = "0190a1b2-0000-7000-8000-000000000000"

@@ -11,10 +11,10 @@ import pytest
 from arming import arm_over_http
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.main import open_service
-from truepath.app.settings import load_settings
-from truepath.simulators.bench import Bench
+from truepath.main import open_service
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath_simulators.bench.bench import Bench
 
 SPEED = 12.0
 WORKSPACE = {

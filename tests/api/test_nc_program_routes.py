@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.motion.nc_programs.programs import read_program
+from truepath.motion.nc_programs.programs import read_program
 
 
 def test_a_ready_job_gives_its_path_as_a_program_of_each_control(client, ready):

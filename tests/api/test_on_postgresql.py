@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.jobs.catalogue_rebuild import check_against_disk, rebuild_catalogue
+from truepath.jobs.dispatch.catalogue_rebuild import (
+    check_against_disk,
+    rebuild_catalogue,
+)
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ import pytest
 from arming import arm_over_http
 from scripted_cell import wait_until
 
-from truepath.app.files.machine_file import machine_from_json, machine_to_json
-from truepath.app.jobs.plan_orders import plan_measurement
-from truepath.app.motion.nc_programs.programs import read_program
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.jobs.running.plan_orders import plan_measurement
+from truepath.motion.nc_programs.programs import read_program
+from truepath_simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
 SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}

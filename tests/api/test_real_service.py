@@ -18,13 +18,13 @@ from scripted_cell import wait_until
 from service_process import ROWS, SPEED, arm, create, follow, moving, process
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.errors import BadInput
-from truepath.app.jobs.errors import InUse, SchemaTooNew
-from truepath.app.main import open_service, serve
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.settings import load_settings
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.errors import InUse, SchemaTooNew
+from truepath.errors import BadInput
+from truepath.main import open_service, serve
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture

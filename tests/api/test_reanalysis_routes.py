@@ -7,8 +7,8 @@ import json
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.cli.command import run
-from truepath.app.jobs.reanalysis import keep_outcome
+from truepath.cli.command import run
+from truepath.jobs.workers.reanalysis import keep_outcome
 
 JOBS = "/api/v1/jobs"
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.jobs.plan_orders import plan_measurement
-from truepath.app.jobs.transitions import FINAL, State
+from truepath.catalogue.transitions import FINAL, State
+from truepath.jobs.running.plan_orders import plan_measurement
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "rest-api.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")

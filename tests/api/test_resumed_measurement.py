@@ -22,12 +22,12 @@ from service_process import (
     wait_until_done,
 )
 
-from truepath.app.cli.demo import compare_with_truth
-from truepath.app.compensation.remaining_error import remove_rigid_motion
-from truepath.app.files.run import digest_run
-from truepath.app.measurement.run_reading import open_run
-from truepath.simulators.rig import running_rig
-from truepath.simulators.scenario import load_machine
+from truepath.cli.demo import compare_with_truth
+from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.files.bundle.run import digest_run
+from truepath.measurement.run_file.run_reading import open_run
+from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.scenario import load_machine
 
 SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.api import runs as run_routes
+from truepath.service.api.routes import runs as run_routes
 
 ADDRESS = "/api/v1/runs"
 

@@ -5,8 +5,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from truepath.app.api.server import bind_socket, format_address
-from truepath.app.errors import BadInput
+from truepath.errors import BadInput
+from truepath.service.api.server import bind_socket, format_address
 
 
 @pytest.mark.parametrize(

@@ -16,13 +16,13 @@ import httpx2
 import pytest
 from service_process import wait_for
 
-from truepath.app.api.service_manager import ServiceManager
+from truepath.service.api.service_manager import ServiceManager
 
 PROGRAM = """
 import time
-from truepath.app.main import serve
-from truepath.app.settings import load_settings
-from truepath.app.web import pages
+from truepath.main import serve
+from truepath.settings import load_settings
+from truepath.service.page import pages
 
 @pages.router.get("/freeze")
 async def freeze():

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import encode_machine
-from truepath.app.jobs.workers import Workers, choose_workers
-from truepath.app.main import _load_machines, open_service
-from truepath.app.settings import load_settings
-from truepath.drivers.interfaces.tracker_records import Light
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import encode_machine
+from truepath.jobs.workers.workers import Workers, choose_workers
+from truepath.main import _load_machines, open_service
+from truepath.settings import load_settings
+from truepath_drivers.interfaces.tracker_records import Light
 
 
 @pytest.fixture(autouse=True)

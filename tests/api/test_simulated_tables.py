@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from truepath.app.jobs.simulated_controls import SimulatedControls
+from truepath.machines.setup.simulated_controls import SimulatedControls
 
 TABLES = "/api/v1/machines/default/simulated-tables"
 

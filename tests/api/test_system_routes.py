@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.api import machine as machine_routes
-from truepath.drivers.interfaces.errors import (
+from truepath.service.api.routes import machine as machine_routes
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     WrongDevice,

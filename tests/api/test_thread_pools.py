@@ -13,10 +13,10 @@ from anyio.to_thread import current_default_thread_limiter
 from scripted_cell import wait_until
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.api.server import Server
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.roles import Role
+from truepath.service.api.application import create_application
+from truepath.service.api.server import Server
+from truepath.users.access import Access, AccessRules
+from truepath.users.roles import Role
 
 PATIENCE_S = 5.0
 
@@ -49,7 +49,7 @@ def post_within(client, address):
 def client(service, monkeypatch):
     """Overrides the client: an operator, where everybody logs in."""
     monkeypatch.setattr(
-        "truepath.app.users.accounts.hash_password", lambda password: password
+        "truepath.users.accounts.hash_password", lambda password: password
     )
     access = Access(service.database, AccessRules(log_in_required=True))
     access.accounts.add("ben", Role.OPERATOR, "a long sentence is easy")

@@ -7,7 +7,7 @@ import json
 import pytest
 from scripted_cell import wait_until
 
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.scenario import load_machine
 
 JOBS = "/api/v1/jobs"
 

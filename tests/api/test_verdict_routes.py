@@ -2,7 +2,7 @@
 
 import pytest
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 OPEN = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})

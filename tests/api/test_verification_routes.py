@@ -11,14 +11,14 @@ from scripted_cell import wait_until
 from service_process import SPEED, arm, follow
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.files.result_file import read_result
-from truepath.app.jobs.simulated_controls import SimulatedControls
-from truepath.app.main import open_service
-from truepath.app.results.verification import verify
-from truepath.app.results.verification_json import verification_json
-from truepath.app.settings import load_settings
-from truepath.simulators import synthetic
+from truepath.answers.verification.verification import verify
+from truepath.answers.verification.verification_json import verification_json
+from truepath.files.earlier.result_file import read_result
+from truepath.machines.setup.simulated_controls import SimulatedControls
+from truepath.main import open_service
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath_simulators.worlds import synthetic
 
 JOBS = "/api/v1/jobs"
 

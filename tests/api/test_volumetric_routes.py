@@ -8,8 +8,8 @@ import shutil
 import numpy as np
 import pytest
 
-from truepath.app.files.result_file import read_result
-from truepath.app.results.prediction import predict
+from truepath.files.earlier.result_file import read_result
+from truepath.results.prediction import predict
 
 
 @pytest.fixture

@@ -14,12 +14,12 @@ from starlette.websockets import WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from truepath.app.api.application import create_application
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.transitions import State
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.roles import Role
-from truepath.app.web import pages
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.transitions import State
+from truepath.service.api.application import create_application
+from truepath.service.page import pages
+from truepath.users.access import Access, AccessRules
+from truepath.users.roles import Role
 
 API = "/api/v1"
 ELSEWHERE = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
@@ -100,7 +100,7 @@ def test_every_message_of_the_open_channel_is_a_stop(live, service, headers, wor
 
 
 def test_a_channel_too_many_takes_the_place_of_the_oldest(live, monkeypatch):
-    monkeypatch.setattr("truepath.app.api.stopping.MOST_CHANNELS", 1)
+    monkeypatch.setattr("truepath.service.api.routes.stopping.MOST_CHANNELS", 1)
     with connect(socket_of(live, "/stop")) as old:
         old.send("check")
         old.recv(timeout=10)
@@ -172,7 +172,7 @@ def with_users(service, live, monkeypatch):
     """A viewer who has logged in; returns the headers that tell so."""
     access = Access(service.database, AccessRules(log_in_required=True))
     monkeypatch.setattr(
-        "truepath.app.users.accounts.hash_password", lambda password: password
+        "truepath.users.accounts.hash_password", lambda password: password
     )
     access.accounts.add("ada", Role.ADMINISTRATOR, "a long sentence is easy")
     access.accounts.add("vera", Role.VIEWER, "a long sentence is easy")

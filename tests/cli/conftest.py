@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import write_bundle
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import write_bundle
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ import shutil
 
 import pytest
 
-from truepath.app.cli.command import run
+from truepath.cli.command import run
 
 
 def without(name):

@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
-
 from tests.plugin_site import NAME, install
-from truepath.app import plugins
-from truepath.app.cli.command import run
-from truepath.app.errors import BadInput
-from truepath.app.kinematics.effects.catalogue import list_families
-from truepath.app.motion.nc_programs.programs import list_dialects, write_program
-from truepath.app.planning.default_path import default_path
-from truepath.app.web.pages import catalogue
+
+from truepath import plugins
+from truepath.cli.command import run
+from truepath.errors import BadInput
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.motion.nc_programs.programs import list_dialects, write_program
+from truepath.planning.lines.default_path import default_path
+from truepath.service.page.pages import catalogue
 
 pytestmark = pytest.mark.fault_row(49)
 
@@ -26,14 +26,14 @@ LEAVING = """
     sys.exit("this computer is not known")
 """
 FORMATS = """
-    from truepath.app.compensation.generic import GenericCsv
+    from truepath.compensation.formats.generic import GenericCsv
 
     class Mute(GenericCsv):
         carries = None
 """
 OTHERS = """
-    from truepath.app.kinematics.effects.backlash import BacklashFamily
-    from truepath.app.motion.nc_programs.linuxcnc import LinuxCnc
+    from truepath.kinematics.effects.backlash import BacklashFamily
+    from truepath.motion.nc_programs.linuxcnc import LinuxCnc
 
     class Effect(BacklashFamily):
         name = "hostile"

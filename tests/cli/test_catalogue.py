@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.jobs.data_folder import hold_folder
+from truepath.catalogue.data_folder import hold_folder
+from truepath.cli.command import run
 
 
 @pytest.fixture(autouse=True)

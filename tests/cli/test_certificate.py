@@ -12,14 +12,14 @@ from itertools import zip_longest
 import pypdf
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.errors import BundleError
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
-from truepath.app.reporting.certificate import pdf
-from truepath.app.reporting.certificate.issue import (
+from truepath.answers.certificate import pdf
+from truepath.answers.certificate.issue import (
     gather_certificate,
     read_result_source,
 )
+from truepath.cli.command import run
+from truepath.errors import BundleError
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 ISSUED = ("--issued", "2026-11-24")
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.recorded_files import encode_reference
-from truepath.app.files.run import DirectMeasurement
-from truepath.app.kinematics.symbols import is_turn, list_error_motions
+from truepath.cli.command import run
+from truepath.files.bundle.recorded_files import encode_reference
+from truepath.files.bundle.run import DirectMeasurement
+from truepath.kinematics.machine.symbols import is_turn, list_error_motions
 
 RUNS, STEP_MM = 5, 25.0
 REPEATABILITY = {"um": 0.3, "urad": 0.8}

@@ -6,13 +6,13 @@ The device clocks run fast; the links, the processes and the bytes are the real 
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.cli.demo import compare_with_truth, plan_path
-from truepath.app.errors import PlanningError
-from truepath.app.files.bundle import read_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.motion_times import travel_time_s
-from truepath.simulators.scenario import load_machine
+from truepath.cli.command import run
+from truepath.cli.demo import compare_with_truth, plan_path
+from truepath.errors import PlanningError
+from truepath.files.bundle.bundle import read_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.motion_times import travel_time_s
+from truepath_simulators.scenario import load_machine
 
 FAST = ["--speed", "4", "--feed", "15000"]
 
@@ -103,8 +103,8 @@ def test_the_proof_is_exact_for_a_result_that_is_the_truth(analysed):
     """The truth less what the result says is nothing: 0 % left, all within 2 u."""
     import json
 
-    from truepath.app.files.result_file import result_from_json
-    from truepath.app.results.prediction import predict
+    from truepath.files.earlier.result_file import result_from_json
+    from truepath.results.prediction import predict
 
     result = json.loads((analysed / "result.json").read_text())
     loaded = result_from_json(result)

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.commanded_file import encode_commanded
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.nc_programs.programs import read_program, write_program
-from truepath.app.planning.default_path import default_path
-from truepath.app.results.points_csv import predict_points
-from truepath.simulators import synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath.answers.calibration.points_csv import predict_points
+from truepath.cli.command import run
+from truepath.files.bundle.commanded_file import encode_commanded
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.nc_programs.programs import read_program, write_program
+from truepath.planning.lines.default_path import default_path
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 FEED_MM_MIN = 12_000.0
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from truepath.app.cli.command import run
+from truepath.cli.command import run
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.simulators.modbus_ports import ModbusTcpPort
-from truepath.simulators.modbus_wire import ILLEGAL_ADDRESS, exception
+from truepath.cli.command import run
+from truepath_simulators.cnc.modbus_ports import ModbusTcpPort
+from truepath_simulators.cnc.modbus_wire import ILLEGAL_ADDRESS, exception
 
 pytestmark = pytest.mark.fault_row(43)
 

@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.device_options import make_device
-from truepath.app.errors import BadInput
-from truepath.drivers.tracker.text_line.driver import TextLineTracker
+from truepath.cli.command import run
+from truepath.device_options import make_device
+from truepath.errors import BadInput
+from truepath_drivers.tracker.text_line.driver import TextLineTracker
 
 
 def test_every_installed_driver_is_listed_with_its_options(capsys):

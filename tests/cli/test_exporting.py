@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.compensation.isg_csv import IsgCsv
-from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.files.machine_file import machine_from_json
-from truepath.simulators.scenario import load_machine
+from truepath.cli.command import run
+from truepath.compensation.formats.isg_csv import IsgCsv
+from truepath.compensation.formats.linuxcnc import LinuxCnc
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath_simulators.scenario import load_machine
 
 
 def exported(analysed, name, output, *more):

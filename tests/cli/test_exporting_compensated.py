@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.simulators import synthetic
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 pytestmark = pytest.mark.timeout(240)  # two measurements are analysed
 

@@ -4,9 +4,9 @@ import errno
 
 import pytest
 
-from truepath.app.cli.command import run, run_command
-from truepath.app.errors import AlignmentError, BadInput, BundleError
-from truepath.drivers.interfaces.errors import DeviceTimeout
+from truepath.cli.command import run, run_command
+from truepath.errors import AlignmentError, BadInput, BundleError
+from truepath_drivers.interfaces.errors import DeviceTimeout
 
 
 def failing(error):

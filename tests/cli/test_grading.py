@@ -2,7 +2,7 @@
 
 import pytest
 
-from truepath.app.cli.command import run
+from truepath.cli.command import run
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.motion.nc_programs.programs import write_program
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.motion.nc_programs.programs import write_program
 
 HZ = 500.0
 

@@ -9,9 +9,9 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import write_bundle
-from truepath.app.results.points_csv import predict_points
+from truepath.answers.calibration.points_csv import predict_points
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import write_bundle
 
 DAY = datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC)
 

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.commanded_file import decode_commanded
-from truepath.app.files.machine_file import decode_machine
-from truepath.app.motion.nc_programs.programs import list_dialects, read_program
-from truepath.simulators.scenario import load_machine
+from truepath.cli.command import run
+from truepath.files.bundle.commanded_file import decode_commanded
+from truepath.files.bundle.machine_file import decode_machine
+from truepath.motion.nc_programs.programs import list_dialects, read_program
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture(scope="session")

@@ -11,18 +11,18 @@ import time
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import read_bundle
-from truepath.app.files.commanded_file import encode_commanded
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.nc_programs.programs import read_program, write_program
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import DeviceTimeout
-from truepath.drivers.interfaces.records import MotionState
-from truepath.simulators.bench import Bench
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import read_bundle
+from truepath.files.bundle.commanded_file import encode_commanded
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.nc_programs.programs import read_program, write_program
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import DeviceTimeout
+from truepath_drivers.interfaces.records import MotionState
+from truepath_simulators.bench.bench import Bench
 
-MAIN = "from truepath.app.cli.command import main; main()"
+MAIN = "from truepath.cli.command import main; main()"
 SPEED = 16.0
 PATIENCE_S = 40.0
 

@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import write_bundle, zip_bundle
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.numerics.adaptive_trials import TrialPlan
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import write_bundle, zip_bundle
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.numerics.adaptive_trials import TrialPlan
 
 
 def test_analyse_writes_result_tables_and_report(analysed):
@@ -109,7 +109,7 @@ def test_trials_are_told_in_the_summary_and_to_a_person(
     small_run, tmp_path, monkeypatch, summary, capsys
 ):
     plan = partial(TrialPlan, most_blocks=2)
-    monkeypatch.setattr("truepath.app.numerics.adaptive_trials.TrialPlan", plan)
+    monkeypatch.setattr("truepath.numerics.adaptive_trials.TrialPlan", plan)
     asked = ["--monte-carlo", "--seed", "5", "--interval", "shortest"]
     out = tmp_path / "out"
     assert run(["analyse", str(small_run), "-o", str(out), *asked, "--json"]) == 0

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.errors import BundleError
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.run import summarize_run
+from truepath.cli.command import run
+from truepath.errors import BundleError
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.run import summarize_run
 
 pytestmark = pytest.mark.fault_row(43)
 

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.cli.calibration import (
+from truepath.cli.calibration import (
     calibrate,
     follow_to_the_end,
     measure_on_the_fly,
 )
-from truepath.app.cli.command import run
-from truepath.app.errors import MeasurementFailed
+from truepath.cli.command import run
 from truepath.client import Client
+from truepath.errors import MeasurementFailed
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 TABLES_STAND_S = 120.0

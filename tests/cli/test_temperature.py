@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.compensation.remaining_error import remove_rigid_motion
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import read_result
-from truepath.app.files.temperature_file import read_result_at
-from truepath.app.planning.default_path import default_path
-from truepath.app.results.prediction import predict
-from truepath.simulators import synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+from truepath.cli.command import run
+from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import read_result
+from truepath.files.earlier.temperature_file import read_result_at
+from truepath.planning.lines.default_path import default_path
+from truepath.results.prediction import predict
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.synthetic import Setting
 
 DEGC, THERMOMETER_K = (18.0, 25.0, 20.0, 22.0), (0.1, -0.05, -0.1, 0.08)
 GROWTH_PER_K = {"X": 11e-6, "Y": 8e-6, "Z": 14e-6}

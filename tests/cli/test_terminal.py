@@ -2,7 +2,7 @@
 
 import json
 
-from truepath.app.cli.terminal import print_json, print_table, show_progress
+from truepath.cli.terminal import print_json, print_table, show_progress
 
 
 def test_a_log_gets_a_line_a_stage(capsys):

@@ -8,7 +8,7 @@ import pytest
 
 COMMAND = """
 import os, sys
-from truepath.app.cli.command import main
+from truepath.cli.command import main
 assert "numpy" not in sys.modules
 sys.argv = ["truepath", "--version"]
 try:

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.api.models.trend import TrendOut
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import read_bundle, zip_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.jobs.science import follow_recorded
-from truepath.app.planning.default_path import default_path
-from truepath.simulators import synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import read_bundle, zip_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.workers.science import follow_recorded
+from truepath.planning.lines.default_path import default_path
+from truepath.service.api.models.results.trend import TrendOut
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.synthetic import Setting
 
 HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6
 AT = ",".join(map(str, HOURS))

@@ -8,10 +8,10 @@ import json
 import pytest
 from sqlalchemy import text
 
-from truepath.app.cli.command import run
-from truepath.app.jobs.database import Database
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.roles import Actor, Role
+from truepath.catalogue.store.database import Database
+from truepath.cli.command import run
+from truepath.users.access import Access, AccessRules
+from truepath.users.roles import Actor, Role
 
 PASSWORD = "a long sentence is easy"
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.cli.summary import print_result
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
-from truepath.app.results import analysis
+from truepath.cli.command import run
+from truepath.cli.summary import print_result
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+from truepath.results import analysis
 
 LEFT_OUT = Reason(
     "samples-left-out",

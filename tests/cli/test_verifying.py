@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import write_bundle
-from truepath.simulators import synthetic
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import write_bundle
+from truepath_simulators.worlds import synthetic
 
 
 @pytest.fixture(scope="module")

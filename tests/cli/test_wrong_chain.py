@@ -11,9 +11,9 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "alignment"))
 from test_arcs import random_path
 
-from truepath.app.alignment.align import align
-from truepath.app.cli.command import run
-from truepath.app.files.bundle import read_bundle, write_bundle
+from truepath.alignment.align import align
+from truepath.cli.command import run
+from truepath.files.bundle.bundle import read_bundle, write_bundle
 
 BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
 

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
 
 MACHINE = Machine(
     "bench mill",

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from truepath.drivers.cnc.linuxcnc.rsh import RshLink
-from truepath.drivers.transport.tcp_port import TcpPort
-from truepath.simulators.linuxcnc.files import LinuxCncMachine
-from truepath.simulators.linuxcnc.rig import LinuxCncRig
+from truepath_drivers.cnc.linuxcnc.rsh import RshLink
+from truepath_drivers.transport.tcp_port import TcpPort
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig
 
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result, write_output
-from truepath.app.compensation.format import Correction
-from truepath.app.compensation.isg_csv import IsgCsv
-from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.compensation.remaining_error import (
+from truepath.compensation.account.remaining_error import (
     find_remaining,
     remove_rigid_motion,
 )
-from truepath.app.compensation.unmeasured import Unmeasured, find_measured_ranges
-from truepath.app.errors import BadInput
-from truepath.app.kinematics.conditions import make_standstill
+from truepath.compensation.export import export_result, write_output
+from truepath.compensation.format import Correction
+from truepath.compensation.formats.isg_csv import IsgCsv
+from truepath.compensation.formats.linuxcnc import LinuxCnc
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.errors import BadInput
+from truepath.kinematics.conditions import make_standstill
 
 FORMATS = {"isg-csv": IsgCsv, "linuxcnc": LinuxCnc}
 

@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
-
 from tests.compensation.written_tables import CONTENT, write_files
-from truepath.app.compensation.active_files import read_active_files
-from truepath.app.compensation.installed import load_format
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import Conditions
+
+from truepath.compensation.active_files import read_active_files
+from truepath.compensation.installed import load_format
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import Conditions
 
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 DIFFERENCE = {"backlash_reading": "difference"}

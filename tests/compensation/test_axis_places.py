@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.axis_places import find_places
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.rotary_left import RotaryFiles, describe_rotary
-from truepath.app.compensation.tabulation import Tabulation
-from truepath.app.compensation.unmeasured import find_measured_ranges
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.simulators.compensation.correction import measure_deviation_mm
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.truth_machine import perfect
+from truepath.compensation.account.rotary_left import RotaryFiles, describe_rotary
+from truepath.compensation.export import export_result
+from truepath.compensation.installed import load_format
+from truepath.compensation.tables.axis_places import find_places
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
 from tests.plugin_site import NAME, install
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result, write_output
-from truepath.app.errors import BadInput
-from truepath.app.files.result_file import CalibrationResult
+
+from truepath.compensation.export import export_result, write_output
+from truepath.compensation.tables.error_map import map_errors
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import CalibrationResult
 
 pytestmark = pytest.mark.fault_row(49)
 
 FORMATS = """
     import math
-    from truepath.app.compensation.generic import GenericCsv
-    from truepath.app.compensation.linuxcnc import LinuxCnc
+    from truepath.compensation.formats.generic import GenericCsv
+    from truepath.compensation.formats.linuxcnc import LinuxCnc
 
     class Climbing(LinuxCnc):
         def write(self, content):

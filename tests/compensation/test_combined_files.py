@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.active_files import make_active_files
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.remaining_error import sample_travel
-from truepath.app.compensation.tabulation import Tabulation
-from truepath.app.compensation.unmeasured import Unmeasured, find_measured_ranges
+from truepath.compensation.account.remaining_error import sample_travel
+from truepath.compensation.active_files import make_active_files
+from truepath.compensation.installed import load_format
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
 
 ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
 FORMATS = (

@@ -11,26 +11,26 @@ import numpy as np
 import pytest
 from pyLSV2 import NCTable
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.etalon_exchange import EtalonExchange
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.fanuc import Fanuc
-from truepath.app.compensation.generic import GenericCsv, GenericJson
-from truepath.app.compensation.heidenhain import Heidenhain
-from truepath.app.compensation.installed import list_formats, load_format
-from truepath.app.compensation.isg_csv import IsgCsv
-from truepath.app.compensation.linuxcnc import LinuxCnc
-from truepath.app.compensation.siemens import SiemensCec, SiemensLec
-from truepath.app.compensation.siemens_order import SiemensOrder
-from truepath.app.compensation.tabulation import Tabulation
-from truepath.app.compensation.unmeasured import find_measured_ranges
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.model import MachineModel, restore_effect
-from truepath.simulators.scenario import load_machine
+from truepath.compensation.export import export_result
+from truepath.compensation.formats.etalon_exchange import EtalonExchange
+from truepath.compensation.formats.fanuc import Fanuc
+from truepath.compensation.formats.generic import GenericCsv, GenericJson
+from truepath.compensation.formats.heidenhain import Heidenhain
+from truepath.compensation.formats.isg_csv import IsgCsv
+from truepath.compensation.formats.linuxcnc import LinuxCnc
+from truepath.compensation.formats.siemens import SiemensCec, SiemensLec
+from truepath.compensation.formats.siemens_order import SiemensOrder
+from truepath.compensation.installed import list_formats, load_format
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath_simulators.scenario import load_machine
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.tabulation import Tabulation
-from truepath.app.compensation.unmeasured import find_measured_ranges
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.rules import Rules
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.compensation.export import export_result
+from truepath.compensation.installed import load_format
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture(scope="module", params=["trunnion", "head-table"])

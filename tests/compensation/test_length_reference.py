@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.length_reference import (
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.length_reference import (
     find_measured_degc,
     warn_of_lengths,
 )

@@ -9,12 +9,17 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.motion.nc_programs.programs import write_program
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators.linuxcnc.rig import explain_absence
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.motion.nc_programs.programs import write_program
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.linuxcnc.rig import explain_absence
 
 sys.path.append(str(FilePath(__file__).parent))
 from linuxcnc_machine import TRAVEL, run_program

@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.installed import list_formats
-from truepath.app.files.machine_file import machine_to_json
-from truepath.app.files.model_file import model_to_json
-from truepath.app.files.result_file import (
+from truepath.compensation.export import export_result
+from truepath.compensation.installed import list_formats
+from truepath.compensation.tables.error_map import map_errors
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.earlier.model_file import model_to_json
+from truepath.files.earlier.result_file import (
     MODEL_SCHEMA,
     CalibrationResult,
     result_from_json,
 )
-from truepath.app.kinematics.effects.backlash import LateralBacklashFamily
-from truepath.app.kinematics.model import restore_effect
+from truepath.kinematics.effects.backlash import LateralBacklashFamily
+from truepath.kinematics.model import restore_effect
 
 FORMATS = list(list_formats())
 HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])

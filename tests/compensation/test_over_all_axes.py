@@ -9,15 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from truepath.app.compensation.error_map import ErrorMap, map_errors
-from truepath.app.compensation.export import Export, export_result
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.compensation.export import Export, export_result
+from truepath.compensation.tables.error_map import ErrorMap, map_errors
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 FREEDOM = 50.0  # values by which the size of what is not known is known
 HALF_URAD, HALF_U_URAD = 12.0, 1.0

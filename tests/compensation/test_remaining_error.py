@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.effects.backlash import BacklashFamily
-from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.app.kinematics.effects.position_wave import ScrewCyclicFamily
-from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.model import MachineModel, restore_effect
-from truepath.app.results.error_tables import compute_half_differences
-from truepath.simulators.scenario import load_machine
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.effects.backlash import BacklashFamily
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.results.error_tables import compute_half_differences
+from truepath_simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"), file="machine.json")
 EFFECTS = (

@@ -8,24 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_result
-from truepath.app.compensation.format import AxisTable, CompensationTables
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.rotary_tables import AxisPlace
-from truepath.app.compensation.siemens_swivel import SWIVEL, write_swivel
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.symbols import list_locations
-from truepath.simulators.compensation.correction import measure_deviation_mm
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.siemens_swivel import Chain, Link
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.truth_machine import perfect
+from truepath.compensation.export import export_result
+from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
+from truepath.compensation.installed import load_format
+from truepath.compensation.rotary_tables import AxisPlace
+from truepath.compensation.tables.error_map import map_errors
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.symbols import list_locations
+from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.siemens_swivel import Chain, Link
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 FORMAT = load_format("siemens")
 ORIGINS = {

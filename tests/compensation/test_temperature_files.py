@@ -10,17 +10,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.export import export_files
-from truepath.app.compensation.remaining_error import find_remaining
-from truepath.app.compensation.unmeasured import Unmeasured, find_measured_ranges
-from truepath.app.errors import BadInput
-from truepath.app.results.error_tables import choose_table_positions
-from truepath.app.results.temperature_json import temperature_json
-from truepath.app.results.temperature_model import (
+from truepath.answers.temperature.temperature_json import temperature_json
+from truepath.answers.temperature.temperature_model import (
     ResultAtTemperature,
     study_temperature,
 )
+from truepath.compensation.account.remaining_error import find_remaining
+from truepath.compensation.export import export_files
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.errors import BadInput
+from truepath.results.error_tables import choose_table_positions
 
 GROWS_UM_PER_M_K = 11.0
 DEGC = (18.0, 25.0, 20.0, 22.0)

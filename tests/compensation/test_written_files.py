@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from tests.compensation.written_tables import (
     CONTENT,
     GOLDEN,
@@ -25,11 +24,12 @@ from tests.compensation.written_tables import (
     round_numbers,
     write_files,
 )
-from truepath.app.compensation.installed import load_format
-from truepath.app.files.machine_file import machine_from_json
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.rules import Rules
-from truepath.simulators.machine_file import parse_machine
+
+from truepath.compensation.installed import load_format
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.machine_file import parse_machine
 
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 SIMULATED = parse_machine(CONTENT)

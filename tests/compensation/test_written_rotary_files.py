@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from tests.compensation.written_rotary_tables import (
     CONTENT,
     GOLDEN,
@@ -27,10 +26,11 @@ from tests.compensation.written_rotary_tables import (
     round_turns,
     write_files,
 )
-from truepath.app.compensation.installed import load_format
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.rules import Rules
-from truepath.simulators.machine_file import parse_machine
+
+from truepath.compensation.installed import load_format
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.machine_file import parse_machine
 
 SIMULATED = parse_machine(CONTENT)
 TURNING = ("linuxcnc", "siemens", "siemens-lec")

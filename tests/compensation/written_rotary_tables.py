@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from truepath.app.compensation.format import AxisTable, CompensationTables
-from truepath.app.compensation.installed import load_format
-from truepath.app.compensation.rotary_tables import AxisPlace, RotaryTable
-from truepath.app.files.machine_file import machine_from_json
+from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.installed import load_format
+from truepath.compensation.rotary_tables import AxisPlace, RotaryTable
+from truepath.files.bundle.machine_file import machine_from_json
 
 GOLDEN = Path(__file__).resolve().parent / "golden"
 ORDERS = {

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.discovery.discover import align_runs
-from truepath.app.kinematics.effects.catalogue import CandidateEstimate, list_families
-from truepath.app.kinematics.effects.location_error import Squareness
-from truepath.app.kinematics.effects.thermal_growth import WarmingUp
-from truepath.app.kinematics.model import restore_effect
-from truepath.app.web.pages import LANGUAGES, catalogue
+from truepath.discovery.discover import align_runs
+from truepath.kinematics.effects.catalogue import CandidateEstimate, list_families
+from truepath.kinematics.effects.location_error import Squareness
+from truepath.kinematics.effects.thermal_growth import WarmingUp
+from truepath.kinematics.model import restore_effect
+from truepath.service.page.pages import LANGUAGES, catalogue
 
 UNIT = re.compile(
     r"_(um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"

@@ -2,12 +2,12 @@
 
 import pytest
 
-from truepath.app.discovery.discover import discover
-from truepath.app.discovery.findings import find_share
-from truepath.app.discovery.name_trial import CERTAIN
-from truepath.app.results.discovery_json import discovery_json
-from truepath.simulators.hidden.setup import SetupStep, TableDrift
-from truepath.simulators.synthetic import Setting
+from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.discovery.discover import discover
+from truepath.discovery.findings import find_share
+from truepath.discovery.name_trial import CERTAIN
+from truepath_simulators.hidden.setup import SetupStep, TableDrift
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

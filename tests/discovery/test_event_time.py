@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from truepath.app.alignment.observations import Observations
-from truepath.app.discovery.discover import align_runs, discover
-from truepath.app.discovery.evidence import TermData, log_bayes
-from truepath.app.discovery.scan import scan_term
-from truepath.app.estimation.folded_lines import build_lines
-from truepath.app.estimation.term_equations import TermEquations
-from truepath.simulators.hidden.setup import SetupStep
-from truepath.simulators.synthetic import Setting
+from truepath.alignment.observations.observations import Observations
+from truepath.discovery.discover import align_runs, discover
+from truepath.discovery.evidence import TermData, log_bayes
+from truepath.discovery.scan import scan_term
+from truepath.discovery.terms.folded_lines import build_lines
+from truepath.discovery.terms.term_equations import TermEquations
+from truepath_simulators.hidden.setup import SetupStep
+from truepath_simulators.worlds.synthetic import Setting
 
 ROWS = 30
 

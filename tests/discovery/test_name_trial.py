@@ -2,10 +2,10 @@
 
 import pytest
 
-from truepath.app.discovery.discover import discover
-from truepath.app.results.discovery_json import discovery_json
-from truepath.simulators.hidden.setup import SettlingStand
-from truepath.simulators.synthetic import Setting
+from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.discovery.discover import discover
+from truepath_simulators.hidden.setup import SettlingStand
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

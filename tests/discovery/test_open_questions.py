@@ -14,33 +14,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from truepath.app.api.models.job_request import JobRequest
-from truepath.app.discovery.discover import Discovery, discover
-from truepath.app.discovery.extended_model import ExtendedModel, baseline_model
-from truepath.app.discovery.open_questions import design_discrimination
-from truepath.app.errors import BundleError
-from truepath.app.files.commanded_file import decode_commanded, encode_commanded
-from truepath.app.files.run import Run
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.motion.travel import check_travel
-from truepath.app.planning.discrimination import DiscriminationDesign
-from truepath.app.reporting.discovery_report import (
+from truepath.answers.discovery.discovery_json import ask_json, discovery_json
+from truepath.answers.discovery.discovery_report import (
     describe_ask,
     render_discovery_report,
 )
-from truepath.app.reporting.templating import render_part
-from truepath.app.results.discovery_json import ask_json, discovery_json
-from truepath.app.results.model_file import build_next_model
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.dynamics import ServoMismatch
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.screws import Backlash, LateralBacklash
-from truepath.simulators.hidden.setup import SetupStep
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+from truepath.answers.discovery.model_file import build_next_model
+from truepath.answers.shown.templating import render_part
+from truepath.discovery.discover import Discovery, discover
+from truepath.discovery.extended_model import ExtendedModel, baseline_model
+from truepath.discovery.open_questions import design_discrimination
+from truepath.discovery.terms.discrimination import DiscriminationDesign
+from truepath.errors import BundleError
+from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
+from truepath.files.bundle.run import Run
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel
+from truepath.motion.workspace.travel import check_travel
+from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.screws import Backlash, LateralBacklash
+from truepath_simulators.hidden.setup import SetupStep
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 RunOf = Callable[[synthetic.Recording], Run]
 MACHINE = 5

@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.app.discovery.discover import Discovery, discover
-from truepath.app.discovery.extended_model import extend_model
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.dynamics import ServoMismatch
-from truepath.simulators.hidden.effect import HiddenEffect
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.hidden.turning import (
+from truepath.discovery.discover import Discovery, discover
+from truepath.discovery.extended_model import extend_model
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.turning import (
     GearCyclic,
     RotaryEccentricity,
     SwivelSag,
     TurningBacklash,
 )
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 pytestmark = pytest.mark.timeout(180)
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from truepath.app.discovery.discover import discover
-from truepath.simulators.hidden.warming import ThermalGrowth
-from truepath.simulators.synthetic import Setting
+from truepath.discovery.discover import discover
+from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.worlds.synthetic import Setting
 
 TAU_S, RISE_K, PER_K = 70.0, 2.5, 10.0
 

@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from truepath.simulators.rig import Rig
+from truepath_simulators.bench.rig import Rig
 
 PLACE_MM = np.array([-700.0, -600.0, 150.0])
 TURN = 0.4

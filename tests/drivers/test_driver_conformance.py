@@ -9,28 +9,28 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from truepath.drivers.conformance import device, motion, tracker
-from truepath.drivers.conformance.checking import NotConforming, on_terms
-from truepath.drivers.conformance.motion import MOTION_CHECKS
-from truepath.drivers.conformance.polled_tracker import POLLED_CHECKS
-from truepath.drivers.conformance.tracker import TRACKER_CHECKS
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance.checking import NotConforming, on_terms
+from truepath_drivers.conformance.motion import MOTION_CHECKS
+from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
+from truepath_drivers.conformance.tracker import TRACKER_CHECKS
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     OutOfTravel,
     Refused,
 )
-from truepath.drivers.interfaces.motion import MotionController
-from truepath.drivers.interfaces.records import (
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
     Identity,
     LinkHealth,
     MotionState,
     MotionStatus,
     TrackerSamples,
 )
-from truepath.drivers.interfaces.tracker import Tracker
-from truepath.simulators.bench import Bench
+from truepath_drivers.interfaces.tracker import Tracker
+from truepath_simulators.bench.bench import Bench
 
 TRACKERS = {point.name: point for point in entry_points(group="truepath.trackers")}
 CONTROLLERS = {
@@ -76,7 +76,7 @@ def test_every_registered_driver_of_ours_has_a_peer():
     ours = {
         point.name
         for point in (*TRACKERS.values(), *CONTROLLERS.values())
-        if point.module.startswith("truepath.drivers.")
+        if point.module.startswith("truepath_drivers.")
     }
     peers = ELSEWHERE | set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
     assert ours == peers == set(ABSENT)

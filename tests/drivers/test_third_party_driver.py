@@ -12,29 +12,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import BadInput
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.plugins import find_plugins, load
-from truepath.app.settings import load_settings
-from truepath.drivers.conformance import device
-from truepath.drivers.conformance.checking import on_terms
-from truepath.drivers.conformance.tracker import TRACKER_CHECKS
-from truepath.drivers.interfaces.errors import Refused
-from truepath.drivers.interfaces.records import Path as MotionPath
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.recorded_run import read_recorded_run
-from truepath.simulators.rig import Rig, running_rig
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.plugins import find_plugins, load
+from truepath.settings import load_settings
+from truepath_drivers.conformance import device
+from truepath_drivers.conformance.checking import on_terms
+from truepath_drivers.conformance.tracker import TRACKER_CHECKS
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Path as MotionPath
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.replay.recorded_run import read_recorded_run
+from truepath_simulators.scenario import load_machine
 
 HERE = Path(__file__).parent
 NAME = "othermake-lt50"

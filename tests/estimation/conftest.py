@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 
 def _deviations(result, truth):

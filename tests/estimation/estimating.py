@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from truepath.app.estimation import batch
-from truepath.app.estimation.known_effects import KnownEffects
-from truepath.app.files.one_machine import one_machine
-from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.solve import batch
+from truepath.files.bundle.one_machine import one_machine
+from truepath.kinematics.coarse_model import build_run_models
 
 
 def estimate(*observed, names=(), known=None, **options):

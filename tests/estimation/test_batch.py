@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.estimation import batch
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.simulators.synthetic import Setting
-from truepath.simulators.tracker_head import Air
+
+from truepath.alignment.align import align
+from truepath.estimation.solve import batch
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath_simulators.machine.tracker_head import Air
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

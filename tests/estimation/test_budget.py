@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
 from tests.estimation.test_several_runs import recorded
-from truepath.app.alignment.align import align
-from truepath.app.estimation.budget import SOURCES, split_uncertainty
-from truepath.app.estimation.contributions import find_contributions
-from truepath.app.estimation.noise import cell_noise
-from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+
+from truepath.alignment.align import align
+from truepath.estimation.problem.noise import cell_noise
+from truepath.estimation.solve.budget import SOURCES, split_uncertainty
+from truepath.estimation.solve.contributions import find_contributions
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 
 @pytest.fixture(scope="module")

@@ -2,24 +2,25 @@
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.estimation.information import invert_covariance
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.motion.configurations import Configurations
-from truepath.app.motion.motion_times import Drive
-from truepath.app.planning.initial_design import start_design
-from truepath.app.planning.next_configuration import PointDesignState
-from truepath.app.results.error_tables import build_error_tables
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+
+from truepath.alignment.align import align
+from truepath.estimation.problem.information import invert_covariance
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.motion.configurations import Configurations
+from truepath.motion.motion_times import Drive
+from truepath.planning.initial_design import start_design
+from truepath.planning.points.next_configuration import PointDesignState
+from truepath.results.error_tables import build_error_tables
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 
 def content_of(name, measured, asked=()):

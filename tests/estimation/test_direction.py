@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.backlash import make_half_shape, make_half_width
-from truepath.app.kinematics.machine import LinearAxis
-from truepath.app.results.error_tables import compute_half_differences
+
+from truepath.alignment.align import align
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.backlash import make_half_shape, make_half_width
+from truepath.kinematics.machine.machine import LinearAxis
+from truepath.results.error_tables import compute_half_differences
 
 HALF_MM = 0.003
 

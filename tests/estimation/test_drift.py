@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from truepath.app.estimation.common_basis import CommonBasis
-from truepath.app.estimation.drift import (
+from truepath.estimation.over_time.drift import (
     DriftData,
     DriftPosterior,
     build_drift_shapes,
     estimate_drift,
 )
-from truepath.app.estimation.drift_course import Course, DriftSizes
-from truepath.app.estimation.information import Information
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.model import MachineModel
-from truepath.simulators.scenario import load_machine
+from truepath.estimation.over_time.drift_course import Course, DriftSizes
+from truepath.estimation.problem.information import Information
+from truepath.estimation.solve.common_basis import CommonBasis
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.scenario import load_machine
 
 HOUR_S = 3600.0
 SIGMA = 0.02  # of a shape, in usual sizes, as one Run tells it

@@ -2,11 +2,11 @@
 
 import pytest
 
-from truepath.app.estimation.earlier_runs import align_earlier
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.planning.adaptive_plan import AdaptivePlanner
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.simulators.synthetic import Setting
+from truepath.estimation.live.earlier_runs import align_earlier
+from truepath.estimation.live.live import LiveEstimator
+from truepath.planning.adaptive_plan import AdaptivePlanner
+from truepath.planning.plan_order import PlanOrder
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

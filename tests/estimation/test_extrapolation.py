@@ -4,23 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.estimation import batch
-from truepath.app.estimation.extrapolation import (
+
+from truepath.alignment.align import align
+from truepath.estimation.solve import batch
+from truepath.estimation.solve.extrapolation import (
     beyond_travel_variance_mm2,
     estimate_variations,
     full_travel,
 )
-from truepath.app.files.bundle import read_bundle
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.nuisance import TrackerPose
-from truepath.app.results.error_tables import build_error_tables
-from truepath.simulators import paths, synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.bundle import read_bundle
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.results.error_tables import build_error_tables
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 
 def part_of_travel(content, seed):

@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 ONE = [(0.0, 0.0, -100.0)]
 TWO = [*ONE, (0.0, 0.0, -250.0)]

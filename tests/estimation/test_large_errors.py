@@ -1,12 +1,12 @@
 """Machines that err by a millimetre and a milliradian: right, and honest about it."""
 
 import numpy as np
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.simulators.synthetic import Setting
+
+from truepath.alignment.align import align
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath_simulators.worlds.synthetic import Setting
 
 FAR_OFF = Setting(error_scale=25.0)
 

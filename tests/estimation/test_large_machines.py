@@ -8,24 +8,25 @@ from functools import cache
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.alignment.surroundings import add_surroundings
-from truepath.app.errors import Unidentifiable
-from truepath.app.estimation.baseline import fit_baseline
-from truepath.app.estimation.disturbances import estimate_checked
-from truepath.app.estimation.knots import compute_hidden_variance
-from truepath.app.estimation.misfit import assess_misfit
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.coarse_model import build_baseline_models, build_run_models
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import join_rack, random_machine
-from truepath.simulators.scenario import load_machine
+
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.checks.misfit import assess_misfit
+from truepath.estimation.noise.baseline import fit_baseline
+from truepath.estimation.problem.knots import compute_hidden_variance
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine.random_machine import join_rack, random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 LONG = (3000.0, 800.0, 600.0)
 GANTRY = (6000.0, 2500.0, 1200.0)

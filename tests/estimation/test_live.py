@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.verdict import judge_live
+
+from truepath.alignment.align import align
+from truepath.estimation.live.live import LiveEstimator
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.results.error_tables import build_error_tables
+from truepath.results.verdict import judge_live
 
 
 def blocks_of(run, size=50):

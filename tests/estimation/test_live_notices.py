@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.estimation.change_search import KNOCK, LINE, LOST_MOTION, Change
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.estimation.notices import UNNAMED, revise
+from truepath.estimation.checks.change_search import KNOCK, LINE, LOST_MOTION, Change
+from truepath.estimation.checks.notices import UNNAMED, revise
+from truepath.estimation.live.live import LiveEstimator
 
 ROWS = tuple(range(1, 21))
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.alignment.point_alignment import PointAlignment
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.files.run import PointBlock, PointRows, Run
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.verdict import judge_live
-from truepath.drivers.interfaces.records import TrackerSamples
+
+from truepath.alignment.align import align
+from truepath.alignment.point_alignment import PointAlignment
+from truepath.estimation.live.live import LiveEstimator
+from truepath.files.bundle.run import PointBlock, PointRows, Run
+from truepath.results.error_tables import build_error_tables
+from truepath.results.verdict import judge_live
+from truepath_drivers.interfaces.records import TrackerSamples
 
 ROWS = 40
 

@@ -7,15 +7,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.direction import select_fit
-from truepath.app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.prior import widen_by_unknown_precision
-from truepath.app.estimation.runs import RunInput
-from truepath.app.kinematics.coarse_model import NestedModels
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.numerics.adaptive_trials import TrialPlan, agrees, propagate
+from truepath.alignment.align import align
+from truepath.estimation.problem.direction import select_fit
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.prior import widen_by_unknown_precision
+from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.solve.monte_carlo import (
+    draw_outputs,
+    prepare_trials,
+    run_block,
+)
+from truepath.kinematics.coarse_model import NestedModels
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
 NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)
 FEW = TrialPlan(most_blocks=2)

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.information import Information, compute_posterior
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.noise_evidence import NoiseEvidence
-from truepath.app.estimation.noise_fit import guess_noise, refine_runs
-from truepath.app.estimation.normal_equations import compute_information
-from truepath.app.estimation.prior import compute_evidence_cost, guess_prior
-from truepath.app.estimation.runs import RunInformation, RunInput
-from truepath.app.kinematics.coarse_model import add_half_widths, build_coarse_model
-from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.alignment.align import align
+from truepath.estimation.noise.noise_evidence import NoiseEvidence
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import Information, compute_posterior
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.problem.prior import compute_evidence_cost, guess_prior
+from truepath.estimation.problem.runs import RunInformation, RunInput
+from truepath.kinematics.coarse_model import add_half_widths, build_coarse_model
+from truepath.kinematics.identifiable import build_identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 

@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from truepath.app.estimation.observability import (
+from truepath.estimation.problem.observability import (
     describe_form,
     find_poorly_observable,
     usual_precision_matrix,
 )
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 X = LinearAxis("X", 0.0, 600.0)
 MILL = Machine(

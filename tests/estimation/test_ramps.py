@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.disturbances import estimate_checked
-from truepath.app.estimation.misfit import assess_misfit
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.simulators.hidden.dynamics import InertialBend
-from truepath.simulators.profile import Limits
-from truepath.simulators.synthetic import Setting
+from truepath.alignment.align import align
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.checks.misfit import assess_misfit
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath_simulators.hidden.dynamics import InertialBend
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.worlds.synthetic import Setting
 
 FAST = {"rows": 45, "feed": 40_000.0}  # most of a line of half a metre is ramp
 LIMITS = Limits(3000.0, 1e5)

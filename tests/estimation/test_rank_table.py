@@ -10,13 +10,18 @@ import itertools
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.splines import natural_spline
-from truepath.app.kinematics.symbols import list_error_motions
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.kinematics.machine.symbols import list_error_motions
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.splines import natural_spline
 
 KNOTS = 6
 ONE = [(0.0, 0.0, -100.0)]

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import EstimationError
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.information import Information, OwnParameters
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.normal_equations import (
+from truepath.alignment.align import align
+from truepath.errors import EstimationError
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import Information, OwnParameters
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import (
     RecursiveEstimator,
     compute_information,
 )
-from truepath.app.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.identifiable import build_identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 DIGITS = 1e-9
@@ -103,7 +103,7 @@ def test_asking_on_the_way_changes_nothing(moving, expected):
 def test_the_batch_made_part_by_part_is_one_dense_problem(
     moving, expected, cells, monkeypatch
 ):
-    monkeypatch.setattr("truepath.app.estimation.design_matrix._CELLS", cells)
+    monkeypatch.setattr("truepath.estimation.problem.design_matrix._CELLS", cells)
     about = about_of(moving)
     parts = list(about.split(moving))
     assert sum(len(part.observations) for part in parts) == len(moving)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from truepath.app.estimation import ripple
-from truepath.app.results.analysis import analyse
-from truepath.simulators.hidden.screws import ScrewCyclic
-from truepath.simulators.synthetic import Setting
+from truepath.estimation.checks import ripple
+from truepath.results.analysis import analyse
+from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath_simulators.worlds.synthetic import Setting
 
 
 def analyse_with(record, monkeypatch, *hidden):
@@ -18,7 +18,7 @@ def analyse_with(record, monkeypatch, *hidden):
         before.append(found)
         return ripple.add_ripple(found, runs)
 
-    monkeypatch.setattr("truepath.app.results.analysis.add_ripple", spy)
+    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
     found = analyse(run)
     (plain,) = before
     added = np.diag(found.estimate.covariance - plain.covariance)

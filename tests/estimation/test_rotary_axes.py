@@ -2,17 +2,18 @@
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+
+from truepath.alignment.align import align
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 
 def measured(name, seed, points=200):

@@ -7,25 +7,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.live import LiveEstimator
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.normal_equations import (
+
+from truepath.alignment.align import align
+from truepath.estimation.live.live import LiveEstimator
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import (
     RecursiveEstimator,
     compute_information,
 )
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.planning.default_path import default_path
-from truepath.app.results.error_tables import build_error_tables
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.planning.lines.default_path import default_path
+from truepath.results.error_tables import build_error_tables
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 pytestmark = pytest.mark.timeout(300)
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)

@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.estimation import separation
-from truepath.app.estimation.design_matrix import linearise
-from truepath.app.estimation.information import compute_posterior
-from truepath.app.estimation.normal_equations import compute_information
-from truepath.app.estimation.observability import usual_precision_matrix
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import (
+from truepath.estimation.problem import separation
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.problem.observability import usual_precision_matrix
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.grade import grade
-from truepath.app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.planning.grade import grade
+from truepath.planning.lines.default_path import default_path
+from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align_all
-from truepath.app.estimation.disturbances import estimate_checked
-from truepath.app.estimation.run_parts import RunPart, join_empty, split_at_all
-from truepath.app.estimation.setup_steps import Step
-from truepath.app.kinematics.coarse_model import build_run_models
+from truepath.alignment.align import align_all
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.checks.run_parts import RunPart, join_empty, split_at_all
+from truepath.estimation.checks.setup_steps import Step
+from truepath.kinematics.coarse_model import build_run_models
 
 
 @pytest.fixture(scope="module")

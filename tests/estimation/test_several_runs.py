@@ -4,25 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.errors import BundleError, Unidentifiable
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.runs import RunInput, collect_information, combine_runs
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
-from truepath.simulators.tracker_head import Air
+
+from truepath.alignment.align import align
+from truepath.errors import BundleError, Unidentifiable
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_head import Air
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 71  # the machine of every recording; noise, clock and pose are another's
 SHORT, LONG, ASIDE = (20.0, 30.0, -150.0), (20.0, 30.0, -300.0), (140.0, -60.0, -200.0)

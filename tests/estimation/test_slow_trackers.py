@@ -6,18 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.conftest import Truth, _run
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.errors import AlignmentError
-from truepath.app.files.run import PointRows
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results.analysis import analyse
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+
+from truepath.alignment.align import align
+from truepath.errors import AlignmentError
+from truepath.files.bundle.run import PointRows
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.analysis import analyse
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
 from tests.estimation.test_rotary_axes import measured
-from truepath.app.alignment.align import align
-from truepath.app.estimation.batch import Estimate
-from truepath.app.files.machine_file import machine_from_json, machine_to_json
-from truepath.app.files.run import Run
-from truepath.app.kinematics.machine import Machine
+
+from truepath.alignment.align import align
+from truepath.estimation.solve.batch import Estimate
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import Machine
 
 OFF_UM = {"T2": (15.0, -20.0, 8.0), "T3": (-9.0, 4.0, 20.0), "W1": (20.0, 20.0, -20.0)}
 FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}

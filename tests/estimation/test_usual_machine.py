@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.estimation.disturbances import estimate_checked
-from truepath.app.kinematics.coarse_model import build_run_models
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
+from truepath.alignment.align import align
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 POINT = 30
 

@@ -10,9 +10,8 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     CellConfig,
     CellEvent,
     FaultReported,
@@ -21,11 +20,12 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.simulators.bench import Bench
-from truepath.simulators.link_proxy import Harm, LinkProxy
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
 HOLE = Harm(is_hole=True)
 E = TypeVar("E", bound=CellEvent)

@@ -9,14 +9,14 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import DeviceError
-from truepath.drivers.interfaces.records import MotionState, TrackerSamples
-from truepath.drivers.tracker.streaming.codec import SampleDecoder
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.streaming.framing import FrameReader
-from truepath.simulators.bench import Bench
-from truepath.simulators.link_proxy import Harm, LinkProxy
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import DeviceError
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
+from truepath_drivers.tracker.streaming.codec import SampleDecoder
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
 RATE_HZ = 500.0
 

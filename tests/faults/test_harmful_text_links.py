@@ -8,17 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import DeviceError, DeviceTimeout
-from truepath.drivers.interfaces.records import MotionState, TrackerSamples
-from truepath.drivers.interfaces.tracker import PolledTracker
-from truepath.drivers.tracker.geocom.driver import GeoComTracker
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.t2sa.driver import T2saTracker
-from truepath.drivers.tracker.text_line.driver import TextLineTracker
-from truepath.simulators.bench import Bench
-from truepath.simulators.link_proxy import Harm, LinkProxy
-from truepath.simulators.text_relay import TextRelay
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
+from truepath_drivers.interfaces.tracker import PolledTracker
+from truepath_drivers.tracker.geocom.driver import GeoComTracker
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.t2sa.driver import T2saTracker
+from truepath_drivers.tracker.text_line.driver import TextLineTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.link_proxy import Harm, LinkProxy
+from truepath_simulators.links.text_relay import TextRelay
 
 RATE_HZ = 500.0
 NOISE_MM = 0.2

@@ -9,12 +9,12 @@ import time
 from collections.abc import Iterator
 
 import pytest
-
 from tests.faults.test_dead_links import Measuring, order_of
-from truepath.app.measurement.messages import CellConfig, RunClosed, StateChanged
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.simulators.bench import Bench
-from truepath.simulators.link_proxy import Harm, LinkProxy
+
+from truepath.measurement.messages import CellConfig, RunClosed, StateChanged
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
 HARMS = {
     "late": {"latency_s": 0.35},

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.measurement.messages import RunClosed
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.stream_reader import StreamState, record_stream
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators.bench import Bench
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.measurement.messages import RunClosed
+from truepath.measurement.monitors.stream_reader import StreamState, record_stream
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
 
 
 @pytest.fixture(scope="module")

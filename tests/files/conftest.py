@@ -7,10 +7,10 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.files.bundle import write_bundle
-from truepath.app.files.run import DirectMeasurement, Run
-from truepath.app.kinematics.machine import Machine
-from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.run import DirectMeasurement, Run
+from truepath.kinematics.machine.machine import Machine
+from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import zipfile
 
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.files.bundle import check_archive
+from truepath.errors import BundleError
+from truepath.files.bundle.bundle import check_archive
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path):

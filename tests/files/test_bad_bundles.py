@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.files import tables
-from truepath.app.files.bundle import read_bundle
-from truepath.app.files.machine_file import decode_machine, read_machine
+from truepath.errors import BundleError
+from truepath.files import tables
+from truepath.files.bundle.bundle import read_bundle
+from truepath.files.bundle.machine_file import decode_machine, read_machine
 
 Edit = Callable[[Path], None]
 

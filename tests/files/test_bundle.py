@@ -11,14 +11,14 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.files import bundle as bundle_file
-from truepath.app.files import whole_files
-from truepath.app.files.bundle import read_bundle, write_bundle, zip_bundle
-from truepath.app.files.run import Run
-from truepath.app.kinematics.machine import RotaryAxis, Target
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import Path, TrackerSamples
+from truepath.documents import whole_files
+from truepath.errors import BundleError
+from truepath.files.bundle import bundle as bundle_file
+from truepath.files.bundle.bundle import read_bundle, write_bundle, zip_bundle
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import RotaryAxis, Target
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 
 def assert_same(first: Run, second: Run) -> None:

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from truepath.app.errors import BadInput, BundleError
-from truepath.app.files.identity_file import (
+from truepath.errors import BadInput, BundleError
+from truepath.files.bundle.identity_file import (
     read_assignments,
     read_identity,
     read_kept_identities,

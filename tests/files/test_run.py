@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.run import Run, RunEvent, digest_run, summarize_run
-from truepath.app.motion.configurations import Configurations
-from truepath.app.reporting.measurement_sections import state_interruptions
-from truepath.drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath.answers.calibration.measurement_sections import state_interruptions
+from truepath.files.bundle.run import Run, RunEvent, digest_run, summarize_run
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.files.sample_sketch import share_samples, sketch_samples
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.files.bundle.sample_sketch import share_samples, sketch_samples
+from truepath_drivers.interfaces.records import TrackerSamples
 
 N = 60_000
 

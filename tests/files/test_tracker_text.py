@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.cli import command
-from truepath.app.errors import BundleError
-from truepath.app.files.bundle import write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.files.tracker_text.options import TextOptions
-from truepath.app.files.tracker_text.recording import read_recording
-from truepath.drivers.interfaces.records import Path, TrackerSamples
-from truepath.simulators import synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.turning_paths import turning_path
+from truepath.cli import command
+from truepath.errors import BundleError
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.files.imports.options import TextOptions
+from truepath.files.imports.recording import read_recording
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 
 @pytest.fixture(scope="module")
@@ -426,7 +426,7 @@ def arguments(folder, truth, path):
 
 
 def run_import(folder, truth, path, environment=None):
-    main = "from truepath.app.cli.command import main; main()"
+    main = "from truepath.cli.command import main; main()"
     words = [sys.executable, "-c", main, *arguments(folder, truth, path)]
     return subprocess.run(words, capture_output=True, text=True, env=environment)
 

@@ -6,8 +6,8 @@ from string import Formatter
 
 import pytest
 
-from truepath.app.errors import NotUsable
-from truepath.app.files.verdict import (
+from truepath.errors import NotUsable
+from truepath.files.earlier.verdict import (
     SENTENCES,
     Reason,
     Verdict,

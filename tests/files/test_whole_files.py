@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.files import whole_files
-from truepath.app.files.whole_files import read_whole, replace_file
+from truepath.documents import whole_files
+from truepath.documents.whole_files import read_whole, replace_file
+from truepath.errors import BundleError
 
 
 def test_what_was_written_is_read(tmp_path):

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.event_bus import EventBus
-from truepath.app.jobs.machine_cells import MachineCell, Machines
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.event_bus import EventBus
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath_simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))
 from scripted_cell import CellMaker, Inline, Science, wait_until

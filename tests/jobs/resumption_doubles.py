@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.measurement.run_reading import open_recorded
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.measurement.run_file.run_reading import open_recorded
 
 PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
 

@@ -12,9 +12,9 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from truepath.app.files.verdict import Verdict, verdict_json
-from truepath.app.jobs.errors import Aborted
-from truepath.app.measurement.messages import (
+from truepath.catalogue.errors import Aborted
+from truepath.files.earlier.verdict import Verdict, verdict_json
+from truepath.measurement.messages import (
     CellEvent,
     CellState,
     FaultReported,
@@ -24,12 +24,12 @@ from truepath.app.measurement.messages import (
     StateChanged,
     TrackerTried,
 )
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.motion.configurations import Configurations
-from truepath.app.planning.adaptive_plan import Part
-from truepath.drivers.interfaces.records import Identity, Path, TrackerSamples
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.motion.configurations import Configurations
+from truepath.planning.adaptive_plan import Part
+from truepath_drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath_simulators.scenario import load_machine
 
 DEADLINE_S = 150.0  # a plan takes a minute of a busy core
 DEVICES = {

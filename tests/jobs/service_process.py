@@ -15,8 +15,8 @@ from scripted_cell import wait_until
 
 PROGRAM = """
 import sys
-from truepath.app.main import serve
-from truepath.app.settings import load_settings
+from truepath.main import serve
+from truepath.settings import load_settings
 
 if __name__ == "__main__":
     serve(load_settings())

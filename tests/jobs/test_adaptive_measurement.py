@@ -10,24 +10,24 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import Inline
 
-from truepath.app.cli.demo import compare_with_truth
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.context import JobContext
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import StaleVersion
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.live_estimation import LiveEstimation
-from truepath.app.jobs.machine_cells import MachineCell, Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.science import analyse_recorded
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import CellConfig
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.travel import check_travel
-from truepath.simulators.bench import Bench
+from truepath.catalogue.errors import StaleVersion
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.cli.demo import compare_with_truth
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.live_estimation import LiveEstimation
+from truepath.jobs.workers.science import analyse_recorded
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath.measurement.messages import CellConfig
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.workspace.travel import check_travel
+from truepath_simulators.bench.bench import Bench
 
 SPEED = 10.0
 BUDGET_MIN = 10.0

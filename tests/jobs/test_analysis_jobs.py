@@ -11,22 +11,22 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import wait_until
 
-from truepath.app.errors import BundleError, NotFound
-from truepath.app.files.bundle import write_bundle
-from truepath.app.files.run import Run
-from truepath.app.jobs import dispatcher as dispatching
-from truepath.app.jobs import workflow
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import Aborted, QueueFull
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import Verb
-from truepath.app.jobs.workers import Workers
-from truepath.app.measurement.run_reading import open_recorded
-from truepath.app.motion.configurations import Configurations
-from truepath.app.numerics.adaptive_trials import TrialPlan
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.catalogue.errors import Aborted, QueueFull
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import Verb
+from truepath.errors import BundleError, NotFound
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.run import Run
+from truepath.jobs.dispatch import dispatcher as dispatching
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds import workflow
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.workers.workers import Workers
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.motion.configurations import Configurations
+from truepath.numerics.adaptive_trials import TrialPlan
+from truepath_drivers.interfaces.records import TrackerSamples
 
 
 @pytest.fixture

@@ -7,21 +7,25 @@ from dataclasses import replace
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import IllegalTransition
-from truepath.app.jobs.arm_tokens import ArmingPurpose, ArmTokens
-from truepath.app.jobs.arming import hash_commanded, list_commanded, summarise_motion
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import (
+from truepath.catalogue.errors import (
     ArmTokenExpired,
     ArmTokenOther,
     ArmTokenUsed,
     NotInControl,
     StaleVersion,
 )
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import State
-from truepath.app.motion.commanded_rows import command_rows
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition
+from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.arming import (
+    hash_commanded,
+    list_commanded,
+    summarise_motion,
+)
+from truepath.motion.paths.commanded_rows import command_rows
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 300.0, "z_mm": 10.0, "feed_mm_min": 2000.0, "dwell_s": 1.0},

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from truepath.app.jobs.calibrations import sort_by_time
-from truepath.app.results.machine_documents import Calibration
+from truepath.answers.history.machine_documents import Calibration
+from truepath.catalogue.calibrations import sort_by_time
 
 
 def calibration(name, measured, *, is_time_stated=True):

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-from truepath.app.jobs.catalogue_file import check_catalogue
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import (
+from truepath.catalogue.catalogue_file import check_catalogue
+from truepath.catalogue.errors import (
     CatalogueDamaged,
     CatalogueReadOnly,
     StorageUnavailable,
 )
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.store import Store
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import pytest
 from scripted_cell import wait_until
 from sqlalchemy import text
 
-from truepath.app.jobs.catalogue_lock import hold_catalogue
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import InUse
+from truepath.catalogue.catalogue_lock import hold_catalogue
+from truepath.catalogue.errors import InUse
+from truepath.catalogue.store.database import Database
 
 
 @pytest.fixture

@@ -14,22 +14,25 @@ import pytest
 from scripted_cell import DEVICES
 from sqlalchemy import select
 
-from truepath.app.errors import BadInput
-from truepath.app.files.bundle import zip_bundle
-from truepath.app.files.run import Run
-from truepath.app.jobs import schema
-from truepath.app.jobs.catalogue_rebuild import check_against_disk, rebuild_catalogue
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.deletion import Deletion
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import Batch, RunHeader
-from truepath.app.motion.commanded_rows import command_rows
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.catalogue import schema
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.errors import BadInput
+from truepath.files.bundle.bundle import zip_bundle
+from truepath.files.bundle.run import Run
+from truepath.jobs.dispatch.catalogue_rebuild import (
+    check_against_disk,
+    rebuild_catalogue,
+)
+from truepath.jobs.dispatch.deletion import Deletion
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import Batch, RunHeader
+from truepath.motion.configurations import Configurations
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.records import TrackerSamples
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
@@ -226,7 +229,7 @@ def test_a_result_that_outlives_its_deletion_makes_no_job(
     )
     with monkeypatch.context() as refusing:
         refusing.setattr(
-            "truepath.app.jobs.deletion.shutil.rmtree", Mock(side_effect=OSError)
+            "truepath.jobs.dispatch.deletion.shutil.rmtree", Mock(side_effect=OSError)
         )
         deletion.delete_job(found)
     assert (folder / "results" / found / "discovery.json").is_file()
@@ -255,7 +258,7 @@ def test_a_catalogue_kept_aside_is_never_overwritten(folder, monkeypatch):
     assert first.aside is not None
     stamp = first.aside.name.split("-")[-1].removesuffix(".sqlite")
     monkeypatch.setattr(
-        "truepath.app.jobs.catalogue_rebuild.time.strftime", lambda *_: stamp
+        "truepath.jobs.dispatch.catalogue_rebuild.time.strftime", lambda *_: stamp
     )
     with pytest.raises(BadInput, match="exists already"):
         rebuild(folder)

@@ -7,16 +7,16 @@ import json
 import pytest
 from sqlalchemy import select, text
 
-from truepath.app.errors import BadInput
-from truepath.app.jobs import schema
-from truepath.app.jobs.catalogue_tables import import_tables, open_export
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import SchemaTooNew
-from truepath.app.jobs.idempotency import IdempotencyKey
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.store import Store
-from truepath.app.users.accounts import Accounts
-from truepath.app.users.roles import Role
+from truepath.catalogue import schema
+from truepath.catalogue.catalogue_tables import import_tables, open_export
+from truepath.catalogue.errors import SchemaTooNew
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store.store import Store
+from truepath.errors import BadInput
+from truepath.users.accounts import Accounts
+from truepath.users.roles import Role
 
 
 def read_all(database):

@@ -5,13 +5,13 @@ import threading
 import pytest
 from scripted_cell import CellMaker, wait_until
 
-from truepath.app.errors import MeasurementFailed, TruepathError
-from truepath.app.jobs import cell_status
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.errors import CellDown, DeviceSettings
-from truepath.app.measurement.messages import CellVerb, ControllerRead
-from truepath.drivers.interfaces.errors import WrongDevice
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.catalogue.errors import CellDown, DeviceSettings
+from truepath.errors import MeasurementFailed, TruepathError
+from truepath.machines import cell_status
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.measurement.messages import CellVerb, ControllerRead
+from truepath_drivers.interfaces.errors import WrongDevice
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_a_killed_cell_is_replaced(maker, running):
 
 
 def test_a_cell_that_hangs_when_asked_to_begin_is_killed(running, maker, monkeypatch):
-    monkeypatch.setattr("truepath.app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("truepath.machines.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     first, hold = maker.cell, threading.Event()
     first.begin = lambda order: hold.wait(5)
     with pytest.raises(CellDown, match="does not answer"):
@@ -168,7 +168,7 @@ def test_a_cell_that_hangs_when_asked_to_begin_is_killed(running, maker, monkeyp
 def test_a_cell_that_hangs_when_asked_to_connect_is_reported(
     running, maker, monkeypatch
 ):
-    monkeypatch.setattr("truepath.app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("truepath.machines.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     hold = threading.Event()
     maker.cell.connect = lambda: hold.wait(5) and {}
     with pytest.raises(CellDown, match="does not answer"):

@@ -8,17 +8,26 @@ from functools import partial
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.workspace_file import workspace_from_json
-from truepath.app.jobs.arming import judge_approach, judge_path, list_commanded
-from truepath.app.jobs.calibrations import Standing
-from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
-from truepath.app.jobs.condition_board import LATE_S, ConditionBoard, find_conditions
-from truepath.app.jobs.conditions import REQUIRED, ConditionType, Level, Observed
-from truepath.app.jobs.stream_watch import StreamLevels, Temperature
-from truepath.app.motion.commanded_rows import command_rows
-from truepath.app.results.machine_documents import ToleranceJudgement
-from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath.answers.history.machine_documents import ToleranceJudgement
+from truepath.catalogue.calibrations import Standing
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.workspace_file import workspace_from_json
+from truepath.jobs.running.arming import judge_approach, judge_path, list_commanded
+from truepath.machines.cell_status import CellStatus, ControllerLevels
+from truepath.machines.conditions.condition_board import (
+    LATE_S,
+    ConditionBoard,
+    find_conditions,
+)
+from truepath.machines.conditions.conditions import (
+    REQUIRED,
+    ConditionType,
+    Level,
+    Observed,
+)
+from truepath.machines.conditions.stream_watch import StreamLevels, Temperature
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
 NOW_S = 1000.0
 CONNECTED = CellStatus("ready", devices={"motion": {"has_watchdog": True}})
@@ -351,7 +360,8 @@ def test_a_clock_that_was_set_is_told():
 def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
     monkeypatch.setattr(
-        "truepath.app.jobs.condition_board.format_utc_now", lambda: next(times)
+        "truepath.machines.conditions.condition_board.format_utc_now",
+        lambda: next(times),
     )
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])

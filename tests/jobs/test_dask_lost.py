@@ -13,8 +13,8 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import WorkerDied
-from truepath.app.jobs.workers import Workers, open_workers
+from truepath.errors import WorkerDied
+from truepath.jobs.workers.workers import Workers, open_workers
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.long, pytest.mark.timeout(120)]

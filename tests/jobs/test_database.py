@@ -10,15 +10,15 @@ from alembic.migration import MigrationContext
 from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError, OperationalError
 
-from truepath.app.errors import BadInput
-from truepath.app.jobs import database as databases
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import SchemaTooNew, StorageFull, StorageUnavailable
-from truepath.app.jobs.schema import metadata
-from truepath.app.users.accounts import Accounts
-from truepath.app.users.audit import AuditLog, Entry
-from truepath.app.users.roles import Actor, Role
-from truepath.app.users.tokens import Tokens
+from truepath.catalogue.errors import SchemaTooNew, StorageFull, StorageUnavailable
+from truepath.catalogue.schema import metadata
+from truepath.catalogue.store import database as databases
+from truepath.catalogue.store.database import Database
+from truepath.errors import BadInput
+from truepath.users.accounts import Accounts
+from truepath.users.audit import AuditLog, Entry
+from truepath.users.roles import Actor, Role
+from truepath.users.tokens import Tokens
 
 
 @pytest.fixture

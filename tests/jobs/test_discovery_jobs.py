@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from scripted_cell import Explorer, wait_until
 
-from truepath.app.errors import EstimationError, NotFound
-from truepath.app.files.bundle import write_bundle, zip_bundle
-from truepath.app.files.run import Run
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.science import discover_recorded
-from truepath.app.jobs.transitions import State
-from truepath.app.motion.configurations import Configurations
-from truepath.app.results.model_history import (
+from truepath.answers.history.model_history import (
     find_model_file,
     read_difference,
     read_versions,
 )
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import EstimationError, NotFound
+from truepath.files.bundle.bundle import write_bundle, zip_bundle
+from truepath.files.bundle.run import Run
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.workers.science import discover_recorded
+from truepath.machines.machine_cells import Machines
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
 
 
 @pytest.fixture

@@ -13,14 +13,14 @@ import time
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import WorkerDied
-from truepath.app.jobs.errors import Aborted, TaskFailed
-from truepath.app.jobs.executor import ProcessExecutor
-from truepath.app.progress import ignore_progress
+from truepath.catalogue.errors import Aborted, TaskFailed
+from truepath.errors import WorkerDied
+from truepath.jobs.workers.executor import ProcessExecutor
+from truepath.progress import ignore_progress
 
 TASKS = """
 import os, time
-from truepath.app.errors import BundleError
+from truepath.errors import BundleError
 
 prepared = []
 
@@ -184,8 +184,8 @@ def test_the_processes_end_with_the_service_even_if_it_is_killed(tasks, tmp_path
         import sys, time
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import lane_tasks
-        from truepath.app.jobs.executor import ProcessExecutor
-        from truepath.app.progress import ignore_progress
+        from truepath.jobs.workers.executor import ProcessExecutor
+        from truepath.progress import ignore_progress
 
         if __name__ == "__main__":
             lanes = ProcessExecutor(1)

@@ -10,15 +10,15 @@ from arming import arm_at_once
 from resumption_doubles import Closer, Resumer
 from scripted_cell import Explorer
 
-from truepath.app.errors import NotFound, OutOfTravel, PlanningError
-from truepath.app.files.bundle import zip_bundle
-from truepath.app.files.run import Run
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import State
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import NotFound, OutOfTravel, PlanningError
+from truepath.files.bundle.bundle import zip_bundle
+from truepath.files.bundle.run import Run
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
 
 ROWS = [
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},

@@ -6,15 +6,15 @@ import json
 
 import pytest
 
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.identities import (
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry
+from truepath.catalogue.store.database import Database
+from truepath.jobs.dispatch.identities import (
     describe_identity,
     find_machine,
     keep_identity,
     take_over_identities,
 )
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.machine_registry import CATALOGUE, MachineRegistry
 
 
 @pytest.fixture

@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 from arming import arm_at_once
 
-from truepath.app.jobs.event_bus import JOBS, EventBus
-from truepath.app.jobs.job import JobEvent, JobKind
-from truepath.app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
-from truepath.app.jobs.live_process import LiveEstimateOrder
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.main import open_service
-from truepath.app.settings import load_settings
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.catalogue.job import JobEvent, JobKind
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.event_bus import JOBS, EventBus
+from truepath.jobs.running.live_estimation import (
+    PERIOD_S,
+    WAITING_BLOCKS,
+    LiveEstimation,
+)
+from truepath.jobs.running.live_process import LiveEstimateOrder
+from truepath.main import open_service
+from truepath.settings import load_settings
+from truepath_drivers.interfaces.records import TrackerSamples
 
 SPEED = 8.0
 

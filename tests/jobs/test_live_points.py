@@ -8,12 +8,12 @@ import time
 import pytest
 from arming import arm_at_once
 
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.main import open_service
-from truepath.app.settings import load_settings
-from truepath.simulators.bench import Bench
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.job import JobKind
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.main import open_service
+from truepath.settings import load_settings
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 
 
 def wait_until(reached, timeout_s):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.estimation.live_estimate import LiveEstimate
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.jobs.live_process import estimate_json
-from truepath.app.kinematics.effects.location_error import AxisLocation
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.simulators.scenario import load_machine
+from truepath.estimation.live.live_estimate import LiveEstimate
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.running.live_process import estimate_json
+from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture

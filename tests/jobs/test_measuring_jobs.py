@@ -13,19 +13,7 @@ from arming import arm_at_once
 from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import Connection, event, text
 
-from truepath.app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
-from truepath.app.files.commanded_file import (
-    decode_commanded_json,
-    encode_commanded_json,
-)
-from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.jobs import active_job, cell_measurement, workflow
-from truepath.app.jobs import database as databases
-from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
-from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.conditions import ConditionType, NotInOrder, Observed
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import (
+from truepath.catalogue.errors import (
     CellBusy,
     CellDown,
     NoMachine,
@@ -33,22 +21,35 @@ from truepath.app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
-from truepath.app.jobs.idempotency import IdempotencyKey
-from truepath.app.jobs.job import EarlyEnd, Job, JobKind, decode_job
-from truepath.app.jobs.job_rows import read_job
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import FINAL, State, Verb
-from truepath.app.kinematics.machine import Target
-from truepath.app.measurement.messages import (
+from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
+from truepath.catalogue.store import database as databases
+from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store.job_rows import read_job
+from truepath.catalogue.transitions import FINAL, State, Verb
+from truepath.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from truepath.files.bundle.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds import workflow
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running import active_job, cell_measurement
+from truepath.kinematics.machine.machine import Target
+from truepath.machines.cell_status import CellStatus, ControllerLevels
+from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.conditions import ConditionType, NotInOrder, Observed
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.messages import (
     CellState,
     LinesDamaged,
     MeasurementProgress,
     RunClosed,
 )
-from truepath.app.motion.commanded_rows import command_rows
-from truepath.drivers.interfaces.errors import ConnectionLost
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from truepath.app.jobs.active_job import ActiveJob
-from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.notices import NoticeBoard
-from truepath.app.jobs.planned_rows import PlannedRows
-from truepath.drivers.interfaces.records import Path
+from truepath.catalogue.live_notice import OnNotice
+from truepath.jobs.running.active_job import ActiveJob
+from truepath.jobs.running.notices import NoticeBoard
+from truepath.motion.paths.planned_rows import PlannedRows
+from truepath_drivers.interfaces.records import Path
 
 
 @dataclass

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from truepath.app.jobs.planned_rows import PlannedRows
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.configurations import Configurations
+from truepath.motion.paths.planned_rows import PlannedRows
+from truepath_drivers.interfaces.records import Path
 
 
 def path(rows=8):

@@ -8,10 +8,10 @@ import time
 import pytest
 from postgres_server import PostgresServer
 
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.store import Store
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
 
 pytestmark = [pytest.mark.long]
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import AlignmentError, NotFound
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import TaskFailed
-from truepath.app.jobs.executor import ProcessExecutor
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.reanalysis import SUMMARY, figures_of, keep_outcome
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.science import analyse_recorded, reanalyse_run
-from truepath.app.jobs.transitions import State
-from truepath.app.jobs.workers import Workers
+from truepath.catalogue.errors import TaskFailed
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import AlignmentError, NotFound
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.workers.executor import ProcessExecutor
+from truepath.jobs.workers.reanalysis import SUMMARY, figures_of, keep_outcome
+from truepath.jobs.workers.science import analyse_recorded, reanalyse_run
+from truepath.jobs.workers.workers import Workers
+from truepath.machines.machine_cells import Machines
 
 COUNT = 20
 
@@ -221,9 +221,9 @@ def test_a_run_that_cannot_be_aligned_is_an_outcome_and_no_error(tmp_path, monke
     def refuse(*_, **__):
         raise AlignmentError("no line is found")
 
-    monkeypatch.setattr("truepath.app.results.analysis.analyse", refuse)
-    monkeypatch.setattr("truepath.app.jobs.science.open_recorded", lambda _: None)
-    from truepath.app.jobs.reanalysis import RunOrder
+    monkeypatch.setattr("truepath.results.analysis.analyse", refuse)
+    monkeypatch.setattr("truepath.jobs.workers.science.open_recorded", lambda _: None)
+    from truepath.jobs.workers.reanalysis import RunOrder
 
     order = RunOrder("a", "run a", "a.zip", None, "", str(tmp_path / "a"), "")
     reanalyse_run(order, False, on_progress=lambda *_: None)

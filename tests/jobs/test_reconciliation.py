@@ -10,20 +10,20 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import DEVICES, wait_until
 
-from truepath.app.errors import IllegalTransition
-from truepath.app.jobs import reconciliation as reconciling
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import StorageUnavailable
-from truepath.app.jobs.job import Job, JobKind
-from truepath.app.jobs.job_changes import put_back
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.reconciliation import Reconciliation
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import State
-from truepath.app.measurement import run_file
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.motion.commanded_rows import command_rows
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.store.job_changes import put_back
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition
+from truepath.jobs.dispatch import reconciliation as reconciling
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.dispatch.reconciliation import Reconciliation
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.run_file import run_file
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.motion.paths.commanded_rows import command_rows
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},

@@ -10,32 +10,32 @@ from arming import arm_at_once
 from resumption_doubles import PLACES, Closer, Resumer
 from scripted_cell import ScriptedLive, Verifier, wait_until
 
-from truepath.app.errors import IllegalTransition
-from truepath.app.files.machine_file import machine_from_json, machine_to_json
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import (
+from truepath.catalogue.errors import (
     CellBusy,
     MachineFileChanged,
     NotResumable,
     TaskFailed,
 )
-from truepath.app.jobs.job import Job, JobKind, Stage, StationProgress
-from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.machine_registry import MachineRegistry
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.resumability import (
+from truepath.catalogue.job import Job, JobKind, Stage, StationProgress
+from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.dispatch.resumability import (
     find_way_to_result,
     may_be_acknowledged,
     require_resumable,
     require_targets_apart,
 )
-from truepath.app.jobs.resumption import choose_first_row
-from truepath.app.jobs.transitions import State
-from truepath.app.measurement.messages import PartRequested
-from truepath.app.motion.configurations import Configurations
-from truepath.app.planning.adaptive_plan import Part
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators.scenario import load_machine
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.resumption import choose_first_row
+from truepath.measurement.messages import PartRequested
+from truepath.motion.configurations import Configurations
+from truepath.planning.adaptive_plan import Part
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.scenario import load_machine
 
 PATH = tuple(
     {"x_mm": 20.0 + 40.0 * n, "y_mm": 30.0 + 10.0 * (n % 3), "z_mm": 40.0 + 5.0 * n}

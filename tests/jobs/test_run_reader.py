@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import BundleError
-from truepath.app.jobs.run_reader import ReadingLimits, RunReader
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.run_reader import ReadingLimits, RunReader
+from truepath.errors import BundleError
+from truepath_simulators.scenario import load_machine
 
 LARGEST_BYTES = 1 << 30
 HEADER = b"t_s,x_mm,y_mm,z_mm\n"

@@ -6,11 +6,11 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import wait_until
 
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.main import open_service
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.settings import load_settings
+from truepath.catalogue.job import JobKind
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.main import open_service
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.settings import load_settings
 
 CORNERS = ((10, 10, 10), (400, 10, 10), (400, 300, 10), (10, 300, 200), (10, 10, 10))
 ROWS = [

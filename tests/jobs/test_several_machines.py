@@ -8,16 +8,16 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import CellMaker, wait_until
 
-from truepath.app.errors import BadInput, NotFound
-from truepath.app.jobs.cell_setup import refuse_same_names, refuse_shared_links
-from truepath.app.jobs.cell_supervisor import CellSupervisor
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.errors import CellBusy, UnnamedMachine
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.machine_cells import MachineCell, Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import State
-from truepath.app.measurement.messages import CellConfig
+from truepath.catalogue.errors import CellBusy, UnnamedMachine
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import BadInput, NotFound
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath.machines.setup.cell_setup import refuse_same_names, refuse_shared_links
+from truepath.measurement.messages import CellConfig
 
 ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},

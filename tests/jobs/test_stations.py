@@ -11,19 +11,19 @@ from resumption_doubles import PLACES as SEEN_MM
 from resumption_doubles import Closer, Resumer
 from scripted_cell import wait_until
 
-from truepath.app.errors import IllegalTransition, NotFound, PlanningError
-from truepath.app.files.commanded_file import encode_commanded_json
-from truepath.app.files.machine_file import machine_to_json
-from truepath.app.jobs.cell_status import CellStatus, ControllerLevels
-from truepath.app.jobs.condition_board import ConditionBoard
-from truepath.app.jobs.conditions import NotInOrder, Observed
-from truepath.app.jobs.dispatcher import Dispatcher
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.machine_cells import Machines
-from truepath.app.jobs.requested_job import RequestedJob
-from truepath.app.jobs.transitions import State
-from truepath.app.motion.commanded_rows import command_rows
-from truepath.drivers.interfaces.records import MotionState, MotionStatus
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition, NotFound, PlanningError
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.machines.cell_status import CellStatus, ControllerLevels
+from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.conditions import NotInOrder, Observed
+from truepath.machines.machine_cells import Machines
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 PLACES = ([1200.0, 0.0, 0.0], [0.0, -900.0, 50.0], [-500.0, 300.0, 0.0])
 ROWS = (

@@ -7,10 +7,8 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import text, update
 
-from truepath.app.errors import IllegalTransition, NotFound
-from truepath.app.jobs.errors import CellBusy, KeyReused, StaleVersion
-from truepath.app.jobs.idempotency import KEEP_KEYS_S, IdempotencyKey
-from truepath.app.jobs.job import (
+from truepath.catalogue.errors import CellBusy, KeyReused, StaleVersion
+from truepath.catalogue.job import (
     Failure,
     Health,
     Job,
@@ -21,9 +19,11 @@ from truepath.app.jobs.job import (
     encode_job,
     make_id,
 )
-from truepath.app.jobs.schema import events, idempotency_keys
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
+from truepath.catalogue.schema import events, idempotency_keys
+from truepath.catalogue.store.idempotency import KEEP_KEYS_S, IdempotencyKey
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition, NotFound
 
 ANALYSE = Job(JobKind.ANALYSE)
 MEASURE = Job(JobKind.MEASURE_OTF)

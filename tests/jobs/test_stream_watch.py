@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.jobs.stream_watch import (
+from truepath.machines.conditions.stream_watch import (
     COURSE_S,
     HEARD_S,
     StreamLevels,
     StreamWatch,
 )
-from truepath.app.measurement.messages import (
+from truepath.measurement.messages import (
     CellState,
     FaultReported,
     LivePoints,

@@ -5,8 +5,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from truepath.app.errors import IllegalTransition
-from truepath.app.jobs.transitions import (
+from truepath.catalogue.transitions import (
     FINAL,
     LEFT_BY_ACKNOWLEDGE,
     TRANSITIONS,
@@ -18,6 +17,7 @@ from truepath.app.jobs.transitions import (
     check_transition,
     may_follow,
 )
+from truepath.errors import IllegalTransition
 
 
 def test_every_state_stands_in_the_table():

@@ -9,12 +9,12 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.jobs.errors import Aborted, TaskFailed
-from truepath.app.jobs.executor import ProcessExecutor
-from truepath.app.jobs.science import analyse_recorded
-from truepath.app.jobs.workers import Workers
-from truepath.app.numerics.adaptive_trials import TrialPlan
-from truepath.app.progress import ignore_progress
+from truepath.catalogue.errors import Aborted, TaskFailed
+from truepath.jobs.workers.executor import ProcessExecutor
+from truepath.jobs.workers.science import analyse_recorded
+from truepath.jobs.workers.workers import Workers
+from truepath.numerics.adaptive_trials import TrialPlan
+from truepath.progress import ignore_progress
 
 TWO_BLOCKS = TrialPlan(seed=5, most_blocks=2)
 

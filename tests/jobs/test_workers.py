@@ -13,9 +13,9 @@ import psutil
 import pytest
 from scripted_cell import wait_until
 
-from truepath.app.errors import BadInput, WorkerDied
-from truepath.app.jobs.errors import WorkersAway
-from truepath.app.jobs.workers import (
+from truepath.catalogue.errors import WorkersAway
+from truepath.errors import BadInput, WorkerDied
+from truepath.jobs.workers.workers import (
     ProcessWorkers,
     Workers,
     map_in_order,
@@ -25,7 +25,7 @@ from truepath.app.jobs.workers import (
 TASKS = """
 import os, time
 import numpy as np
-from truepath.app.numerics.adaptive_trials import BLOCK, summarise
+from truepath.numerics.adaptive_trials import BLOCK, summarise
 
 def block(widths, number):
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(number,)))
@@ -58,7 +58,7 @@ def settled(tasks):
     """Return what adaptive trials make of blocks that somebody else computes."""
     import numpy as np
 
-    from truepath.app.numerics.adaptive_trials import TrialPlan, propagate
+    from truepath.numerics.adaptive_trials import TrialPlan, propagate
 
     draw = partial(tasks.block, np.array([0.9, 0.5, 3.0]))
     plan = TrialPlan(seed=3, digits=2, most_blocks=9)
@@ -146,7 +146,7 @@ def test_workers_end_with_whoever_asked_even_if_it_is_killed(tasks, tmp_path):
         import sys, time
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import block_tasks
-        from truepath.app.jobs.workers import Workers, open_workers
+        from truepath.jobs.workers.workers import Workers, open_workers
 
         if __name__ == "__main__":
             with open_workers(Workers(count=1)) as mapper:
@@ -202,16 +202,16 @@ def test_a_scheduler_without_workers_is_named():
 def test_dask_without_an_address_or_its_package_is_bad_input(monkeypatch):
     with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
         Workers("dask").check()
-    monkeypatch.setattr("truepath.app.jobs.workers.find_spec", lambda name: None)
+    monkeypatch.setattr("truepath.jobs.workers.workers.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"install truepath\[dask\]"):
         Workers("dask", scheduler="tcp://127.0.0.1:8786").check()
 
 
 def test_dask_is_imported_only_where_it_is_chosen():
     program = (
-        "import sys, truepath.app.main, truepath.app.cli.analysis_commands\n"
-        "import truepath.app.jobs.science, truepath.app.jobs.workers\n"
-        "assert 'truepath.app.jobs.workers' in sys.modules\n"
+        "import sys, truepath.main, truepath.cli.analyse.analysis_commands\n"
+        "import truepath.jobs.workers.science, truepath.jobs.workers.workers\n"
+        "assert 'truepath.jobs.workers.workers' in sys.modules\n"
         "assert not {'distributed', 'dask'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.effects.base import Effect, columns_along
-from truepath.app.kinematics.effects.catalogue import list_families
-from truepath.app.kinematics.effects.conformance import (
+from truepath.kinematics.effects.base import Effect, columns_along
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.conformance import (
     CHECKS,
     NotConforming,
     effects_are_values,
@@ -15,7 +15,7 @@ from truepath.app.kinematics.effects.conformance import (
     jacobian_is_the_slope_of_the_displacement,
     words_are_there,
 )
-from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)

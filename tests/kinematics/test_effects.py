@@ -3,20 +3,25 @@
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import Conditions, make_standstill
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.effects.location_error import Squareness, list_squarenesses
-from truepath.app.kinematics.effects.nuisance import TimingLaw, TrackerPose
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.symbols import (
+from truepath.kinematics.conditions import Conditions, make_standstill
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.effects.location_error import Squareness, list_squarenesses
+from truepath.kinematics.effects.nuisance import TimingLaw, TrackerPose
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     describe_symbol,
     find_unit,
     list_error_motions,
 )
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import random_machine
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine_file import parse_machine
 
 OFFSET = (20.0, -30.0, -150.0)
 CHAINS = [(), ("X",), ("Y",), ("X", "Y"), ("Z",), ("Y", "X")]

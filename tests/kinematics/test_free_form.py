@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.effects.conformance import example_conditions
-from truepath.app.kinematics.effects.free_form import (
+from truepath.kinematics.effects.conformance import example_conditions
+from truepath.kinematics.effects.free_form import (
     PlaneTurnFamily,
     SideShapeFamily,
     TiltWanderFamily,
 )
-from truepath.app.kinematics.effects.look_error import LookErrorFamily
-from truepath.app.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
+from truepath.kinematics.effects.look_error import LookErrorFamily
+from truepath.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.effects.nuisance import TrackerPose
-from truepath.app.kinematics.effects.position_wave import ScrewCyclic
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.kinematics.model import MachineModel
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.position_wave import ScrewCyclic
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.kinematics.model import MachineModel
 
 MACHINE = Machine(
     "m",

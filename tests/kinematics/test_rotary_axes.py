@@ -8,31 +8,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import (
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import (
     ErrorMotion,
     find_arm,
     make_error_motion,
 )
-from truepath.app.kinematics.effects.location_error import (
+from truepath.kinematics.effects.location_error import (
     list_axis_locations,
     list_squarenesses,
 )
-from truepath.app.kinematics.effects.rotary_eccentricity import RotaryEccentricity
-from truepath.app.kinematics.effects.tool_growth import ToolGrowth
-from truepath.app.kinematics.machine import find_local_directions
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.symbols import (
+from truepath.kinematics.effects.rotary_eccentricity import RotaryEccentricity
+from truepath.kinematics.effects.tool_growth import ToolGrowth
+from truepath.kinematics.machine.machine import find_local_directions
+from truepath.kinematics.machine.symbols import (
     describe_symbol,
     find_unit,
     list_error_motions,
     list_locations,
 )
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.rotary_joint import local_frame
-from truepath.simulators.scenario import load_machine
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.rotary_joint import local_frame
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 CHAINS = [
     "w-C-b-X-Y-Z-B-t",

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.machine import (
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.second_order import adds_up, compute_second_order_mm
-from truepath.app.kinematics.symbols import is_turn, list_error_motions
+from truepath.kinematics.machine.symbols import is_turn, list_error_motions
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.second_order import adds_up, compute_second_order_mm
 
 AXES = {
     "X": LinearAxis("X", 0.0, 700.0),

@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import RecordedState, make_standstill
-from truepath.app.kinematics.effects.position_wave import PositionWave, ScrewCyclic
-from truepath.app.kinematics.effects.sinusoid import find_amplitude_and_phase
-from truepath.app.kinematics.effects.time_wave import TimeWave, Vibration
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from truepath.kinematics.conditions import RecordedState, make_standstill
+from truepath.kinematics.effects.position_wave import PositionWave, ScrewCyclic
+from truepath.kinematics.effects.sinusoid import find_amplitude_and_phase
+from truepath.kinematics.effects.time_wave import TimeWave, Vibration
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
 
 SPAN_S = 0.08
 RATE_MM_S = np.array([60.0, 0.0, 0.0])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.interpolate import CubicSpline as Reference
 
-from truepath.app.kinematics.splines import cyclic_spline, natural_spline
+from truepath.kinematics.splines import cyclic_spline, natural_spline
 
 STEPS = arrays(float, st.integers(3, 9), elements=st.floats(0.5, 4.0))
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import RecordedState, make_standstill
-from truepath.app.kinematics.effects.tracker_error import (
+from truepath.kinematics.conditions import RecordedState, make_standstill
+from truepath.kinematics.effects.tracker_error import (
     BeamBending,
     ElevationIndex,
     TrackerSpecification,
 )
-from truepath.simulators.tracker_head import to_cartesian, to_spherical
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
 
 @pytest.fixture

@@ -13,18 +13,18 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from truepath.app.measurement.messages import (
+from truepath.measurement.messages import (
     CellEvent,
     FaultReported,
     StateChanged,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_file import LINK_STREAM
-from truepath.app.measurement.timing import EngineSettings
-from truepath.drivers.interfaces.arcs import trace
-from truepath.drivers.interfaces.errors import DeviceTimeout
-from truepath.drivers.interfaces.motion import MotionController
-from truepath.drivers.interfaces.records import (
+from truepath.measurement.run_file.run_file import LINK_STREAM
+from truepath.measurement.timing import EngineSettings
+from truepath_drivers.interfaces.arcs import trace
+from truepath_drivers.interfaces.errors import DeviceTimeout
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
     Identity,
     LinkHealth,
     MotionState,
@@ -32,7 +32,7 @@ from truepath.drivers.interfaces.records import (
     Path,
     TrackerSamples,
 )
-from truepath.drivers.interfaces.tracker import ByteLink, Tracker
+from truepath_drivers.interfaces.tracker import ByteLink, Tracker
 
 E = TypeVar("E")
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from tests.measurement.conftest import FakeMotion, FakeTracker
-from truepath.drivers.interfaces.errors import ConnectionLost
-from truepath.drivers.interfaces.records import Identity, MotionStatus, TrackerSamples
-from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
+
+from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.interfaces.records import Identity, MotionStatus, TrackerSamples
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
 
 LONG_S = 300
 

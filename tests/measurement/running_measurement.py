@@ -7,18 +7,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from tests.measurement.conftest import Journal
-from truepath.app.files.run import Run
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+
+from truepath.files.bundle.run import Run
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
     CellVerb,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.drivers.interfaces.motion import MotionController
-from truepath.drivers.interfaces.tracker import AnyTracker
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.tracker import AnyTracker
 
 Begin = Callable[[AnyTracker, MeasurementOrder, EngineSettings], "RunningMeasurement"]
 

@@ -9,15 +9,13 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
-
 from tests.measurement.conftest import FakeMotion
 from tests.measurement.running_measurement import RunningMeasurement, run_measurements
-from truepath.app.alignment.align import align
-from truepath.app.api.models.result_run import InterruptionsOut
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run, summarize_run
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+
+from truepath.alignment.align import align
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run, summarize_run
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     LinesDamaged,
@@ -25,12 +23,14 @@ from truepath.app.measurement.messages import (
     MeasurementProgress,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.configurations import append_part
-from truepath.drivers.interfaces.arcs import turn_about
-from truepath.drivers.interfaces.records import Arc, Path
-from truepath.simulators.bench import Bench
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import append_part
+from truepath.service.api.models.results.result_run import InterruptionsOut
+from truepath_drivers.interfaces.arcs import turn_about
+from truepath_drivers.interfaces.records import Arc, Path
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 
 HALF = Arc("XY", (210.0, 110.0), 180.0)
 ARC_ROW = 2

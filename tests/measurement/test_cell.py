@@ -19,14 +19,11 @@ import numpy as np
 import psutil
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import MeasurementFailed, OutOfTravel, TruepathError
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement import cell as cell_module
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.errors import MeasurementFailed, OutOfTravel, TruepathError
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     BlockRecorded,
     CellConfig,
     CellEvent,
@@ -44,14 +41,17 @@ from truepath.app.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.run_repair import repair_run
-from truepath.app.motion.configurations import Configurations
-from truepath.app.planning.default_path import default_path
-from truepath.app.plugins import load
-from truepath.drivers.interfaces.errors import ConnectionLost, WrongDevice
-from truepath.drivers.interfaces.records import MotionStatus, TrackerSamples
-from truepath.simulators.bench import Bench
+from truepath.measurement.process import cell as cell_module
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox, serve
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_repair import repair_run
+from truepath.motion.configurations import Configurations
+from truepath.planning.lines.default_path import default_path
+from truepath.plugins import load
+from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice
+from truepath_drivers.interfaces.records import MotionStatus, TrackerSamples
+from truepath_simulators.bench.bench import Bench
 
 E = TypeVar("E")
 SPEED = 10.0
@@ -226,8 +226,8 @@ def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
 def test_the_bytes_of_a_run_decode_to_its_samples_again(
     connected, order, read_link_bytes
 ):
-    from truepath.drivers.tracker.streaming.codec import SampleDecoder
-    from truepath.drivers.tracker.streaming.framing import FrameReader
+    from truepath_drivers.tracker.streaming.codec import SampleDecoder
+    from truepath_drivers.tracker.streaming.framing import FrameReader
 
     connected.cell.begin(order)
     connected.until_closed()
@@ -384,12 +384,12 @@ def assert_held(status: MotionStatus) -> None:
 
 PARENT = """
 import sys, time
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.messages import (
     CellConfig, MeasurementOrder, MeasurementProgress
 )
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.planning.default_path import default_path
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.planning.lines.default_path import default_path
 def main():
     tracker, motion, machine, file = eval(sys.argv[1])
     machine = machine_from_json(machine)

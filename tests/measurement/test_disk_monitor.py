@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import pytest
 
-from truepath.app.measurement.controller_monitor import ControllerMonitor
-from truepath.app.measurement.event_log import EventLog
-from truepath.app.measurement.feed_hold import FeedHold
-from truepath.app.measurement.measurement_monitor import DiskMonitor
-from truepath.app.measurement.measurement_state import HoldReason, MeasurementState
-from truepath.app.measurement.timing import EngineSettings
-from truepath.drivers.interfaces.records import MotionState
+from truepath.measurement.engine.measurement_monitor import DiskMonitor
+from truepath.measurement.measurement_state import HoldReason, MeasurementState
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor
+from truepath.measurement.monitors.feed_hold import FeedHold
+from truepath.measurement.run_file.event_log import EventLog
+from truepath.measurement.timing import EngineSettings
+from truepath_drivers.interfaces.records import MotionState
 
 
 @dataclass

@@ -14,11 +14,10 @@ from textwrap import dedent
 import numpy as np
 import psutil
 import pytest
-
 from tests.plugin_site import NAME, install
-from truepath.app.device_options import make_device
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+
+from truepath.device_options import make_device
+from truepath.measurement.messages import (
     CellConfig,
     CellEvent,
     CellVerb,
@@ -30,10 +29,11 @@ from truepath.app.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.drivers.interfaces.errors import ConnectionLost, DeviceError
-from truepath.drivers.interfaces.records import MotionStatus
-from truepath.drivers.interfaces.records import Path as MotionPath
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
+from truepath_drivers.interfaces.records import MotionStatus
+from truepath_drivers.interfaces.records import Path as MotionPath
 
 pytestmark = pytest.mark.fault_row(49)
 
@@ -177,9 +177,9 @@ SCRIPT = """
     import sys, time
     from pathlib import Path
     from tests.measurement.test_driver_border import Driven, MeasurementProgress
-    from truepath.app.files.machine_file import read_machine
-    from truepath.app.measurement.messages import CellConfig, CellVerb, MeasurementOrder
-    from truepath.app.planning.default_path import default_path
+    from truepath.files.bundle.machine_file import read_machine
+    from truepath.measurement.messages import CellConfig, CellVerb, MeasurementOrder
+    from truepath.planning.lines.default_path import default_path
 
     if __name__ == "__main__":
         folder = Path(sys.argv[1])
@@ -203,7 +203,7 @@ SCRIPT = """
 def test_a_cell_does_not_outlive_its_parent_though_a_driver_hangs(
     site, tmp_path, mill, way
 ):
-    from truepath.app.files.machine_file import encode_machine
+    from truepath.files.bundle.machine_file import encode_machine
 
     (tmp_path / "machine.json").write_bytes(encode_machine(mill))
     script = tmp_path / "parent.py"

@@ -11,11 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import BadInput
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.refraction import choose_refraction
-from truepath.app.files.run import summarize_run
-from truepath.app.measurement.channel_judge import (
+from truepath.errors import BadInput
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.run import summarize_run
+from truepath.files.environment.refraction import choose_refraction
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
+    BlockRecorded,
+    FaultReported,
+    MeasurementOrder,
+    RunClosed,
+)
+from truepath.measurement.monitors.channel_judge import (
     BACK,
     IMPLAUSIBLE,
     NO_NUMBER,
@@ -23,24 +30,17 @@ from truepath.app.measurement.channel_judge import (
     STUCK,
     ChannelJudge,
 )
-from truepath.app.measurement.environment_reader import EnvironmentReader
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
-    BlockRecorded,
-    FaultReported,
-    MeasurementOrder,
-    RunClosed,
-)
-from truepath.app.measurement.progress import LiveView
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.numerics.air_index import find_air_index
-from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from truepath.drivers.interfaces.records import Identity, TrackerSamples
-from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
-from truepath.drivers.interfaces.tracker import AirExchange
-from truepath.drivers.interfaces.tracker_records import (
+from truepath.measurement.monitors.environment_reader import EnvironmentReader
+from truepath.measurement.progress import LiveView
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.numerics.air_index import find_air_index
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.interfaces.records import Identity, TrackerSamples
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath_drivers.interfaces.tracker import AirExchange
+from truepath_drivers.interfaces.tracker_records import (
     Air,
     Light,
     TrackerCapabilities,

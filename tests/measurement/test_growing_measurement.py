@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+from truepath.errors import PlanningError
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
     MeasurementOrder,
@@ -19,10 +19,10 @@ from truepath.app.measurement.messages import (
     PartRequested,
     RunClosed,
 )
-from truepath.app.measurement.progress import ProgressEstimator, schedule_rows
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.configurations import Configurations, append_part
-from truepath.drivers.interfaces.records import Path
+from truepath.measurement.progress import ProgressEstimator, schedule_rows
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import Configurations, append_part
+from truepath_drivers.interfaces.records import Path
 
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 

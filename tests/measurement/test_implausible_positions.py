@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.measurement.conftest import FakeMotion
 from tests.measurement.test_polled_points import (  # noqa: F401
     FakePolled,
     measure,
     polled,
 )
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
     LinesDamaged,
@@ -25,10 +25,10 @@ from truepath.app.measurement.messages import (
     MeasurementOrder,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.drivers.transport.modbus_link import DeviceBusy
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.transport.modbus_link import DeviceBusy
 
 Lie = Callable[[np.ndarray], np.ndarray]
 LIES: dict[str, Lie] = {

@@ -9,21 +9,21 @@ import time
 import numpy as np
 import pytest
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
 )
-from truepath.drivers.cnc.linuxcnc.driver import LinuxCncController
-from truepath.drivers.interfaces.records import MotionState, Path
-from truepath.simulators.bench import Bench
-from truepath.simulators.linuxcnc.files import LinuxCncMachine
-from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
+from truepath_simulators.scenario import load_machine
 
 ABSENT = explain_absence()
 pytestmark = [

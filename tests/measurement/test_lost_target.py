@@ -8,25 +8,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.measurement.conftest import FakeTracker, Journal
 from tests.measurement.running_measurement import RunningMeasurement, run_measurements
-from truepath.app.files.run import Run, summarize_run
-from truepath.app.measurement import target_search
-from truepath.app.measurement.messages import (
+
+from truepath.files.bundle.run import Run, summarize_run
+from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
     LinesDamaged,
     MeasurementOrder,
     StreamTimeouts,
 )
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.motion.configurations import Configurations
-from truepath.app.numerics.rigid import RigidTransform, build_rotation
-from truepath.drivers.interfaces.errors import BeamLost, NotHomed, NotOffered
-from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.tracker import PolledTracker, TargetFinder
-from truepath.drivers.interfaces.tracker_records import (
+from truepath.measurement.target import target_search
+from truepath.measurement.timing import EngineSettings
+from truepath.motion.configurations import Configurations
+from truepath.numerics.rigid import RigidTransform, build_rotation
+from truepath_drivers.interfaces.errors import BeamLost, NotHomed, NotOffered
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.tracker import PolledTracker, TargetFinder
+from truepath_drivers.interfaces.tracker_records import (
     Clock,
     PointMeasurement,
     TrackerCapabilities,

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.measurement.axis_order import arrange_axes
-from truepath.app.measurement.faults import Fault
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+from truepath.measurement.engine.axis_order import arrange_axes
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.faults import Fault
+from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
     LinesDamaged,
@@ -23,18 +23,18 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.errors import (
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     MotionFault,
     OutOfTravel,
     Refused,
 )
-from truepath.drivers.interfaces.records import MotionState
-from truepath.drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 
 # Nothing is judged by the clock of a busy computer: where a test is not about patience,
 # there is plenty of it; where it is, the test passes the time by hand.
@@ -1241,7 +1241,7 @@ def test_a_disk_that_fails_holds_the_machine_first(
 def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
     begin, long_order, motion, journal, monkeypatch
 ):
-    monkeypatch.setattr("truepath.app.measurement.recorder.SPACE_CHECK_S", 0.0)
+    monkeypatch.setattr("truepath.measurement.run_file.recorder.SPACE_CHECK_S", 0.0)
     running = begin(long_order)
     running.until_moving()
     recorder = running.measurement._recorder

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import MeasurementOrder
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.motion.default_points import default_points
-from truepath.app.plugins import load
-from truepath.app.results.analysis import analyse
-from truepath.simulators.bench import Bench
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import MeasurementOrder
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath.motion.paths.default_points import default_points
+from truepath.plugins import load
+from truepath.results.analysis import analyse
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 
 QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
 

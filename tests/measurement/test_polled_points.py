@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.run import Run, summarize_run
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.run import Run, summarize_run
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
     BlockRecorded,
     CellVerb,
     FaultReported,
@@ -23,18 +23,18 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.errors import (
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
     Refused,
 )
-from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.tracker import EventSource, PolledTracker
-from truepath.drivers.interfaces.tracker_records import (
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.tracker import EventSource, PolledTracker
+from truepath_drivers.interfaces.tracker_records import (
     Air,
     Clock,
     PointMeasurement,

@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.errors import BundleError, MeasurementFailed
-from truepath.app.files.run import summarize_run
-from truepath.app.measurement import recorder as recorder_module
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader, hash_file
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.run_repair import repair_run
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
+from truepath.errors import BundleError, MeasurementFailed
+from truepath.files.bundle.run import summarize_run
+from truepath.measurement.run_file import recorder as recorder_module
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader, hash_file
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_repair import repair_run
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 DEVICES = {
     "tracker": Identity("Us", "T", "1", "0.1"),
@@ -318,10 +318,11 @@ import sys
 sys.path[:0] = [{root!r}]
 from pathlib import Path
 import numpy as np
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.drivers.interfaces.records import Path as Lines, TrackerSamples
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath_drivers.interfaces.records import Path as Lines, TrackerSamples
 axes = tuple(LinearAxis(n, 0.0, 500.0) for n in "XYZ")
 mill = Machine("m", (), ("X", "Y", "Z"), axes, (Target("", "tool", (0, 0, 0)),),
                TrackerNoise())
@@ -491,7 +492,7 @@ def test_a_damaged_manifest_is_an_error_not_a_guess(closed_file):
 
 
 def test_a_later_schema_is_refused(file, header, monkeypatch):
-    monkeypatch.setattr("truepath.app.measurement.run_file.SCHEMA", "run/2")
+    monkeypatch.setattr("truepath.measurement.run_file.run_file.SCHEMA", "run/2")
     Recorder(file, header, reserve_bytes=0).close("finished")
     monkeypatch.undo()
     with pytest.raises(BundleError, match="schema is 'run/2', not 'run/1'"):

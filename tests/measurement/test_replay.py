@@ -10,29 +10,29 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.configurations import Commanded, Configurations
-from truepath.drivers.interfaces.errors import Refused
-from truepath.drivers.interfaces.records import Path
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators.bench import Bench
-from truepath.simulators.command import main
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.processes import DeviceProcesses
-from truepath.simulators.recorded_run import read_recorded_run
-from truepath.simulators.replay import Replay
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import Commanded, Configurations
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Path
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.bench.command import main
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.processes import DeviceProcesses
+from truepath_simulators.replay.recorded_run import read_recorded_run
+from truepath_simulators.replay.replay import Replay
+from truepath_simulators.scenario import load_machine
 
 AXES = ("X", "Y", "Z")
 CORNERS = np.array(

@@ -8,24 +8,24 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.nominal_path import compute_nominal_path
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.alignment.stream.nominal_path import compute_nominal_path
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators.bench import Bench
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.turning_paths import turning_path
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.scenario import load_machine
 
 SPEED = 10.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.measurement.target_search import ExpectedPlace, SeenPlaces
-from truepath.app.numerics.rigid import RigidTransform, build_rotation
+from truepath.measurement.target.target_search import ExpectedPlace, SeenPlaces
+from truepath.numerics.rigid import RigidTransform, build_rotation
 
 TO_TRACKER = RigidTransform(
     build_rotation(np.array([0.02, -0.03, 1.1])), np.array([1500.0, 600.0, 80.0])

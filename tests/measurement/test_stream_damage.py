@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from truepath.app.measurement.stream_reader import StreamDamage
-from truepath.drivers.interfaces.records import TrackerSamples
+from truepath.measurement.monitors.stream_reader import StreamDamage
+from truepath_drivers.interfaces.records import TrackerSamples
 
 RATE_HZ = 500.0
 

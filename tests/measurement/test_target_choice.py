@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.measurement.conftest import FakeTracker
-from truepath.app.kinematics.machine import Target
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import (
+
+from truepath.kinematics.machine.machine import Target
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.motion.configurations import Configurations
-from truepath.drivers.interfaces.errors import BeamLost, NotOffered, Refused
-from truepath.drivers.interfaces.records import Identity, Path
-from truepath.drivers.interfaces.tracker import PolledTracker, TargetChoice
-from truepath.drivers.interfaces.tracker_records import (
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.errors import BeamLost, NotOffered, Refused
+from truepath_drivers.interfaces.records import Identity, Path
+from truepath_drivers.interfaces.tracker import PolledTracker, TargetChoice
+from truepath_drivers.interfaces.tracker_records import (
     Clock,
     PointMeasurement,
     TrackerCapabilities,

@@ -8,19 +8,19 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     RunClosed,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.motion.configurations import Configurations
-from truepath.simulators.bench import Bench
-from truepath.simulators.scenario import load_machine
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import Configurations
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.mark.long

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.files.bundle import read_bundle, write_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.measurement.measurement import Measurement
-from truepath.app.measurement.messages import MeasurementOrder
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.timing import EngineSettings
-from truepath.app.planning.default_path import default_path
-from truepath.app.plugins import load
-from truepath.app.results.analysis import analyse
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.text_line.driver import TextLineTracker
-from truepath.simulators.bench import Bench
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.text_relay import TextRelay
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import MeasurementOrder
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.timing import EngineSettings
+from truepath.planning.lines.default_path import default_path
+from truepath.plugins import load
+from truepath.results.analysis import analyse
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.text_line.driver import TextLineTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.text_relay import TextRelay
+from truepath_simulators.scenario import load_machine
 
 WRAPS = 65_536
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.measurement.controller_monitor import ControllerMonitor
-from truepath.app.measurement.faults import Fault
-from truepath.app.measurement.timing import EngineSettings, RunningClock, Stopwatch
+from truepath.measurement.faults import Fault
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor
+from truepath.measurement.timing import EngineSettings, RunningClock, Stopwatch
 
 
 class HandClock:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.measurement.messages import TrackerTrial
-from truepath.app.measurement.tracker_trial import try_tracker
-from truepath.drivers.interfaces.records import LinkHealth, TrackerSamples
-from truepath.drivers.interfaces.tracker import PolledTracker, Tracker
+from truepath.measurement.messages import TrackerTrial
+from truepath.measurement.monitors.tracker_trial import try_tracker
+from truepath_drivers.interfaces.records import LinkHealth, TrackerSamples
+from truepath_drivers.interfaces.tracker import PolledTracker, Tracker
 
 
 class Streaming(Tracker):

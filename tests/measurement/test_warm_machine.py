@@ -8,12 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.surroundings import add_surroundings
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import summarize_run
-from truepath.app.measurement.cell import Cell
-from truepath.app.measurement.messages import (
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import summarize_run
+from truepath.measurement.messages import (
     CellConfig,
     CellEvent,
     FaultReported,
@@ -22,11 +21,12 @@ from truepath.app.measurement.messages import (
     RunClosed,
     StreamTimeouts,
 )
-from truepath.app.measurement.run_reading import open_run
-from truepath.app.measurement.run_repair import repair_run
-from truepath.app.planning.default_path import default_path
-from truepath.simulators.bench import Bench
-from truepath.simulators.hidden.warming import ThermalGrowth
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_repair import repair_run
+from truepath.planning.lines.default_path import default_path
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.hidden.warming import ThermalGrowth
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(240)]
 

@@ -6,25 +6,25 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from truepath.app.errors import BundleError, OutOfTravel, PlanningError
-from truepath.app.files.commanded_file import (
+from truepath.errors import BundleError, OutOfTravel, PlanningError
+from truepath.files.bundle.commanded_file import (
     decode_commanded,
     decode_commanded_json,
     encode_commanded,
     encode_commanded_json,
 )
-from truepath.app.motion.circle_path import TURN_DEG, make_circle_path
-from truepath.app.motion.configurations import append_part
-from truepath.app.motion.driven_again import drive_again, drive_arcs_again
-from truepath.app.motion.line_of_sight import Box
-from truepath.app.motion.motion_times import row_times_s
-from truepath.app.motion.nc_programs.programs import write_program
-from truepath.app.motion.travel import check_travel
-from truepath.app.motion.workspace import Workspace
-from truepath.drivers.cnc.travel import arrange_path, check_arcs
-from truepath.drivers.interfaces.arcs import trace
-from truepath.drivers.interfaces.errors import Refused
-from truepath.drivers.interfaces.records import Arc, Path
+from truepath.motion.configurations import append_part
+from truepath.motion.motion_times import row_times_s
+from truepath.motion.nc_programs.programs import write_program
+from truepath.motion.paths.circle_path import TURN_DEG, make_circle_path
+from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace.workspace import Workspace
+from truepath_drivers.cnc.travel import arrange_path, check_arcs
+from truepath_drivers.interfaces.arcs import trace
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Arc, Path
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from truepath.app.motion.by_target import cut_by_target
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.paths.by_target import cut_by_target
+from truepath_drivers.interfaces.records import Path
 
 
 def make_path(*target: str) -> Path:

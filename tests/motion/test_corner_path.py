@@ -3,9 +3,9 @@
 from itertools import pairwise
 
 import numpy as np
-
 from tests.motion.test_paths import machine
-from truepath.app.motion.corner_path import corner_path
+
+from truepath.motion.paths.corner_path import corner_path
 
 
 def test_corner_lines_join_corners_or_run_along_one_axis():

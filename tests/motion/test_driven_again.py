@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from truepath.app.motion.configurations import Configurations, append_part
-from truepath.app.motion.driven_again import drive_again
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.configurations import Configurations, append_part
+from truepath.motion.paths.driven_again import drive_again
+from truepath_drivers.interfaces.records import Path
 
 
 def test_lines_are_driven_back_and_forth_each_at_its_own_feed(square):

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import OutOfTravel, PlanningError
-from truepath.app.kinematics.machine import (
+from truepath.errors import OutOfTravel, PlanningError
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     MotionLimits,
@@ -16,13 +16,13 @@ from truepath.app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
-from truepath.app.motion.commanded_rows import command_rows
-from truepath.app.motion.configurations import Configurations
-from truepath.app.motion.default_points import default_points
-from truepath.app.motion.feeds import check_feed
-from truepath.app.motion.motion_times import row_times_s, travel_time_s
-from truepath.app.motion.travel import check_travel
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.configurations import Configurations
+from truepath.motion.motion_times import row_times_s, travel_time_s
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath.motion.paths.default_points import default_points
+from truepath.motion.paths.feeds import check_feed
+from truepath.motion.workspace.travel import check_travel
+from truepath_drivers.interfaces.records import Path
 
 
 def machine(x: float = 500.0, y: float = 400.0, z: float = 300.0) -> Machine:

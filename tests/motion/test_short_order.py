@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from truepath.app.motion.motion_times import find_short_order
+from truepath.motion.motion_times import find_short_order
 
 
 def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.motion.line_of_sight import Box, Reflector
-from truepath.app.motion.workspace import StationAreas, Workspace
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.motion.workspace.line_of_sight import Box, Reflector
+from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath_simulators.scenario import load_machine
 
 TRACKER = (250.0, -1200.0, 0.0)
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from truepath.app.errors import BadInput, PlanningError
-from truepath.app.motion.line_of_sight import Box
-from truepath.app.motion.motion_times import row_times_s
-from truepath.app.motion.travel import check_travel
-from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.verification_points import (
+from truepath.errors import BadInput, PlanningError
+from truepath.motion.motion_times import row_times_s
+from truepath.motion.paths.verification_kinds import VerificationKind
+from truepath.motion.paths.verification_points import (
     RANDOM_POINTS,
     make_verification_points,
     make_verification_rows,
 )
-from truepath.app.motion.workspace import Workspace
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace.workspace import Workspace
 
 
 @pytest.mark.parametrize("kind", VerificationKind)

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from truepath.app.numerics.adaptive_trials import (
+from truepath.numerics.adaptive_trials import (
     BLOCK,
     NORMAL_FACTOR,
     TrialPlan,

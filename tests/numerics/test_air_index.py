@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.app.numerics.air_index import find_air_index
+from truepath.numerics.air_index import find_air_index
 
 
 def index_of(wavelength_nm, degc, hpa, percent, *, is_group=False):

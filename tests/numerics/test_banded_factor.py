@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.app.numerics.banded_factor import BandedFactor
+from truepath.numerics.banded_factor import BandedFactor
 
 
 @pytest.mark.parametrize("size", [1, 3, 23, 24, 25, 48, 100])

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.app.numerics.correlated_noise import extend, factorise
-from truepath.app.numerics.ornstein_uhlenbeck import build_ou_precision
+from truepath.numerics.correlated_noise import extend, factorise
+from truepath.numerics.ornstein_uhlenbeck import build_ou_precision
 
 TAU_S = 0.8
 

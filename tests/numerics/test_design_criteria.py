@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.app.kinematics.splines import cyclic_spline, natural_spline
-from truepath.app.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.kinematics.splines import cyclic_spline, natural_spline
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
 
 KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
 SPLINE = natural_spline(KNOTS)

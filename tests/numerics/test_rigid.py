@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from truepath.app.numerics.rigid import RigidTransform, cross_matrix
+from truepath.numerics.rigid import RigidTransform, cross_matrix
 
 
 @pytest.fixture

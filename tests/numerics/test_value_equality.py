@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truepath.app.kinematics.splines import natural_spline
-from truepath.app.numerics.value_equality import ValueEquality
+from truepath.kinematics.splines import natural_spline
+from truepath.numerics.value_equality import ValueEquality
 
 
 @dataclass(frozen=True)

@@ -14,19 +14,19 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.cli.command import run
-from truepath.app.errors import BadInput
-from truepath.app.files.bundle import zip_bundle
-from truepath.app.jobs.catalogue_rebuild import check_against_disk
-from truepath.app.jobs.data_folder import hold_folder
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import InUse
-from truepath.app.main import open_service
-from truepath.app.operation.archive import check_name
-from truepath.app.operation.backup import Kept, make_backup, restore_backup
-from truepath.app.settings import load_settings
-from truepath.app.users.roles import Role
+from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.errors import InUse
+from truepath.catalogue.store.database import Database
+from truepath.cli.command import run
+from truepath.errors import BadInput
+from truepath.files.bundle.bundle import zip_bundle
+from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
+from truepath.main import open_service
+from truepath.operation.archive import check_name
+from truepath.operation.backup import Kept, make_backup, restore_backup
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath.users.roles import Role
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import ROWS, arm, create, follow, moving

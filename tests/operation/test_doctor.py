@@ -12,19 +12,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.errors import BadInput
-from truepath.app.jobs.data_folder import hold_folder
-from truepath.app.operation import computer, devices, storage
-from truepath.app.operation.finding import Grade
-from truepath.app.operation.running_service import (
+from truepath.catalogue.data_folder import hold_folder
+from truepath.cli.command import run
+from truepath.errors import BadInput
+from truepath.operation import computer, devices, storage
+from truepath.operation.finding import Grade
+from truepath.operation.running_service import (
     RunningService,
     find_service,
     look_at_service,
 )
-from truepath.app.settings import load_settings
-from truepath.simulators.rig import running_rig
-from truepath.simulators.scenario import load_machine
+from truepath.settings import load_settings
+from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.scenario import load_machine
 
 NONE = RunningService(is_there=False)
 
@@ -146,7 +146,7 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
     given.data_dir.mkdir()
     hold = (
         "import sys; from pathlib import Path\n"
-        "from truepath.app.jobs.data_folder import hold_folder\n"
+        "from truepath.catalogue.data_folder import hold_folder\n"
         "with hold_folder(Path(sys.argv[1])):\n"
         "    print('held', flush=True); sys.stdin.read()\n"
     )

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.operation.redaction import HIDDEN, Redactor, redact_settings
-from truepath.app.operation.settings_text import list_settings
-from truepath.app.settings import Settings, load_settings
+from truepath.cli.command import run
+from truepath.operation.redaction import HIDDEN, Redactor, redact_settings
+from truepath.operation.settings_text import list_settings
+from truepath.settings import Settings, load_settings
 
 ROOT = Path(__file__).parents[2]
 TOGETHER = {"tls_cert": {"tls_key": "/k.pem"}, "tls_key": {"tls_cert": "/c.pem"}}

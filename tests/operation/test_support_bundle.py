@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.cli.command import run
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.job import Failure, Job, JobKind
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.app.users.accounts import Accounts
-from truepath.app.users.certificates import create_certificate
-from truepath.app.users.roles import Role
-from truepath.app.users.tokens import Tokens
+from truepath.catalogue.job import Failure, Job, JobKind
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.cli.command import run
+from truepath.users.accounts import Accounts
+from truepath.users.certificates import create_certificate
+from truepath.users.roles import Role
+from truepath.users.tokens import Tokens
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import process

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.cli.command import run
+from truepath.cli.command import run
 
 
 @pytest.fixture

@@ -16,16 +16,16 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from starlette.testclient import TestClient
 
-from truepath.app.api.application import create_application
-from truepath.app.jobs import database as database_module
-from truepath.app.jobs import schema
-from truepath.app.jobs.catalogue_rebuild import rebuild_catalogue
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.errors import SchemaTooOld
-from truepath.app.main import open_service
-from truepath.app.operation.backup import make_backup, restore_backup
-from truepath.app.settings import load_settings
-from truepath.app.users.roles import Role
+from truepath.catalogue import schema
+from truepath.catalogue.errors import SchemaTooOld
+from truepath.catalogue.store import database as database_module
+from truepath.catalogue.store.database import Database
+from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
+from truepath.main import open_service
+from truepath.operation.backup import make_backup, restore_backup
+from truepath.service.api.application import create_application
+from truepath.settings import load_settings
+from truepath.users.roles import Role
 
 sys.path.append(str(Path(__file__).parent / "data"))
 from make_data_folder import PASSWORD

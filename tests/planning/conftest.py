@@ -8,15 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.machine import Machine, remove_rotary_axes
-from truepath.app.motion.motion_times import Drive
-from truepath.app.motion.workspace import Workspace
-from truepath.app.planning.design_state import DesignState
-from truepath.app.planning.forecast import Assumptions
-from truepath.app.planning.initial_design import start_design
-from truepath.app.planning.line_design import LineDesignState
-from truepath.app.planning.next_configuration import PointDesignState
-from truepath.app.planning.planner import Planner
+from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
+from truepath.motion.motion_times import Drive
+from truepath.motion.workspace.workspace import Workspace
+from truepath.planning.design_state import DesignState
+from truepath.planning.forecast import Assumptions
+from truepath.planning.initial_design import start_design
+from truepath.planning.lines.line_design import LineDesignState
+from truepath.planning.lines.planner import Planner
+from truepath.planning.points.next_configuration import PointDesignState
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

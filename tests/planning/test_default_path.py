@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.machine import (
+from truepath.errors import PlanningError
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from truepath.app.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
-from truepath.app.motion.travel import check_travel
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.design_state import inverse
-from truepath.app.planning.initial_design import start_design
-from truepath.app.planning.line_design import LineDesignState
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
+from truepath.motion.workspace.travel import check_travel
+from truepath.planning.design_state import inverse
+from truepath.planning.initial_design import start_design
+from truepath.planning.lines.default_path import default_path
+from truepath.planning.lines.line_design import LineDesignState
+from truepath_drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
 TARGETS = (

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import BundleError, PlanningError
-from truepath.app.files.machine_file import machine_from_json, machine_to_json
-from truepath.app.kinematics.machine import MotionLimits
-from truepath.app.motion.motion_times import Drive, Legs
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.results.plan_document import plan_document
-from truepath.simulators.profile import Limits, rest_to_rest
+from truepath.answers.plan.plan_document import plan_document
+from truepath.errors import BundleError, PlanningError
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.kinematics.machine.machine import MotionLimits
+from truepath.motion.motion_times import Drive, Legs
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath_simulators.motion.profile import Limits, rest_to_rest
 
 
 def moving_at(machine, **stated):

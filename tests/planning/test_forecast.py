@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.errors import Unidentifiable
-from truepath.app.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.app.planning.forecast import (
+
+from truepath.alignment.align import align
+from truepath.errors import Unidentifiable
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.planning.forecast import (
     Assumptions,
     forecast,
     predict_undetermined,
 )
-from truepath.simulators.program import Program
+from truepath_simulators.motion.program import Program
 
 
 @pytest.fixture(

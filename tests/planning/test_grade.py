@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.errors import PlanningError
-from truepath.app.kinematics.machine import Target, TrackerNoise
-from truepath.app.kinematics.volumetric_map import (
+
+from truepath.alignment.align import align
+from truepath.errors import PlanningError
+from truepath.kinematics.machine.machine import Target, TrackerNoise
+from truepath.kinematics.volumetric_map import (
     build_volumetric_map,
     compute_volumetric_gram,
 )
-from truepath.app.motion.configurations import Configurations
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.grade import SetUp, grade, grade_together, verdict
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.configurations import Configurations
+from truepath.planning.grade import SetUp, grade, grade_together, verdict
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import Path
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import make_error_motion
-from truepath.app.kinematics.machine import (
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
 )
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.splines import natural_spline
-from truepath.app.numerics.design_criteria import IntegratedVariance
-from truepath.app.planning.next_configuration import (
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.splines import natural_spline
+from truepath.numerics.design_criteria import IntegratedVariance
+from truepath.planning.points.next_configuration import (
     SearchSpace,
     next_configuration,
     search_space,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from tests.planning.limit_checker import Limits, violations
-from truepath.app.errors import PlanningError
-from truepath.app.motion.line_of_sight import Box
-from truepath.app.motion.workspace import Workspace
+
+from truepath.errors import PlanningError
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.workspace import Workspace
 
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])
 OFFSET = np.array([20.0, 30.0, -150.0])

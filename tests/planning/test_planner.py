@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.motion.corner_path import corner_path
-from truepath.app.motion.motion_times import Drive, Legs, Stops, row_times_s
-from truepath.app.motion.travel import inner_travel
-from truepath.app.motion.workspace import Workspace
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.design_state import inverse
-from truepath.app.planning.initial_design import predict_lag_sigmas_s, start_design
-from truepath.app.planning.leg_choice import LegChoice, SearchEffort
-from truepath.app.planning.line_design import LineDesignState
-from truepath.app.planning.planner import Planner
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.motion_times import Drive, Legs, Stops, row_times_s
+from truepath.motion.paths.corner_path import corner_path
+from truepath.motion.workspace.travel import inner_travel
+from truepath.motion.workspace.workspace import Workspace
+from truepath.planning.design_state import inverse
+from truepath.planning.initial_design import predict_lag_sigmas_s, start_design
+from truepath.planning.lines.default_path import default_path
+from truepath.planning.lines.leg_choice import LegChoice, SearchEffort
+from truepath.planning.lines.line_design import LineDesignState
+from truepath.planning.lines.planner import Planner
+from truepath_drivers.interfaces.records import Path
 
 
 def left_mm(planner, plan):

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.alignment.surroundings import add_surroundings
-from truepath.app.errors import BundleError
-from truepath.app.estimation.prior_model import PriorModel
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.effects.backlash import BacklashFamily
-from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from truepath.app.kinematics.model import MachineModel, restore_effect
-from truepath.app.planning.forecast import Assumptions, forecast
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.reporting.plan_report import render_plan_report
-from truepath.app.results.plan_document import plan_document
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.dynamics import ServoMismatch
-from truepath.simulators.hidden.guides import ElasticSag
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
+from truepath.errors import BundleError
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.effects.backlash import BacklashFamily
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.planning.forecast import Assumptions, forecast
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 FEEDS = (3000.0, 9000.0)
 SMALL = load_machine("demo")

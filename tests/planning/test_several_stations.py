@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
-from truepath.app.motion.line_of_sight import Box
-from truepath.app.motion.workspace import StationAreas, Workspace
-from truepath.app.planning.forecast import forecast
-from truepath.app.planning.known_points import choose_known_points
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.planning.predicted_cells import predict_cells
-from truepath.app.results.plan_document import plan_document
+from truepath.answers.plan.plan_document import plan_document
+from truepath.errors import PlanningError
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.planning.forecast import forecast
+from truepath.planning.known_points import choose_known_points
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath.planning.predicted_cells import predict_cells
 
 PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
 NESTS = tuple(Box(place, place) for place in PLACES)

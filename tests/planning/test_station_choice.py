@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
-from truepath.app.kinematics.effects.tracker_error import TrackerSpecification
-from truepath.app.motion.line_of_sight import Box, Reflector
-from truepath.app.motion.workspace import StationAreas, Workspace
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
+from truepath.errors import PlanningError
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.motion.workspace.line_of_sight import Box, Reflector
+from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
 PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)

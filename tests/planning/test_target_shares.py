@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-
 from tests.planning.test_default_path import trunnion
-from truepath.app.kinematics.machine import Machine
-from truepath.app.motion.motion_times import Drive
-from truepath.app.motion.workspace import Workspace, moving_targets
-from truepath.app.planning.initial_design import choose_station, start_design
-from truepath.app.planning.line_design import LineDesignState
-from truepath.app.planning.planner import Planner
-from truepath.app.planning.target_shares import share_among_targets
+
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.motion_times import Drive
+from truepath.motion.workspace.workspace import Workspace, moving_targets
+from truepath.planning.initial_design import choose_station, start_design
+from truepath.planning.lines.line_design import LineDesignState
+from truepath.planning.lines.planner import Planner
+from truepath.planning.lines.target_shares import share_among_targets
 
 CHANGE_S = 5.0
 

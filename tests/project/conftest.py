@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = {"pyproject.toml", "README.md", "app", "drivers", "simulators", "truepath"}
+SHIPPED = {"pyproject.toml", "README.md", "app", "drivers", "simulators"}
 
 
 @pytest.fixture(scope="session")
@@ -39,9 +39,6 @@ def wheel(tmp_path_factory, project_files, root):
             copy = source / path.relative_to(root)
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(path.read_bytes())
-    for link in (root / "truepath").iterdir():
-        if link.is_symlink():
-            (source / "truepath" / link.name).symlink_to(link.readlink())
     target = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
     command += ["--no-build-isolation", "--wheel-dir", str(target), str(source)]

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from truepath.app.api.application import create_application
-from truepath.app.files.verdict import SENTENCES, STATED
+from truepath.files.earlier.verdict import SENTENCES, STATED
+from truepath.service.api.application import create_application
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -108,7 +108,9 @@ def test_packages_export_nothing_but_their_theory(project_files, root):
     busy = [
         str(path.relative_to(root))
         for path in python_files(project_files, root)
-        if path.name == "__init__.py" and len(ast.parse(path.read_text()).body) != 1
+        if path.name == "__init__.py"
+        and path.parent.name != "client"  # what other programs import
+        and len(ast.parse(path.read_text()).body) != 1
     ]
     assert not busy, "an __init__.py holds a docstring and nothing else: " + str(busy)
 

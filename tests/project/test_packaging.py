@@ -53,23 +53,23 @@ def test_what_is_installed_is_what_is_pinned(pins):
 def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
-    rooms = {"app", "drivers", "simulators"}
+    sources = {"app", "drivers", "simulators"}
     wanted = {
-        f"truepath/{path.relative_to(root)}"
+        str(path.relative_to(root / path.relative_to(root).parts[0]))
         for path in project_files
-        if path.relative_to(root).parts[0] in rooms
-    } | {
-        str(path.relative_to(root))
-        for path in project_files
-        if path.relative_to(root).parts[:2] == ("truepath", "client")
+        if path.relative_to(root).parts[0] in sources
     }
     assert wanted <= packed, f"left out: {sorted(wanted - packed)}"
 
 
-def test_the_wheel_takes_one_name_in_site_packages(wheel):
+def test_the_wheel_takes_no_other_names_in_site_packages(wheel):
     with zipfile.ZipFile(wheel) as archive:
         first = {name.split("/")[0] for name in archive.namelist()}
-    assert {name for name in first if not name.endswith(".dist-info")} == {"truepath"}
+    assert {name for name in first if not name.endswith(".dist-info")} == {
+        "truepath",
+        "truepath_drivers",
+        "truepath_simulators",
+    }
 
 
 def test_the_wheel_registers_the_command_and_the_plug_ins(wheel):

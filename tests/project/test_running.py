@@ -18,7 +18,7 @@ from urllib.request import urlopen
 import pytest
 
 START_S = 30.0
-MAIN = "from truepath.app.cli.command import main; main()"
+MAIN = "from truepath.cli.command import main; main()"
 
 
 @contextmanager
@@ -70,7 +70,7 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         "TRUEPATH_PORT": str(free_port),
     }
     where = subprocess.run(
-        [sys.executable, "-c", "import truepath.app as app; print(app.__file__)"],
+        [sys.executable, "-c", "import truepath; print(truepath.__file__)"],
         env=os.environ | environment,
         cwd=folder,
         capture_output=True,
@@ -85,10 +85,14 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         assert links
         for link in links:
             assert fetched(urljoin(f"{address}/", link)), link
-        assets = [name for name in names if name.startswith("truepath/app/web/static/")]
+        assets = [
+            name for name in names if name.startswith("truepath/service/page/static/")
+        ]
         assert assets
         for name in assets:
-            assert fetched(f"{address}/{name.removeprefix('truepath/app/web/')}"), name
+            assert fetched(
+                f"{address}/{name.removeprefix('truepath/service/page/')}"
+            ), name
         assert b"swagger-ui" in fetched(f"{address}/docs")
 
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import AlignmentError, BundleError
-from truepath.app.files.result_file import read_result
-from truepath.app.reporting.analysis_files import render_analysis, write_analysis
-from truepath.app.results.analysis import analyse
-from truepath.app.results.points_csv import predict_points
-from truepath.app.results.prediction import predict
+from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration.points_csv import predict_points
+from truepath.errors import AlignmentError, BundleError
+from truepath.files.earlier.result_file import read_result
+from truepath.results.analysis import analyse
+from truepath.results.prediction import predict
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from truepath.app.reporting.calibration_report import (
+from truepath.answers.calibration.calibration_report import (
     render_calibration_report,
     render_section,
 )
-from truepath.app.results.findings import group_residuals, state_findings, state_noise
-from truepath.app.results.number_format import format_expanded, format_number
+from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.results.findings import group_residuals, state_findings, state_noise
 
 VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
 

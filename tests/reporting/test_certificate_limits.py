@@ -4,15 +4,15 @@ import inspect
 import re
 
 import pytest
-
 from tests.sentences_of_the_service import ENGLISH, list_unobservable
-from truepath.app.estimation import observability
-from truepath.app.estimation.observability import PoorlyObservableShape
-from truepath.app.reporting.certificate.language import load_language
-from truepath.app.reporting.certificate.limits import (
+
+from truepath.answers.certificate.language import load_language
+from truepath.answers.certificate.limits import (
     say_poorly_observable,
     say_unobservable,
 )
+from truepath.estimation.problem import observability
+from truepath.estimation.problem.observability import PoorlyObservableShape
 
 GERMAN, BRITISH = load_language("de"), load_language("en")
 MERGED = (

@@ -9,17 +9,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
-from truepath.app.reporting.certificate.closing_sections import (
+from truepath.answers.certificate.closing_sections import (
     describe_driven,
     describe_verification,
     say_decision,
     word_findings,
 )
-from truepath.app.reporting.certificate.issue import Certificate, Source
-from truepath.app.reporting.certificate.language import load_language
-from truepath.app.reporting.polar_figure import ENGLISH, draw_polar_circles
-from truepath.app.results.circle_figures import SECTORS, list_sector_angles
+from truepath.answers.certificate.issue import Certificate, Source
+from truepath.answers.certificate.language import load_language
+from truepath.answers.verification.circles.circle_figures import (
+    SECTORS,
+    list_sector_angles,
+)
+from truepath.answers.verification.circles.polar_figure import (
+    ENGLISH,
+    draw_polar_circles,
+)
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 MEASURED = {
     "conformity": "outside",

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath.app.reporting.chart import Frame, Scale, round_down, round_up
-from truepath.app.reporting.svg import Colour, draw_curve, write_label
+from truepath.answers.shown.chart import Frame, Scale, round_down, round_up
+from truepath.answers.shown.svg import Colour, draw_curve, write_label
 
 FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 

@@ -5,13 +5,13 @@ import re
 
 import pytest
 
-from truepath.app.reporting.discovery_report import (
+from truepath.answers.discovery.discovery import ASK, discover_runs
+from truepath.answers.discovery.discovery_report import (
     render_discovery_report,
     write_discovery,
 )
-from truepath.app.results.discovery import ASK, discover_runs
-from truepath.simulators.hidden.setup import SetupStep
-from truepath.simulators.synthetic import Setting
+from truepath_simulators.hidden.setup import SetupStep
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")

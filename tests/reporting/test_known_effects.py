@@ -10,33 +10,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.alignment.surroundings import add_surroundings
-from truepath.app.discovery.discover import discover
-from truepath.app.errors import BundleError
-from truepath.app.estimation.monte_carlo import draw_outputs, prepare_trials
-from truepath.app.estimation.prior_model import PriorModel
-from truepath.app.files.result_file import CalibrationResult, result_from_json
-from truepath.app.kinematics.effects.backlash import BacklashFamily
-from truepath.app.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from truepath.app.kinematics.model import MachineModel, restore_effect
-from truepath.app.numerics.adaptive_trials import TrialPlan
-from truepath.app.reporting.analysis_files import render_analysis
-from truepath.app.results.analysis import analyse
-from truepath.app.results.model_file import build_next_model
-from truepath.app.results.prediction import predict
-from truepath.app.results.result_json import result_json
-from truepath.simulators import paths, synthetic
-from truepath.simulators.hidden.dynamics import ServoMismatch
-from truepath.simulators.hidden.guides import ElasticSag
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.hidden.setup import TableDrift
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting
+
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.answers.calibration.analysis_files import render_analysis
+from truepath.answers.discovery.model_file import build_next_model
+from truepath.discovery.discover import discover
+from truepath.errors import BundleError
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.solve.monte_carlo import draw_outputs, prepare_trials
+from truepath.files.earlier.result_file import CalibrationResult, result_from_json
+from truepath.kinematics.effects.backlash import BacklashFamily
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.numerics.adaptive_trials import TrialPlan
+from truepath.results.analysis import analyse
+from truepath.results.prediction import predict
+from truepath.results.result_json import result_json
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.setup import TableDrift
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 FEED, TRAVEL_MM = 6000.0, 220.0
 SAG = ElasticSag("X", "Y", "Z", 30.0)

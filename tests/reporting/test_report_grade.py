@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.result_file import result_from_json
-from truepath.app.planning.default_path import default_path
-from truepath.app.planning.grade import grade
-from truepath.app.reporting.calibration_report import render_calibration_report
-from truepath.app.results.error_table_files import error_tables_csv
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.findings import state_findings
-from truepath.app.results.grade_json import grade_json, in_words
-from truepath.app.results.prediction import predict
-from truepath.app.results.result_json import result_json
+from truepath.answers.calibration.calibration_report import render_calibration_report
+from truepath.files.earlier.result_file import result_from_json
+from truepath.planning.grade import grade
+from truepath.planning.lines.default_path import default_path
+from truepath.results.error_table_files import error_tables_csv
+from truepath.results.error_tables import build_error_tables
+from truepath.results.findings import state_findings
+from truepath.results.grade_json import grade_json, in_words
+from truepath.results.prediction import predict
+from truepath.results.result_json import result_json
 
 STATION_MM = np.array([900.0, 100.0, -200.0])
 MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.reporting.calibration_report import render_calibration_report
+from truepath.answers.calibration.calibration_report import render_calibration_report
+from truepath.files.earlier.verdict import Reason, Verdict
 
 LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})

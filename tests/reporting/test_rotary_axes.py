@@ -7,16 +7,17 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.cli.summary import summarise_result
-from truepath.app.files.bundle import read_bundle
-from truepath.app.files.result_file import read_result
-from truepath.app.reporting.analysis_files import render_analysis, write_analysis
-from truepath.app.results.analysis import analyse
-from truepath.app.results.points_csv import predict_points
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration.points_csv import predict_points
+from truepath.cli.summary import summarise_result
+from truepath.files.bundle.bundle import read_bundle
+from truepath.files.earlier.result_file import read_result
+from truepath.results.analysis import analyse
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 pytestmark = pytest.mark.timeout(300)
 

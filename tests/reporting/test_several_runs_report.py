@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import AlignmentError, BundleError
-from truepath.app.files.result_file import result_from_json
-from truepath.app.files.run import number_names
-from truepath.app.kinematics.machine import Target
-from truepath.app.reporting.analysis_files import render_analysis
-from truepath.app.results.analysis import analyse
-from truepath.app.results.result_json import result_json
+from truepath.answers.calibration.analysis_files import render_analysis
+from truepath.errors import AlignmentError, BundleError
+from truepath.files.bundle.run import number_names
+from truepath.files.earlier.result_file import result_from_json
+from truepath.kinematics.machine.machine import Target
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
 
 
 @pytest.fixture(scope="module")

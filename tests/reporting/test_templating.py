@@ -3,7 +3,7 @@
 import pytest
 from jinja2 import DictLoader
 
-from truepath.app.reporting import templating
+from truepath.answers.shown import templating
 
 
 @pytest.fixture

@@ -9,16 +9,21 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from truepath.app.estimation.batch import Estimate, Observability
-from truepath.app.estimation.extrapolation import full_travel
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.estimation.run_estimate import Residuals, RunEstimate
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.files.run import RunSummary
-from truepath.app.kinematics.identifiable import build_identifiable_model
-from truepath.app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from truepath.app.numerics.rigid import RigidTransform
-from truepath.app.results.findings import Findings, Provenance, state_findings
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.solve.batch import Estimate, Observability
+from truepath.estimation.solve.extrapolation import full_travel
+from truepath.estimation.solve.run_estimate import Residuals, RunEstimate
+from truepath.files.bundle.run import RunSummary
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    Target,
+    TrackerNoise,
+)
+from truepath.numerics.rigid import RigidTransform
+from truepath.results.findings import Findings, Provenance, state_findings
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel

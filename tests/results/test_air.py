@@ -5,28 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.refraction import (
+from truepath.answers.verification.places.conformity import (
+    Conformity,
+    decide_conformity,
+)
+from truepath.files.bundle.run import Run, RunEvent, summarize_run
+from truepath.files.environment.refraction import (
     Refraction,
     correct_refraction,
     state_length_ppm,
     state_scale_ppm,
 )
-from truepath.app.files.run import Run, RunEvent, summarize_run
-from truepath.app.results.conformity import Conformity, decide_conformity
-from truepath.app.results.environment_json import (
+from truepath.results.environment_json import (
     describe_refraction,
     describe_scale,
     environment_json,
 )
-from truepath.app.results.findings import state_findings
-from truepath.app.results.verdict import judge_air
-from truepath.drivers.interfaces.records import (
+from truepath.results.findings import state_findings
+from truepath.results.verdict import judge_air
+from truepath_drivers.interfaces.records import (
     AirSamples,
     Path,
     TemperatureSamples,
     TrackerSamples,
 )
-from truepath.drivers.interfaces.tracker_records import Light
+from truepath_drivers.interfaces.tracker_records import Light
 
 
 @pytest.fixture

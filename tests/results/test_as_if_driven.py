@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.results.as_if_driven import judge_program
-from truepath.app.results.volumetric_error import VolumetricError, make_grid
+from truepath.kinematics.conditions import make_standstill
+from truepath.results.as_if_driven import judge_program
+from truepath.results.volumetric_error import VolumetricError, make_grid
 
 VALIDATION = Path(__file__).parents[2] / "validation"
 

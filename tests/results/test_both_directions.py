@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.compensation.error_map import map_errors
-from truepath.app.compensation.remaining_error import find_remaining
-from truepath.app.compensation.unmeasured import find_measured_ranges
-from truepath.app.kinematics.effects.backlash import make_half_width
-from truepath.app.results.error_tables import compute_half_differences
-from truepath.app.results.volumetric_error import (
+from truepath.compensation.account.remaining_error import find_remaining
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.kinematics.effects.backlash import make_half_width
+from truepath.results.error_tables import compute_half_differences
+from truepath.results.volumetric_error import (
     compute_both_directions,
     compute_volumetric_error,
 )

@@ -5,19 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.alignment.observations import ArcDrive
-from truepath.app.api.models.verification import VerificationOut
-from truepath.app.estimation.noise import NoiseModel
-from truepath.app.files.result_file import result_from_json
-from truepath.app.files.run import Run
-from truepath.app.motion.circle_path import make_circle_path
-from truepath.app.motion.configurations import append_part
-from truepath.app.motion.driven_again import drive_arcs_again
-from truepath.app.numerics.rigid import RigidTransform
-from truepath.app.reporting.verification_report import write_verification
-from truepath.app.results.analysis import analyse
-from truepath.app.results.circle_figures import (
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import ArcDrive
+from truepath.answers.verification.circles.circle_figures import (
     FIGURES,
     SECTORS,
     CommandedCircle,
@@ -28,18 +18,28 @@ from truepath.app.results.circle_figures import (
     state_figures,
     take_centre_off,
 )
-from truepath.app.results.circles_in_motion import read_commanded
-from truepath.app.results.measured_places import correlate_means
-from truepath.app.results.result_json import result_json
-from truepath.app.results.verification import verify
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.simulators import synthetic
-from truepath.simulators.arc import Arc
-from truepath.simulators.hidden.dynamics import ServoMismatch
-from truepath.simulators.hidden.guides import Squareness
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.program import Program
-from truepath.simulators.scenario import load_machine
+from truepath.answers.verification.circles.circles_in_motion import read_commanded
+from truepath.answers.verification.places.measured_places import correlate_means
+from truepath.answers.verification.verification import verify
+from truepath.answers.verification.verification_report import write_verification
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.files.bundle.run import Run
+from truepath.files.earlier.result_file import result_from_json
+from truepath.motion.configurations import append_part
+from truepath.motion.paths.circle_path import make_circle_path
+from truepath.motion.paths.driven_again import drive_arcs_again
+from truepath.numerics.rigid import RigidTransform
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath.service.api.models.results.verification import VerificationOut
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.guides import Squareness
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
 HIDDEN = (

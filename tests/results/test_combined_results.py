@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.results.combined_results import combine_results
+from truepath.answers.temperature.combined_results import combine_results
+from truepath.files.earlier.result_file import CalibrationResult
 
 KINDS = {  # tables, their uncertainties, and the name of one of them
     "half_difference_um": ("half_difference_u_um", "X"),

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.results.analysis import analyse
-from truepath.app.results.result_json import result_json
-from truepath.simulators.hidden.setup import TableDrift
-from truepath.simulators.synthetic import Setting
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.hidden.setup import TableDrift
+from truepath_simulators.worlds.synthetic import Setting
 
 
 def shifted(run, first, last, shift_mm):

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.results.drawn_vectors import DrawnVectors
-from truepath.app.results.driven_figures import evaluate_driven
+from truepath.answers.shown.drawn_vectors import DrawnVectors
+from truepath.answers.verification.driven_figures import evaluate_driven
+from truepath.kinematics.conditions import make_standstill
 
 TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
 BEYOND = 10.0, 400.0

@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app import plugins
-from truepath.app.estimation.prior_model import PriorModel
-from truepath.app.files.result_file import result_from_json
-from truepath.app.kinematics.effects.conformance import CHECKS, example_conditions
-from truepath.app.planning.plan_making import make_plan
-from truepath.app.planning.plan_order import PlanOrder
-from truepath.app.reporting.analysis_files import render_analysis
-from truepath.app.reporting.discovery_report import render_discovery_report
-from truepath.app.reporting.plan_report import render_plan_report
-from truepath.app.results.analysis import analyse
-from truepath.app.results.discovery import ASK, discover_runs
-from truepath.app.results.plan_document import plan_document
-from truepath.app.web.pages import catalogue
-from truepath.simulators.hidden.guides import ElasticSag
-from truepath.simulators.synthetic import Setting
+from truepath import plugins
+from truepath.answers.calibration.analysis_files import render_analysis
+from truepath.answers.discovery.discovery import ASK, discover_runs
+from truepath.answers.discovery.discovery_report import render_discovery_report
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.earlier.result_file import result_from_json
+from truepath.kinematics.effects.conformance import CHECKS, example_conditions
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath.results.analysis import analyse
+from truepath.service.page.pages import catalogue
+from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.worlds.synthetic import Setting
 
 PAGE = Path(__file__).parents[2] / "docs" / "write-an-effect.md"
 KEYS = {"beam": "X", "load": "Y", "toward": "Z"}

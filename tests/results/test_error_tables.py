@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.effects.nuisance import TrackerPose
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.kinematics.symbols import is_straightness, is_turn
-from truepath.app.results.error_tables import build_error_tables, choose_table_positions
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.symbols import is_straightness, is_turn
+from truepath.results.error_tables import build_error_tables, choose_table_positions
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import io
 import numpy as np
 import pytest
 
-from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.results.error_table_files import error_tables_csv
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.results.error_table_files import error_tables_csv
 
 
 @pytest.fixture

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align, drop_measured_elsewhere
-from truepath.app.alignment.observations import Driving
-from truepath.app.errors import AlignmentError
-from truepath.app.files.verdict import Verdict
-from truepath.app.motion.configurations import select_rows
-from truepath.app.results.analysis import analyse
-from truepath.app.results.verdict import judge_driving
-from truepath.drivers.interfaces.records import Path
-from truepath.simulators.synthetic import Defects, Setting
+from truepath.alignment.align import align, drop_measured_elsewhere
+from truepath.alignment.observations.observations import Driving
+from truepath.errors import AlignmentError
+from truepath.files.earlier.verdict import Verdict
+from truepath.motion.configurations import select_rows
+from truepath.results.analysis import analyse
+from truepath.results.verdict import judge_driving
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.worlds.synthetic import Defects, Setting
 
 
 def said_of(run) -> Verdict:

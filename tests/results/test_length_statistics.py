@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.app.results.length_statistics import NAMES, state_measured
+from truepath.answers.verification.places.length_statistics import NAMES, state_measured
 
 PLACES, TRIALS, DRAWS = 120, 60, 300
 SIGMA_MM = 1e-3

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.results.verdict import judge_gain
-from truepath.app.results.volumetric_error import (
+from truepath.results.verdict import judge_gain
+from truepath.results.volumetric_error import (
     VolumetricError,
     compute_volumetric_error,
 )

@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import BadInput
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.kinematics.machine import Target
-from truepath.app.results.machine_change import CHANCE, find_changes, list_significant
+from truepath.answers.history.machine_change import (
+    CHANCE,
+    find_changes,
+    list_significant,
+)
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.machine.machine import Target
 
 SYMBOL = "EYX"
 

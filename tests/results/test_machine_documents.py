@@ -6,15 +6,15 @@ import json
 
 import pytest
 
-from truepath.app.errors import BadInput
-from truepath.app.results.machine_documents import (
+from truepath.answers.history.machine_documents import (
     Calibration,
     comparison_json,
     history_json,
     judge_tolerance,
 )
-from truepath.app.results.machine_history import Entry, list_differing
-from truepath.app.results.result_json import result_json
+from truepath.answers.history.machine_history import Entry, list_differing
+from truepath.errors import BadInput
+from truepath.results.result_json import result_json
 
 
 @pytest.fixture(scope="module")

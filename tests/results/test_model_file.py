@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.discovery.discover import discover
-from truepath.app.errors import BundleError
-from truepath.app.estimation.prior_model import PriorModel
-from truepath.app.files.result_file import CalibrationResult, result_from_json
-from truepath.app.kinematics.model import CatalogueEffect
-from truepath.app.results.model_file import build_next_model, build_reference
-from truepath.app.results.prediction import predict
-from truepath.simulators.hidden.guides import ElasticSag
-from truepath.simulators.synthetic import Setting
+from truepath.answers.discovery.model_file import build_next_model, build_reference
+from truepath.discovery.discover import discover
+from truepath.errors import BundleError
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.earlier.result_file import CalibrationResult, result_from_json
+from truepath.kinematics.model import CatalogueEffect
+from truepath.results.prediction import predict
+from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.worlds.synthetic import Setting
 
 SAG = ElasticSag("X", "Y", "Z", 14.0)
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.app.estimation.drift_course import Course
-from truepath.app.results.outlook import LookAhead
-from truepath.app.results.trend import describe_outlook
+from truepath.answers.trend.outlook import LookAhead
+from truepath.answers.trend.trend import describe_outlook
+from truepath.estimation.over_time.drift_course import Course
 
 HOUR_S = 3600.0
 

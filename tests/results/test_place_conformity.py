@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from truepath.app.results.place_conformity import compute_joint_factor, decide_places
+from truepath.answers.verification.places.place_conformity import (
+    compute_joint_factor,
+    decide_places,
+)
 
 MANY = 1e6  # degrees of freedom: as good as known
 

@@ -6,9 +6,9 @@ import io
 import numpy as np
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.results.points_csv import encode_predictions, read_points
-from truepath.app.results.prediction import Prediction, predict
+from truepath.answers.calibration.points_csv import encode_predictions, read_points
+from truepath.errors import BundleError
+from truepath.results.prediction import Prediction, predict
 
 HEADER = "x_mm,y_mm,z_mm"
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.positioning_figures import (
+from truepath.answers.verification.places.positioning_figures import (
     HalfDifference,
     compute_positioning_figures,
 )
+from truepath.results.error_tables import build_error_tables
 
 
 def test_the_figures_are_ranges_of_the_tables(estimate, rng):

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.kinematics.effects.error_motion import ErrorMotion
-from truepath.app.kinematics.model import MachineModel
-from truepath.app.kinematics.volumetric_map import build_volumetric_map
-from truepath.app.results import prediction
-from truepath.app.results.prediction import predict
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results import prediction
+from truepath.results.prediction import predict
 
 
 @pytest.fixture

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import BundleError
-from truepath.app.files.covariance_file import pack_symmetric
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.model_file import model_to_json
-from truepath.app.files.result_file import result_from_json
-from truepath.app.files.verdict import Reason, Verdict
-from truepath.app.kinematics.effects.base import Role
-from truepath.app.kinematics.effects.nuisance import TrackerPose
-from truepath.app.kinematics.estimated_model import EstimatedModel
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.findings import state_findings
-from truepath.app.results.prediction import predict
-from truepath.app.results.result_json import result_json
+from truepath.errors import BundleError
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.covariance_file import pack_symmetric
+from truepath.files.earlier.model_file import model_to_json
+from truepath.files.earlier.result_file import result_from_json
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.kinematics.effects.base import Role
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.results.error_tables import build_error_tables
+from truepath.results.findings import state_findings
+from truepath.results.prediction import predict
+from truepath.results.result_json import result_json
 
 # Of result/1, beside the schema.
 KEYS = (

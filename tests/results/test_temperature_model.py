@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.errors import BadInput
-from truepath.app.files.result_file import CalibrationResult
-from truepath.app.files.temperature_file import temperature_model_from_json
-from truepath.app.results.error_tables import choose_table_positions
-from truepath.app.results.temperature_json import temperature_json
-from truepath.app.results.temperature_model import (
+from truepath.answers.temperature.temperature_json import temperature_json
+from truepath.answers.temperature.temperature_model import (
     CHANCE,
     ResultAtTemperature,
     study_temperature,
 )
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.temperature_file import temperature_model_from_json
+from truepath.results.error_tables import choose_table_positions
 
 DEGC = (18.0, 25.0, 20.0, 22.0)
 SMALL = 1e-3  # of the constructed covariance: U of a coefficient is then what matters

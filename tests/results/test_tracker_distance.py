@@ -2,10 +2,10 @@
 
 import pytest
 
-from truepath.app.files.verdict import Verdict
-from truepath.app.results.analysis import analyse
-from truepath.simulators.hidden.tracker import TrackerRangeOffset
-from truepath.simulators.synthetic import Setting
+from truepath.files.earlier.verdict import Verdict
+from truepath.results.analysis import analyse
+from truepath_simulators.hidden.tracker import TrackerRangeOffset
+from truepath_simulators.worlds.synthetic import Setting
 
 
 def reasons_of(verdict: Verdict):

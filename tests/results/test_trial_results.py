@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.estimation.estimating import estimate
-from truepath.app.alignment.align import align
-from truepath.app.files.bundle import read_bundle
-from truepath.app.numerics.adaptive_trials import TrialPlan
-from truepath.app.reporting.analysis_files import render_analysis
-from truepath.app.reporting.measurement_sections import describe_trials
-from truepath.app.reporting.templating import render_part
-from truepath.app.results.analysis import analyse
-from truepath.app.results.error_tables import build_error_tables
-from truepath.app.results.trial_results import MAP, run_trials, trials_json
+
+from truepath.alignment.align import align
+from truepath.answers.calibration.analysis_files import render_analysis
+from truepath.answers.calibration.measurement_sections import describe_trials
+from truepath.answers.shown.templating import render_part
+from truepath.files.bundle.bundle import read_bundle
+from truepath.numerics.adaptive_trials import TrialPlan
+from truepath.results.analysis import analyse
+from truepath.results.error_tables import build_error_tables
+from truepath.results.trial_results import MAP, run_trials, trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
 

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.results.analysis import analyse
-from truepath.simulators import synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.turning_paths import turning_points
+from truepath.results.analysis import analyse
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_points
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 _POINTS = 96
 KNOCK_MM = np.array([0.012, -0.008, 0.014])

@@ -6,26 +6,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from truepath.app.alignment.align import align
-from truepath.app.errors import BadInput
-from truepath.app.files.refraction import Refraction
-from truepath.app.files.result_file import result_from_json
-from truepath.app.kinematics.conditions import make_standstill
-from truepath.app.motion.configurations import select_rows
-from truepath.app.results.analysis import analyse
-from truepath.app.results.measured_places import correlate_means
-from truepath.app.results.predicted_motion import predict_displacement
-from truepath.app.results.result_json import result_json
-from truepath.app.results.verification import verify
-from truepath.app.results.verification_json import verification_json
-from truepath.app.results.verification_statements import state_findings
-from truepath.simulators import synthetic
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.paths import standstill_points
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.truth_machine import TruthMachine
+from truepath.alignment.align import align
+from truepath.answers.verification.places.measured_places import correlate_means
+from truepath.answers.verification.places.predicted_motion import predict_displacement
+from truepath.answers.verification.verification import verify
+from truepath.answers.verification.verification_json import verification_json
+from truepath.answers.verification.verification_statements import state_findings
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import result_from_json
+from truepath.files.environment.refraction import Refraction
+from truepath.kinematics.conditions import make_standstill
+from truepath.motion.configurations import select_rows
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.paths import standstill_points
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 MACHINE = 1
 POINTS = 30

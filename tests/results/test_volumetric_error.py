@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.app.results.prediction import predict
-from truepath.app.results.volumetric_error import compute_volumetric_error
+from truepath.results.prediction import predict
+from truepath.results.volumetric_error import compute_volumetric_error
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.simulators.machine_file import MachineFile, parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.machine_file import MachineFile, parse_machine
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture

@@ -19,25 +19,25 @@ import numpy as np
 import psutil
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import (
+from truepath_drivers.interfaces.records import (
     MotionState,
     MotionStatus,
     TrackerSamples,
 )
-from truepath.drivers.interfaces.records import Path as MotionPath
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators import tracker_head
-from truepath.simulators.bench import Bench
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.screws import Backlash
-from truepath.simulators.machine_file import parse_machine
+from truepath_drivers.interfaces.records import Path as MotionPath
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.machine import tracker_head
+from truepath_simulators.machine_file import parse_machine
 
 LINE = MotionPath(
     ("X", "Y", "Z"),
@@ -49,9 +49,9 @@ LINE = MotionPath(
 CLIENT = """
 import sys, time
 import numpy as np
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.records import Path
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.records import Path
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
 
 motion = ModbusController(**eval(sys.argv[1]))
 motion.connect()
@@ -384,7 +384,7 @@ def test_closing_ends_both_processes_and_removes_the_links(tmp_path: Path) -> No
 
 ORPHANS = """
 import signal, time
-from truepath.simulators.bench import Bench
+from truepath_simulators.bench.bench import Bench
 # A shell that starts a program in the background lets it ignore SIGINT.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 bench = Bench().start()

@@ -3,17 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus import registers as regmap
-from truepath.drivers.cnc.modbus.path_words import path_crc, path_words
-from truepath.drivers.cnc.modbus.register_values import decode, decode_text, encode
-from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
-from truepath.drivers.interfaces.records import MotionState, Path
-from truepath.simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
-from truepath.simulators.cnc_registers import Clocks, CncRegisters
-from truepath.simulators.machine_file import MachineFile
-from truepath.simulators.modbus_wire import ILLEGAL_VALUE, ModbusError
-from truepath.simulators.profile import Limits
-from truepath.simulators.timeline import Timeline
+from truepath_drivers.cnc.modbus import registers as regmap
+from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
+from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
+from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
+from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
+from truepath_simulators.machine_file import MachineFile
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.timeline import Timeline
 
 LEAD_S = 0.02
 

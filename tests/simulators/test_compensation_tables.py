@@ -7,18 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from truepath.simulators.compensation.correction import measure_deviation_mm
-from truepath.simulators.compensation.loading import LoadedTables
-from truepath.simulators.compensation.rules import Rules
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.motion import Motion, MotionFollower
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import Program
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.timeline import standing
+from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.motion import Motion, MotionFollower
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.timeline import standing
 
 MACHINE = parse_machine(load_machine("demo"))
 

@@ -17,13 +17,13 @@ import numpy as np
 import psutil
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.records import MotionState
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators.command import main
-from truepath.simulators.control_socket import ControlSocket
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.rig import Rig, running_rig
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.command import main
+from truepath_simulators.bench.control_socket import ControlSocket
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.errors import SimulatorError
 
 PLACE = np.array([[60.0, 20.0, 10.0]])
 
@@ -197,7 +197,7 @@ def test_a_rig_ends_with_the_process_that_owns_it(tmp_path: Path) -> None:
 
 OWNER = """
 import json, time
-from truepath.simulators.rig import running_rig
+from truepath_simulators.bench.rig import running_rig
 with running_rig({}) as rig:
     print(json.dumps(rig.links["pids"]), flush=True)
     time.sleep(60)

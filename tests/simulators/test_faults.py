@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.faults import KINDS, Fault, Schedule, parse_fault
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.faults import KINDS, Fault, Schedule, parse_fault
 
 
 @pytest.mark.parametrize(

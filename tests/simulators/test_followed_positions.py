@@ -10,10 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators.bench import Bench
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.followed_positions import FollowedPositions, open_source
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.motion.followed_positions import FollowedPositions, open_source
 
 
 @pytest.fixture

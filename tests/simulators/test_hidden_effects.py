@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.simulators import paths, synthetic
-from truepath.simulators.bench import Bench
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.hidden.drawing import (
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.drawing import (
     CATALOGUED,
     EFFECTS,
     as_json,
@@ -21,21 +19,24 @@ from truepath.simulators.hidden.drawing import (
     from_json,
     parse_hidden,
 )
-from truepath.simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
-from truepath.simulators.hidden.effect import HiddenEffect, Occasion
-from truepath.simulators.hidden.guides import ElasticSag, Squareness
-from truepath.simulators.hidden.motion import Motion, continue_from
-from truepath.simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic
-from truepath.simulators.hidden.setup import SetupStep, TableDrift
-from truepath.simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
-from truepath.simulators.hidden.warming import SpindleGrowth, ThermalGrowth
-from truepath.simulators.machine_file import MachineFile, parse_machine
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import Program
-from truepath.simulators.recording import Recording
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.synthetic import Setting, record
-from truepath.simulators.tracker_head import TrackerClock
+from truepath_simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.guides import ElasticSag, Squareness
+from truepath_simulators.hidden.motion import Motion, continue_from
+from truepath_simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic
+from truepath_simulators.hidden.setup import SetupStep, TableDrift
+from truepath_simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
+from truepath_simulators.hidden.warming import SpindleGrowth, ThermalGrowth
+from truepath_simulators.machine.tracker_head import TrackerClock
+from truepath_simulators.machine_file import MachineFile, parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import Setting, record
 
 FEED_MM_S = 100.0
 CLOCK = TrackerClock(100.0, 0.0)

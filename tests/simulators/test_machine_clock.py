@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.simulators.machine_clock import AwakeClock
+from truepath_simulators.machine_clock import AwakeClock
 
 
 class HandClock:

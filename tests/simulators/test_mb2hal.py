@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, Result
-from truepath.simulators.bench import Bench
-from truepath.simulators.linuxcnc.rig import explain_absence
+from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, Result
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence() or ("" if shutil.which("mb2hal") else "mb2hal is absent")
 pytestmark = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")

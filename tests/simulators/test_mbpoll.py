@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from truepath.drivers.cnc.modbus.registers import BY_NAME, Command, Result
-from truepath.simulators.bench import Bench
+from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, Result
+from truepath_simulators.bench.bench import Bench
 
 Poll = Callable[..., str]
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath.simulators.modbus_wire import (
+from truepath_simulators.cnc.modbus_wire import (
     ModbusError,
     Registers,
     RtuFramer,

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.simulators import interruption
-from truepath.simulators.arc import Arc
-from truepath.simulators.driven_motion import along, follow
-from truepath.simulators.profile import Limits, brake, rest_to_rest
-from truepath.simulators.program import Program
-from truepath.simulators.timeline import Timeline, standing
+from truepath_simulators.motion import interruption
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.driven_motion import along, follow
+from truepath_simulators.motion.profile import Limits, brake, rest_to_rest
+from truepath_simulators.motion.program import Program
+from truepath_simulators.timeline import Timeline, standing
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from truepath.app.plugins import load
+from truepath.plugins import load
 
 
 @pytest.mark.truepath_bench(seed=7, tracker="tcp")

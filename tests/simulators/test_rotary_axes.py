@@ -9,24 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.message_codec import encode_message
-from truepath.drivers.tracker.streaming.messages import Start
-from truepath.simulators import synthetic, turning_paths
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.faults import Schedule, parse_fault
-from truepath.simulators.machine_file import MachineFile, Reflector, parse_machine
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import path_length
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.rotary_joint import RotaryJoint, local_frame
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.tracker_device import TrackerDevice
-from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
-from truepath.simulators.tracker_sight import TrackerParts
-from truepath.simulators.truth_machine import perfect
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.message_codec import encode_message
+from truepath_drivers.tracker.streaming.messages import Start
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.rotary_joint import RotaryJoint, local_frame
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import path_length
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.tracker.tracker_device import TrackerDevice
+from truepath_simulators.tracker.tracker_sight import TrackerParts
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 BUNDLED = ("head-table", "trunnion")
 

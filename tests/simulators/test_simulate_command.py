@@ -15,13 +15,13 @@ import numpy as np
 import psutil
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import DeviceError
-from truepath.drivers.interfaces.records import MotionState
-from truepath.drivers.tracker.geocom.driver import GeoComTracker
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.t2sa.driver import T2saTracker
-from truepath.simulators.command import main
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import DeviceError
+from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.tracker.geocom.driver import GeoComTracker
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.t2sa.driver import T2saTracker
+from truepath_simulators.bench.command import main
 
 Command = tuple["subprocess.Popen[str]", dict[str, Any]]
 
@@ -32,7 +32,13 @@ def simulate() -> Iterator[Callable[..., Command]]:
 
     def run(*options: str) -> Command:
         process = subprocess.Popen(
-            [sys.executable, "-m", "truepath.simulators.command", "--json", *options],
+            [
+                sys.executable,
+                "-m",
+                "truepath_simulators.bench.command",
+                "--json",
+                *options,
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

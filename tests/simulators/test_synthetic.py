@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.app.files.bundle import read_bundle
-from truepath.simulators import paths, synthetic
-from truepath.simulators.bundle_files import write_bundle_files
-from truepath.simulators.hidden.setup import SetupStep
-from truepath.simulators.machine_file import MachineFile
-from truepath.simulators.recording import Recording
-from truepath.simulators.synthetic import Defects, Setting, record
-from truepath.simulators.tracker_head import (
+from truepath.files.bundle.bundle import read_bundle
+from truepath_simulators.hidden.setup import SetupStep
+from truepath_simulators.machine.tracker_head import (
     Air,
     SampleNoise,
     measure_polar,
@@ -25,6 +20,12 @@ from truepath.simulators.tracker_head import (
     to_cartesian,
     to_spherical,
 )
+from truepath_simulators.machine_file import MachineFile
+from truepath_simulators.motion import paths
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import Defects, Setting, record
 
 Recorder = Callable[..., Recording]
 

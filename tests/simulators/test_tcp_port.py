@@ -8,7 +8,7 @@ from contextlib import closing
 
 import pytest
 
-from truepath.simulators.links import TcpPort
+from truepath_simulators.links.links import TcpPort
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.framing import encode_frame
-from truepath.drivers.tracker.streaming.measurements import StatusBit
-from truepath.drivers.tracker.streaming.message_codec import encode_message
-from truepath.drivers.tracker.streaming.messages import (
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.framing import encode_frame
+from truepath_drivers.tracker.streaming.measurements import StatusBit
+from truepath_drivers.tracker.streaming.message_codec import encode_message
+from truepath_drivers.tracker.streaming.messages import (
     VERSION,
     Ack,
     DeviceInfo,
@@ -28,16 +28,16 @@ from truepath.drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
 )
-from truepath.simulators.driven_motion import follow
-from truepath.simulators.faults import Schedule, parse_fault
-from truepath.simulators.machine_file import MachineFile
-from truepath.simulators.profile import Limits
-from truepath.simulators.program import Program
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.timeline import Timeline, standing
-from truepath.simulators.tracker_device import BUFFER_BYTES, TrackerDevice
-from truepath.simulators.tracker_head import Air, TrackerClock, random_pose
-from truepath.simulators.tracker_sight import TrackerParts
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
+from truepath_simulators.machine_file import MachineFile
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.timeline import Timeline, standing
+from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
+from truepath_simulators.tracker.tracker_sight import TrackerParts
 
 CLOCK = TrackerClock(100.0, 1e-5)
 

@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from truepath.drivers.interfaces.errors import BeamLost, NotHomed, Refused
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.drivers.interfaces.tracker_records import Air
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.simulators.bench import Bench
+from truepath_drivers.interfaces.errors import BeamLost, NotHomed, Refused
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.tracker_records import Air
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
 
 APART_MM = 150.0
 

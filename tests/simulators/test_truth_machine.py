@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truepath.simulators.errors import SimulatorError
-from truepath.simulators.joint import rotation_matrices
-from truepath.simulators.linear_joint import LinearJoint
-from truepath.simulators.machine_file import MachineFile, Reflector, parse_machine
-from truepath.simulators.random_machine import random_machine
-from truepath.simulators.scenario import list_machines, load_machine
-from truepath.simulators.truth_machine import TruthMachine, perfect
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.machine.joint import rotation_matrices
+from truepath_simulators.machine.linear_joint import LinearJoint
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath_simulators.scenario import list_machines, load_machine
 
 CHAINS = [
     "-".join(["w", *order[:k], "b", *order[k:], "t"])

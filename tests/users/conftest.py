@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.app.jobs.database import Database
-from truepath.app.users.accounts import Accounts
-from truepath.app.users.audit import AuditLog
-from truepath.app.users.boot_clock import Moment
-from truepath.app.users.roles import Role
-from truepath.app.users.tokens import Tokens
+from truepath.catalogue.store.database import Database
+from truepath.users.accounts import Accounts
+from truepath.users.audit import AuditLog
+from truepath.users.boot_clock import Moment
+from truepath.users.roles import Role
+from truepath.users.tokens import Tokens
 
 PASSWORD = "a long sentence is easy"
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.app.users.access import FREE_TRIES, Access, AccessRules
-from truepath.app.users.back_off import (
+from truepath.users.access import FREE_TRIES, Access, AccessRules
+from truepath.users.back_off import (
     FORGET_S,
     LONGEST_WAIT_S,
     BackOff,
     RateLimit,
 )
-from truepath.app.users.errors import TooManyRequests, TooManyTries, WrongPassword
-from truepath.app.users.roles import LOCAL, Actor, Role
+from truepath.users.errors import TooManyRequests, TooManyTries, WrongPassword
+from truepath.users.roles import LOCAL, Actor, Role
 
 PASSWORD = "a long sentence is easy"
 
@@ -49,7 +49,7 @@ def test_a_refused_log_in_does_not_say_what_was_wrong(access, name):
 
 
 def test_after_some_failures_even_the_right_password_waits(access, monkeypatch):
-    monkeypatch.setattr("truepath.app.users.access.is_password", lambda *_: False)
+    monkeypatch.setattr("truepath.users.access.is_password", lambda *_: False)
     for _ in range(FREE_TRIES):
         with pytest.raises(WrongPassword):
             access.log_in("anna", "wrong", "192.0.2.17")

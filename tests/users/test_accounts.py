@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import text
 
-from truepath.app.errors import BadInput, NotFound
-from truepath.app.users.errors import UserConflict
-from truepath.app.users.passwords import is_password
-from truepath.app.users.roles import Role, includes
+from truepath.errors import BadInput, NotFound
+from truepath.users.errors import UserConflict
+from truepath.users.passwords import is_password
+from truepath.users.roles import Role, includes
 
 PASSWORD = "a long sentence is easy"
 

@@ -10,9 +10,9 @@ from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 from structlog.testing import capture_logs
 
-from truepath.app.users import audit_writer
-from truepath.app.users.audit import Entry
-from truepath.app.users.audit_writer import AuditWriter
+from truepath.users import audit_writer
+from truepath.users.audit import Entry
+from truepath.users.audit_writer import AuditWriter
 
 ENTRY = Entry(
     "anna",

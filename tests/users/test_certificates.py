@@ -12,9 +12,9 @@ import httpx2
 import pytest
 import uvicorn
 
-from truepath.app.api.security import Guard
-from truepath.app.errors import BadInput
-from truepath.app.users.certificates import (
+from truepath.errors import BadInput
+from truepath.service.api.security.security import Guard
+from truepath.users.certificates import (
     TlsFiles,
     check_tls_files,
     create_certificate,

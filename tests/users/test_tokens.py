@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import text
 
-from truepath.app.errors import BadInput, NotFound
-from truepath.app.users.boot_clock import read_moment
-from truepath.app.users.errors import UserConflict
-from truepath.app.users.roles import Actor, Role
+from truepath.errors import BadInput, NotFound
+from truepath.users.boot_clock import read_moment
+from truepath.users.errors import UserConflict
+from truepath.users.roles import Actor, Role
 
 PASSWORD = "a long sentence is easy"
 

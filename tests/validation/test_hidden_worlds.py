@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truepath.app.errors import Unidentifiable
+from truepath.errors import Unidentifiable
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = str(ROOT / "validation")

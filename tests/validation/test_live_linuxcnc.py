@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from truepath.app.motion.verification_kinds import VerificationKind
-from truepath.app.motion.verification_points import make_verification_points
-from truepath.simulators.linuxcnc.rig import explain_absence
+from truepath.motion.paths.verification_kinds import VerificationKind
+from truepath.motion.paths.verification_points import make_verification_points
+from truepath_simulators.linuxcnc.rig import explain_absence
 
 RANDOM_POINTS = VerificationKind.RANDOM_POINTS
 

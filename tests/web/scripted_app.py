@@ -33,8 +33,8 @@ from scripted_data import (
 )
 from scripted_service import ScriptedService
 
-from truepath.app.api.security import Guard
-from truepath.app.web.pages import STATIC_PATH, router, static_files
+from truepath.service.api.security.security import Guard
+from truepath.service.page.pages import STATIC_PATH, router, static_files
 
 API = "/api/v1"
 OPEN = (f"{API}/stop", f"{API}/stop:check", f"{API}/session")

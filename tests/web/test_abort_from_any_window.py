@@ -28,8 +28,8 @@ from playwright.sync_api import Error, expect
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import arm, create, process, wait_for
 
-from truepath.simulators.rig import running_rig
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.scenario import load_machine
 
 pytestmark = [
     pytest.mark.ui,

@@ -16,8 +16,8 @@ from playwright.sync_api import Page, expect
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import arm, create, process, wait_for
 
-from truepath.simulators.rig import Rig, running_rig
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.scenario import load_machine
 
 pytestmark = [
     pytest.mark.long,

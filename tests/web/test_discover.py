@@ -9,9 +9,9 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
-from truepath.app.kinematics.effects.catalogue import list_families
-from truepath.app.web.pages import catalogue
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.service.page.pages import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")
 NEXT = "#next button"

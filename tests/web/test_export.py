@@ -10,7 +10,7 @@ from playwright.sync_api import Locator, Page, expect
 from scripted_data import rotary_account, volumetric_error
 from scripted_service import ScriptedService
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 FILES = "/api/v1/jobs/job-1/compensations/{}/archive"
 

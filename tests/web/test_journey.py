@@ -11,7 +11,7 @@ import scripted_data
 from playwright.sync_api import Locator, Page, Route, expect
 from scripted_data import MACHINE, machine_entry, machine_history, verification
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 NEXT = "#next button"
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9

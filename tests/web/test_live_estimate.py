@@ -10,8 +10,8 @@ from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 from scripted_data import TURNTABLE, estimate, turntable_estimate
 
-from truepath.app.files.verdict import Reason, Verdict, verdict_json
-from truepath.app.web.pages import catalogue
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+from truepath.service.page.pages import catalogue
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 

@@ -16,8 +16,8 @@ sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import ROWS, arm, create, follow, process, wait_for
 
 from truepath.client import Client
-from truepath.simulators.rig import running_rig
-from truepath.simulators.scenario import load_machine
+from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.scenario import load_machine
 
 pytestmark = [
     pytest.mark.long,

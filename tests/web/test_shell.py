@@ -13,13 +13,13 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from truepath.app.api.problems import BY_STATUS, PROBLEM_KINDS
-from truepath.app.api.security import Guard
-from truepath.app.compensation.installed import list_formats
-from truepath.app.jobs import condition_board
-from truepath.app.jobs.conditions import ConditionType
-from truepath.app.kinematics.effects.catalogue import list_families
-from truepath.app.web.pages import (
+from truepath.compensation.installed import list_formats
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.machines.conditions import condition_board
+from truepath.machines.conditions.conditions import ConditionType
+from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
+from truepath.service.api.security.security import Guard
+from truepath.service.page.pages import (
     LANGUAGE_COOKIE,
     LANGUAGES,
     STATIC_PATH,
@@ -29,12 +29,12 @@ from truepath.app.web.pages import (
     router,
     static_files,
 )
-from truepath.drivers.interfaces.records import UNABLE
+from truepath_drivers.interfaces.records import UNABLE
 
 ROOT = Path(__file__).parents[2]
-STATIC = ROOT / "app" / "web" / "static"
-TEMPLATE = ROOT / "app" / "web" / "templates" / "index.html"
-FAULTS = ROOT / "app" / "measurement" / "faults.py"
+STATIC = ROOT / "app" / "truepath" / "service" / "page" / "static"
+TEMPLATE = STATIC.parent / "templates" / "index.html"
+FAULTS = ROOT / "app" / "truepath" / "measurement" / "faults.py"
 OURS = [
     path
     for path in sorted(STATIC.rglob("*"))

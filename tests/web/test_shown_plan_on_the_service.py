@@ -13,12 +13,12 @@ sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 from service_process import follow, process, wait_for
 from test_calibration_on_the_service import DESK, Operator, Panels
 
-from truepath.app.files.commanded_file import decode_commanded_json
-from truepath.app.motion.configurations import select_rows
-from truepath.drivers.cnc.modbus.path_words import path_crc, path_words
-from truepath.drivers.transport.modbus_link import ModbusLink, TcpAddress
-from truepath.simulators.rig import Rig, running_rig
-from truepath.simulators.scenario import load_machine
+from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.motion.configurations import select_rows
+from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.transport.modbus_link import ModbusLink, TcpAddress
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.scenario import load_machine
 
 pytestmark = [pytest.mark.long, pytest.mark.ui, pytest.mark.timeout(300)]
 

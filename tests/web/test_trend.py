@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import TRACKER_NOISE, result
 
-from truepath.app.api.models.trend import TrendOut
+from truepath.service.api.models.results.trend import TrendOut
 
 NEXT = "#next button"
 HOURS = (0.0, 0.5, 2.0)

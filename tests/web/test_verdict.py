@@ -8,10 +8,16 @@ from string import Formatter
 import pytest
 from playwright.sync_api import expect
 
-from truepath.app.files.refraction import CAUSES, Refraction
-from truepath.app.files.verdict import SENTENCES, TITLES, Reason, Verdict, verdict_json
-from truepath.app.results.verdict import judge_air
-from truepath.app.web.pages import LANGUAGES, catalogue
+from truepath.files.earlier.verdict import (
+    SENTENCES,
+    TITLES,
+    Reason,
+    Verdict,
+    verdict_json,
+)
+from truepath.files.environment.refraction import CAUSES, Refraction
+from truepath.results.verdict import judge_air
+from truepath.service.page.pages import LANGUAGES, catalogue
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 

@@ -15,23 +15,22 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-
 from tests.sentences_of_the_service import ENGLISH, list_unobservable
-from truepath.app.api.models.job_request import ADAPTIVE_MINUTES
-from truepath.app.compensation.installed import list_formats
-from truepath.app.errors import IllegalTransition
-from truepath.app.estimation import change_search, notices
-from truepath.app.estimation.budget import SOURCES
-from truepath.app.files.refraction import CAUSES, Refraction
-from truepath.app.files.verdict import Verdict
-from truepath.app.jobs.cell_supervisor import MOVING
-from truepath.app.jobs.job import JobKind
-from truepath.app.jobs.live_notice import OnNotice
-from truepath.app.jobs.transitions import State, Verb, apply_verb
-from truepath.app.kinematics import effects
-from truepath.app.measurement import faults as fault_words
-from truepath.app.measurement.channel_judge import ChannelJudge
-from truepath.app.measurement.faults import (
+
+from truepath.answers.temperature import temperature_model
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.transitions import State, Verb, apply_verb
+from truepath.compensation.installed import list_formats
+from truepath.errors import IllegalTransition
+from truepath.estimation.checks import change_search, notices
+from truepath.estimation.solve.budget import SOURCES
+from truepath.files.earlier.verdict import Verdict
+from truepath.files.environment.refraction import CAUSES, Refraction
+from truepath.kinematics import effects
+from truepath.machines.cell_supervisor import MOVING
+from truepath.measurement import faults as fault_words
+from truepath.measurement.faults import (
     Fault,
     make_ended_early_fault,
     make_override_fault,
@@ -40,12 +39,13 @@ from truepath.app.measurement.faults import (
     make_target_fault,
     make_unable_fault,
 )
-from truepath.app.measurement.messages import CellState
-from truepath.app.results import temperature_model
-from truepath.app.results.verdict import judge_air
-from truepath.app.web.pages import LANGUAGES, catalogue
-from truepath.drivers.interfaces.records import UNABLE, MotionState, MotionStatus
-from truepath.drivers.interfaces.thermometers import Channel, Reading
+from truepath.measurement.messages import CellState
+from truepath.measurement.monitors.channel_judge import ChannelJudge
+from truepath.results.verdict import judge_air
+from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES
+from truepath.service.page.pages import LANGUAGES, catalogue
+from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath_drivers.interfaces.thermometers import Channel, Reading
 
 UNITS = (
     "um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"

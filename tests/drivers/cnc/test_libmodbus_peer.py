@@ -17,16 +17,16 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.conformance import motion
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.conformance import motion
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     MotionFault,
     OutOfTravel,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import MotionState, Path
+from truepath_drivers.interfaces.records import MotionState, Path
 
 CHECKS = motion.MOTION_CHECKS
 SLOW = (motion.hold_and_resume_are_absolute,)

@@ -15,21 +15,21 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from truepath.app.motion.nc_programs.linuxcnc import LinuxCnc
-from truepath.drivers.cnc.linuxcnc.driver import LinuxCncController
-from truepath.drivers.cnc.linuxcnc.machine import parse_travel, read_ini
-from truepath.drivers.cnc.linuxcnc.program import write_program
-from truepath.drivers.conformance import motion
-from truepath.drivers.conformance.motion import MOTION_CHECKS
-from truepath.drivers.interfaces.errors import (
+from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
+from truepath_drivers.cnc.linuxcnc.program import write_program
+from truepath_drivers.conformance import motion
+from truepath_drivers.conformance.motion import MOTION_CHECKS
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     MotionFault,
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import Arc, MotionState, Path
-from truepath.simulators.linuxcnc.files import LinuxCncMachine
-from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
+from truepath_drivers.interfaces.records import Arc, MotionState, Path
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 ABSENT = explain_absence()
@@ -195,7 +195,7 @@ def test_held_is_told_only_when_it_stands(driver):
 @needs_linuxcnc
 def test_the_watchdog_holds_what_a_killed_host_has_begun(rig, driver):
     begin = (
-        "import sys, time; from truepath.drivers.cnc.linuxcnc.driver import *\n"
+        "import sys, time; from truepath_drivers.cnc.linuxcnc.driver import *\n"
         f"d = LinuxCncController(**{rig.motion_options!r}); d.connect()\n"
         "d.move_to((300, 10, -10), 1200); print('moves', flush=True)\n"
         "while True: d.send_heartbeat(); time.sleep(0.1)"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.conformance.motion import MOTION_CHECKS
-from truepath.drivers.interfaces.errors import MotionFault
-from truepath.drivers.interfaces.records import MotionState, Path
-from truepath.simulators.linuxcnc.files import LinuxCncMachine
-from truepath.simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from truepath.simulators.scenario import load_machine
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.conformance.motion import MOTION_CHECKS
+from truepath_drivers.interfaces.errors import MotionFault
+from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
+from truepath_simulators.scenario import load_machine
 
 ABSENT = explain_absence()
 pytestmark = [

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from truepath.drivers.cnc.linuxcnc.machine import parse_travel
-from truepath.drivers.cnc.linuxcnc.motion import MotionMemory
-from truepath.drivers.cnc.linuxcnc.program import Program
-from truepath.drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
-from truepath.drivers.interfaces.errors import ConnectionLost
-from truepath.drivers.interfaces.records import MotionState
+from truepath_drivers.cnc.linuxcnc.machine import parse_travel
+from truepath_drivers.cnc.linuxcnc.motion import MotionMemory
+from truepath_drivers.cnc.linuxcnc.program import Program
+from truepath_drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
+from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.interfaces.records import MotionState
 
 MACHINE = parse_travel("X 0 500, Y 0 400, Z -300 0")
 AT = "10.000000 5.000000 -2.000000 0.000000 0.000000 0.000000"

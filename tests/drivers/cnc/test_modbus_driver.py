@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
@@ -19,8 +19,8 @@ from truepath.drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import Arc, Identity, MotionState, Path
-from truepath.simulators.bench import Bench
+from truepath_drivers.interfaces.records import Arc, Identity, MotionState, Path
+from truepath_simulators.bench.bench import Bench
 
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 

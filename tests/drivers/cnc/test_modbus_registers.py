@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath.drivers.cnc.modbus import registers as r
-from truepath.drivers.cnc.modbus.controller_map import Controller, parse_status
-from truepath.drivers.cnc.modbus.path_words import path_crc, path_words
-from truepath.drivers.cnc.modbus.register_values import decode, decode_text, encode
-from truepath.drivers.interfaces.errors import WrongDevice
-from truepath.drivers.interfaces.records import Identity, MotionState, Path
+from truepath_drivers.cnc.modbus import registers as r
+from truepath_drivers.cnc.modbus.controller_map import Controller, parse_status
+from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.interfaces.errors import WrongDevice
+from truepath_drivers.interfaces.records import Identity, MotionState, Path
 
 BLOCKS = [
     r.IDENTITY,

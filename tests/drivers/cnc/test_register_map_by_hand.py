@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from truepath.drivers.cnc.modbus.driver import ModbusController
-from truepath.drivers.interfaces.records import MotionState
-from truepath.simulators.bench import Bench
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.records import MotionState
+from truepath_simulators.bench.bench import Bench
 
 PAGE = Path(__file__).parents[3] / "docs" / "modbus-register-map.md"
 COMMANDS = [

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from truepath.drivers.conformance.thermometers import THERMOMETER_CHECKS
-from truepath.drivers.interfaces.errors import Refused
-from truepath.drivers.thermometers.modbus_registers.driver import ModbusRegisters
+from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
 
 SOURCE = Path(__file__).with_name("sensor_server.c")
 PERIOD_S = 0.02

@@ -7,24 +7,24 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from truepath.drivers.conformance.checking import NotConforming, on_terms
-from truepath.drivers.conformance.device import (
+from truepath_drivers.conformance.checking import NotConforming, on_terms
+from truepath_drivers.conformance.device import (
     a_device_that_is_not_there_is_a_device_error,
 )
-from truepath.drivers.conformance.thermometers import THERMOMETER_CHECKS
-from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
-from truepath.drivers.interfaces.records import Identity
-from truepath.drivers.interfaces.thermometers import Channel, Reading, Thermometers
-from truepath.drivers.thermometers.modbus_registers.driver import (
+from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath_drivers.thermometers.modbus_registers.driver import (
     ModbusRegisters,
     Register,
 )
-from truepath.simulators.faults import Schedule, parse_fault
-from truepath.simulators.hidden.warming import ThermalGrowth
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.modbus_ports import ModbusRtuPort, ModbusTcpPort
-from truepath.simulators.scenario import load_machine
-from truepath.simulators.thermometer_gateway import UNITS, ThermometerGateway
+from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
+from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
 
 PERIOD_S = 0.05
 NAMES = [

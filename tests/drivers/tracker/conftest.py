@@ -14,16 +14,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from truepath.drivers.tracker.streaming.framing import FrameReader
-from truepath.drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
 )
-from truepath.drivers.tracker.streaming.message_codec import (
+from truepath_drivers.tracker.streaming.message_codec import (
     encode_message,
     parse_message,
 )
-from truepath.drivers.tracker.streaming.messages import (
+from truepath_drivers.tracker.streaming.messages import (
     Ack,
     DeviceInfo,
     Format,
@@ -38,7 +38,7 @@ from truepath.drivers.tracker.streaming.messages import (
     StreamInfo,
     Type,
 )
-from truepath.simulators.tracker_head import to_spherical
+from truepath_simulators.machine.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import truepath.drivers.tracker.bridge as kit
-from truepath.drivers.conformance.tracker import TRACKER_CHECKS
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.drivers.tracker.bridge import gst_bridge
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.streaming.framing import check_frame, encode_frame
+import truepath_drivers.tracker.bridge as kit
+from truepath_drivers.conformance.tracker import TRACKER_CHECKS
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.tracker.bridge import gst_bridge
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.streaming.framing import check_frame, encode_frame
 
 FOLDER = Path(kit.__file__).parent
 

@@ -13,27 +13,27 @@ import pytest
 from geocompy import Angle, GeoCom, open_serial, open_socket
 from geocompy.geo.gctypes import GeoComCode
 
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.interfaces.errors import (
     BeamLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.tracker_records import Air, TrackerEventKind
-from truepath.drivers.tracker.geocom import codec
-from truepath.drivers.tracker.geocom.codec import (
+from truepath_drivers.interfaces.tracker_records import Air, TrackerEventKind
+from truepath_drivers.tracker.geocom import codec
+from truepath_drivers.tracker.geocom.codec import (
     Procedure,
     encode_request,
     parse_reply,
     to_cartesian_mm,
 )
-from truepath.drivers.tracker.geocom.driver import (
+from truepath_drivers.tracker.geocom.driver import (
     GeoComTracker,
     find_humidity,
     find_wet_bulb,
 )
-from truepath.simulators.bench import Bench
+from truepath_simulators.bench.bench import Bench
 
 HURRIED = {"reply_timeout_s": 0.5, "shot_s": 0.5, "turn_s": 0.5}
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath.drivers.tracker.streaming.framing import (
+from truepath_drivers.tracker.streaming.framing import (
     MAX_BODY,
     MAX_FRAME,
     FrameReader,

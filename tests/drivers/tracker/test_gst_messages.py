@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.framing import FrameReader, encode_frame
-from truepath.drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
+from truepath_drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
     spherical_to_cartesian_mm,
 )
-from truepath.drivers.tracker.streaming.message_codec import (
+from truepath_drivers.tracker.streaming.message_codec import (
     encode_message,
     parse_message,
 )
-from truepath.drivers.tracker.streaming.messages import (
+from truepath_drivers.tracker.streaming.messages import (
     Ack,
     Aim,
     AirInUse,
@@ -44,7 +44,7 @@ from truepath.drivers.tracker.streaming.messages import (
     StreamInfo,
     Type,
 )
-from truepath.simulators.tracker_head import to_spherical
+from truepath_simulators.machine.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PAGE = Path(__file__).parents[3] / "docs" / "tracker-protocol.md"

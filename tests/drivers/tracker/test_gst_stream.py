@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.drivers.interfaces.records import TrackerSamples
-from truepath.drivers.interfaces.tracker_records import TrackerEventKind
-from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.driver import EventLog
-from truepath.drivers.tracker.streaming.measurements import (
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.tracker_records import TrackerEventKind
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.driver import EventLog
+from truepath_drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from truepath.drivers.tracker.streaming.message_codec import encode_message
-from truepath.drivers.tracker.streaming.messages import (
+from truepath_drivers.tracker.streaming.message_codec import encode_message
+from truepath_drivers.tracker.streaming.messages import (
     Ack,
     Event,
     EventCode,
@@ -25,7 +25,7 @@ from truepath.drivers.tracker.streaming.messages import (
     StreamInfo,
     Type,
 )
-from truepath.simulators.tracker_head import to_spherical
+from truepath_simulators.machine.tracker_head import to_spherical
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PERIOD_US = 2000

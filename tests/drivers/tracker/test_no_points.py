@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from truepath.drivers.tracker.geocom.codec import is_point, to_cartesian_mm
-from truepath.drivers.tracker.t2sa.codec import parse_place
+from truepath_drivers.tracker.geocom.codec import is_point, to_cartesian_mm
+from truepath_drivers.tracker.t2sa.codec import parse_place
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from truepath.drivers.tracker.streaming import driver, receiver
-from truepath.drivers.tracker.streaming.codec import StreamDecoder
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.streaming.messages import (
+from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath_drivers.tracker.streaming import driver, receiver
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.streaming.messages import (
     Ack,
     Event,
     EventCode,

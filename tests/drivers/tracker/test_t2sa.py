@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
     DeviceError,
@@ -17,10 +17,10 @@ from truepath.drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.tracker_records import TrackerEventKind
-from truepath.drivers.tracker.t2sa.codec import ErrorCode, parse_place, parse_reply
-from truepath.drivers.tracker.t2sa.driver import T2saTracker
-from truepath.simulators.bench import Bench
+from truepath_drivers.interfaces.tracker_records import TrackerEventKind
+from truepath_drivers.tracker.t2sa.codec import ErrorCode, parse_place, parse_reply
+from truepath_drivers.tracker.t2sa.driver import T2saTracker
+from truepath_simulators.bench.bench import Bench
 
 HURRIED = {"reply_timeout_s": 0.3, "shot_s": 0.3}
 POINT = "ACK-300 Single Point Measurement truepath_1 result {} 11/23/2026 02:00:00 True"

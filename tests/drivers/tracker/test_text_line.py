@@ -6,15 +6,15 @@ import time
 import numpy as np
 import pytest
 
-from truepath.drivers.conformance.tracker import TRACKER_CHECKS
-from truepath.drivers.interfaces.errors import ConnectionLost, Refused
-from truepath.drivers.interfaces.tracker_records import Clock
-from truepath.drivers.tracker.streaming.driver import StreamingTracker
-from truepath.drivers.tracker.text_line import driver
-from truepath.drivers.tracker.text_line.driver import TextLineTracker
-from truepath.drivers.transport.byte_port import BytePort
-from truepath.simulators.bench import Bench
-from truepath.simulators.text_relay import TextRelay
+from truepath_drivers.conformance.tracker import TRACKER_CHECKS
+from truepath_drivers.interfaces.errors import ConnectionLost, Refused
+from truepath_drivers.interfaces.tracker_records import Clock
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_drivers.tracker.text_line import driver
+from truepath_drivers.tracker.text_line.driver import TextLineTracker
+from truepath_drivers.transport.byte_port import BytePort
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.links.text_relay import TextRelay
 
 
 def write_line(samples, k):
@@ -147,7 +147,7 @@ UNREADABLE = {
 @pytest.mark.parametrize("case", UNREADABLE)
 def test_a_stream_that_cannot_be_read_is_refused_with_a_line_of_it(case, monkeypatch):
     line, options, cause = UNREADABLE[case]
-    monkeypatch.setattr("truepath.drivers.tracker.text_line.driver._FIRST_LINE_S", 0.0)
+    monkeypatch.setattr("truepath_drivers.tracker.text_line.driver._FIRST_LINE_S", 0.0)
     options = {"columns": "counter,x,y,z", **options}
     tracker = TextLineTracker(1, host="h", rate_hz=500.0, **options)
     data = (line + b"\n") * 9

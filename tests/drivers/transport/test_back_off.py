@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from truepath.drivers.cnc.modbus.commands import FIRST_S, LONGEST_S, BackOff
+from truepath_drivers.cnc.modbus.commands import FIRST_S, LONGEST_S, BackOff
 
 LOOK_S = 2e-3  # how finely it is looked when the next attempt is due
 

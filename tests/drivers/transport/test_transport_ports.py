@@ -9,9 +9,9 @@ import tty
 import pytest
 import serial
 
-from truepath.drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from truepath.drivers.transport.serial_port import SerialPort
-from truepath.drivers.transport.tcp_port import TcpPort
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.transport.serial_port import SerialPort
+from truepath_drivers.transport.tcp_port import TcpPort
 
 
 @pytest.fixture

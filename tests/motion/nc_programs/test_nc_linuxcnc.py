@@ -9,11 +9,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from truepath.app.motion.circle_path import make_circle_path
-from truepath.app.motion.default_points import default_points
-from truepath.app.motion.nc_programs.programs import write_program
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.cnc.linuxcnc.program import write_program as write_path
+from truepath.motion.nc_programs.programs import write_program
+from truepath.motion.paths.circle_path import make_circle_path
+from truepath.motion.paths.default_points import default_points
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.cnc.linuxcnc.program import write_program as write_path
 
 pytestmark = pytest.mark.skipif(
     shutil.which("rs274") is None,

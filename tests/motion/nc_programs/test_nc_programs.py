@@ -11,22 +11,22 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from truepath.app import plugins
-from truepath.app.errors import BadInput, OutOfTravel, PlanningError
-from truepath.app.motion.configurations import Configurations
-from truepath.app.motion.default_points import default_points
-from truepath.app.motion.nc_programs.fanuc import Fanuc
-from truepath.app.motion.nc_programs.linuxcnc import LinuxCnc
-from truepath.app.motion.nc_programs.programmed_motion import compute_checksum
-from truepath.app.motion.nc_programs.programs import (
+from truepath import plugins
+from truepath.errors import BadInput, OutOfTravel, PlanningError
+from truepath.motion.configurations import Configurations
+from truepath.motion.nc_programs.fanuc import Fanuc
+from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath.motion.nc_programs.programmed_motion import compute_checksum
+from truepath.motion.nc_programs.programs import (
     GROUP,
     list_dialects,
     name_file,
     read_program,
     write_program,
 )
-from truepath.app.planning.default_path import default_path
-from truepath.drivers.interfaces.records import Path
+from truepath.motion.paths.default_points import default_points
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import Path
 
 OURS = ("fanuc", "heidenhain", "linuxcnc", "siemens-840d")
 DECIMALS = {"fanuc": 3}

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from truepath.app.errors import PlanningError
-from truepath.app.motion.nc_programs.programs import read_program
+from truepath.errors import PlanningError
+from truepath.motion.nc_programs.programs import read_program
 
 SIEMENS = """\
 ; PROGRAM BY_HAND

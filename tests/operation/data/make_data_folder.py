@@ -18,28 +18,29 @@ from pathlib import Path
 
 import numpy as np
 
-from truepath.app.files.bundle import zip_bundle
-from truepath.app.files.machine_file import machine_from_json
-from truepath.app.files.run import Run
-from truepath.app.jobs.database import Database
-from truepath.app.jobs.idempotency import IdempotencyKey
-from truepath.app.jobs.job import Failure, Job, JobKind
-from truepath.app.jobs.run_reader import RunReader
-from truepath.app.jobs.runs import RunCatalogue
-from truepath.app.jobs.science import analyse_recorded
-from truepath.app.jobs.store import Store
-from truepath.app.jobs.transitions import State
-from truepath.app.jobs.workers import Workers
-from truepath.app.measurement.recorder import Recorder
-from truepath.app.measurement.run_file import RunHeader
-from truepath.app.motion.configurations import Configurations
-from truepath.app.users.access import Access, AccessRules
-from truepath.app.users.audit import Entry
-from truepath.app.users.roles import Role
-from truepath.drivers.interfaces.records import Identity, TrackerSamples
-from truepath.simulators import paths, synthetic
-from truepath.simulators.machine_file import parse_machine
-from truepath.simulators.scenario import load_machine
+from truepath.catalogue.job import Failure, Job, JobKind
+from truepath.catalogue.run_reader import RunReader
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.bundle import zip_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.jobs.workers.science import analyse_recorded
+from truepath.jobs.workers.workers import Workers
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.motion.configurations import Configurations
+from truepath.users.access import Access, AccessRules
+from truepath.users.audit import Entry
+from truepath.users.roles import Role
+from truepath_drivers.interfaces.records import Identity, TrackerSamples
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
 
 RATE_HZ = 50.0
 PASSWORD = "a password of the fixture"

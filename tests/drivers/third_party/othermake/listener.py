@@ -6,9 +6,9 @@ import threading
 from collections import deque
 
 from othermake.lines import MAX_LINE, Continuation, Sample, check
-from truepath.drivers.interfaces.errors import ConnectionLost, DeviceError
-from truepath.drivers.interfaces.records import LinkHealth
-from truepath.drivers.transport.byte_port import BytePort
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
+from truepath_drivers.interfaces.records import LinkHealth
+from truepath_drivers.transport.byte_port import BytePort
 
 _LOOK_S = 0.1
 _SAMPLES = 30_000  # ten minutes at 50 Hz

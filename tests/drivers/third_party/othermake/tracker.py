@@ -9,16 +9,16 @@ import numpy as np
 
 from othermake.lines import seal
 from othermake.listener import Listener
-from truepath.drivers.interfaces.errors import (
+from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
-from truepath.drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from truepath.drivers.interfaces.tracker import ByteLink, Tracker
-from truepath.drivers.transport.tcp_port import TcpPort
+from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath_drivers.interfaces.tracker import ByteLink, Tracker
+from truepath_drivers.transport.tcp_port import TcpPort
 
 log = logging.getLogger(__name__)
 

@@ -1,0 +1,153 @@
+"""How far an interrupted Run has got, and whether its set-up still stands as it did.
+
+Before a measurement goes on, the machine stands again where it stood last, come from
+where it came then. The tracker was not moved and neither was the reflector if it is
+seen at the same places, to noise, repeatability and the tracker's own distance: places
+are compared in the tracker's frame, for anything that moved shows there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.stream.nominal_path import compute_nominal_path, require_spread
+from truepath.alignment.stream.stops import find_stops, rest_position_mm
+from truepath.errors import AlignmentError
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.motion.configurations import select_rows
+from truepath_drivers.interfaces.records import Path
+
+MOST_PLACES = 3  # that are compared
+_NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
+_REPEATS_MM = 0.003  # machine and reflector, come from the same side
+_LIMIT = 4.0  # of the standard uncertainty of a difference
+_SEARCHED_MM = 20.0  # a target that is farther from its place was not knocked
+
+
+@dataclass(frozen=True)
+class Committed:
+    """What of a Run is there for good, and where the target stood last.
+
+    next_row : of the commanded rows: the line to it, or the point, is the first left
+    row : (k,) rows of the last standstills, in the order of driving
+    place_mm : (k, 3) where the target was, in the tracker's frame
+    """
+
+    next_row: int
+    row: tuple[int, ...]
+    place_mm: Float64[np.ndarray, "k 3"]
+
+
+@dataclass(frozen=True)
+class Closure:
+    """How far the target is from where it was before the interruption.
+
+    step_mm : the largest distance of a place; allowed_mm : of that
+    """
+
+    step_mm: float
+    allowed_mm: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the set-up still stands as it did."""
+        return self.step_mm <= self.allowed_mm
+
+
+def find_committed(run: Run) -> Committed:
+    """Return how far a Run has got. Raises AlignmentError where it tells no pose.
+
+    A line counts with the standstill at its end, a point once it was dwelt at in full.
+    A pose takes three places that are not on one straight line.
+    """
+    seen = align(run)
+    still = seen.at.line < 0
+    stood = sorted(set(seen.row[still].tolist()))
+    if isinstance(run.commanded, Path):
+        next_row = max(seen.measured_rows, default=0) + 1
+        # The last line is whole only if the machine was seen at its end or beyond.
+        if stood and stood[-1] < next_row - 1:
+            next_row -= 1
+    elif run.points is not None:
+        next_row = int(run.points.row.max()) + 1
+    else:
+        next_row = _count_dwelt(run)
+    whole = select_rows(run.commanded, slice(next_row))
+    place_mm = compute_nominal_path(run.machine, whole).place_mm
+    require_spread(place_mm, "what was driven")
+    rows = [row for row in stood if row < next_row][-MOST_PLACES:]
+    if not rows:
+        raise AlignmentError("the machine was not seen to stand anywhere")
+    place_mm = np.stack([_mean(seen, row, still) for row in rows])
+    return Committed(next_row, tuple(rows), place_mm)
+
+
+def find_again(
+    run: Run, place_mm: Float64[np.ndarray, "k 3"]
+) -> Float64[np.ndarray, "k 3"]:
+    """Return where the target stands now, of each place before, in the same order.
+
+    run : standstill points, of which the places are the last. Raises AlignmentError
+    where there are fewer standstills, or none is near a place.
+    """
+    if run.points is not None:
+        now_mm = run.tracker.position_mm[-len(place_mm) :]
+    else:
+        usable = np.flatnonzero(find_valid_samples(run.tracker, run.commanded.target))
+        time_s = run.tracker.device_time_s[usable]
+        position_mm = run.tracker.position_mm[usable]
+        stops = find_stops(time_s, position_mm, 100.0)
+        now_mm = np.array(
+            [
+                rest_position_mm(position_mm[first:last])
+                for first, last in zip(stops.first, stops.last, strict=True)
+            ]
+        ).reshape(-1, 3)[-len(place_mm) :]
+    if len(now_mm) < len(place_mm):
+        raise AlignmentError(
+            f"the target was seen at {len(now_mm)} places of {len(place_mm)}"
+        )
+    far_mm = np.linalg.norm(now_mm - place_mm, axis=1).max()
+    if far_mm > _SEARCHED_MM:
+        raise AlignmentError(
+            f"the target is {far_mm:.0f} mm from where it was measured before"
+        )
+    return now_mm
+
+
+def compare_places(
+    before_mm: Float64[np.ndarray, "k 3"],
+    now_mm: Float64[np.ndarray, "k 3"],
+    noise: TrackerNoise,
+) -> Closure:
+    """Return how far the places are apart, and how far they may be."""
+    along_mm, across_mm = noise.sigma_mm(np.linalg.norm(before_mm, axis=1)).T
+    variance = (_NOISE * along_mm) ** 2 + 2.0 * (_NOISE * across_mm) ** 2
+    sigma_mm = np.sqrt(2.0 * (variance + _REPEATS_MM**2))
+    step_mm = np.linalg.norm(now_mm - before_mm, axis=1)
+    return Closure(float(step_mm.max()), _LIMIT * float(sigma_mm.max()))
+
+
+def _count_dwelt(run: Run) -> int:
+    last_s = float(run.tracker.device_time_s.max())
+    done = 0
+    for event in run.events:
+        words = event.text.split()
+        if event.kind == "point" and "until" in words:
+            until_s = float(words[words.index("until") + 1])
+            if until_s <= last_s:
+                done = max(done, int(words[1]))
+    return done
+
+
+def _mean(seen: Observations, row: int, still: np.ndarray) -> np.ndarray:
+    cells = still & (seen.row == row)
+    count = seen.count[cells]
+    return (count @ seen.tracker_mm[cells]) / count.sum()

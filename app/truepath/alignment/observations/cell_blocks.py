@@ -1,0 +1,314 @@
+"""Cells of one pass or one standstill, with what was commanded there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.observations.cell_gate import leave_out_cells
+from truepath.alignment.observations.observations import Pass
+from truepath.alignment.observations.reduction import (
+    CELL_MM,
+    Cells,
+    count_cells,
+    reduce_to_cells,
+)
+from truepath.alignment.observations.segmentation import Stream
+from truepath.alignment.stream.left_out import LeftOut, describe_samples
+from truepath.alignment.stream.nominal_path import Curve, NominalPath
+from truepath.alignment.stream.sequence import Matching
+from truepath.alignment.stream.stops import StopSequence, standstill_speed_mm_s
+from truepath.files.bundle.run import Run
+from truepath.numerics.rigid import RigidTransform
+
+STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the least
+_TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end
+_FEWEST_SAMPLES = 5  # of a standstill
+_PARABOLA = 5  # samples before and after, through which one is laid
+_CREEP_SIGMAS = 5.0  # of a quarter of a standstill: rare samples are no creep
+_CREEP_MM = 0.03  # several times what the air does in a second
+
+
+@dataclass(frozen=True, slots=True)
+class CellBlock:
+    """Cells of one pass (`line` counts passes) or of one standstill (`line` is −1).
+
+    row : of the commanded path or points; velocity_mm_s : (n, 3), 0 at a standstill
+    position_mm : (n, axes) nominal; line_time_s : (n,) from the middle of the pass
+    line_speed_mm_s : mean speed along the line, of a pass at constant feed
+    left_out : samples that are in no cell
+    acceleration : (n, axes) mm/s² on a ramp; None elsewhere
+    """
+
+    cells: Cells
+    row: int
+    line: int
+    velocity_mm_s: Float64[np.ndarray, "n 3"]
+    position_mm: Float64[np.ndarray, "n a"]
+    line_time_s: Float64[np.ndarray, " n"]
+    line_speed_mm_s: float = 0.0
+    left_out: tuple[LeftOut, ...] = ()
+    acceleration: Float64[np.ndarray, "n a"] | None = None
+
+    @property
+    def is_ramp(self) -> bool:
+        """Whether the feed changes: places on the line are the measured ones."""
+        return self.acceleration is not None
+
+
+def reduce_pass(
+    run: Run,
+    line: int,
+    each: Pass,
+    stream: Stream,
+    curve: Curve,
+    cell_mm: float = CELL_MM,
+) -> list[CellBlock]:
+    """Return the cells of one pass, in order of time: of its ramps as well."""
+    found = [
+        _reduce_ramp(run, line, each, slice(*ramp), stream, curve, cell_mm)
+        for ramp in each.ramps
+    ]
+    if each.is_steady:
+        found.append(_reduce_steady(run, line, each, stream, curve, cell_mm))
+    return sorted(found, key=lambda block: float(block.cells.time_s[0]))
+
+
+def _reduce_ramp(
+    run: Run,
+    line: int,
+    each: Pass,
+    part: slice,
+    stream: Stream,
+    curve: Curve,
+    cell_mm: float,
+) -> CellBlock:
+    """Return cells where they were measured on a straight line.
+
+    Machine errors change slowly, so that a place that is wrong by their own size along
+    the line costs nothing across it. Scatter along the line is none.
+    """
+    share, aside = curve.nearest(stream.points_mm(part.start, part.stop))
+    on, rotation = aside < stream.reach_mm, stream.pose.rotation
+    time, share, tracker_mm = stream.time_s[part], share[on], stream.tracker_mm[part]
+    left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
+    time, tracker_mm = time[on], tracker_mm[on]
+
+    def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        return curve.point_mm(np.interp(time_s, time, share)) @ rotation.T
+
+    span = float(time[-1] - time[0])
+    fastest = 1.5 * abs(float(share[-1] - share[0])) * curve.length_mm / span
+    count = count_cells(span, fastest, cell_mm=cell_mm)
+    cells = reduce_to_cells(time, tracker_mm, way, run.machine.tracker.sigma_mm, count)
+    cells = replace(cells, scatter_square=np.zeros(2), freedom=np.zeros(2))
+    left_out += _describe_outliers(cells, time, each.row)
+    tracker, expected = run.machine.tracker, way(cells.time_s)
+    cells, off = leave_out_cells(cells, expected, tracker, each.row)
+    place = np.interp(cells.time_s, time, share)
+    rate, change = _follow(time, share, cells.time_s, span / count)
+    rows = run.commanded.position[each.row - 1 : each.row + 1]
+    return CellBlock(
+        cells,
+        each.row,
+        line,
+        curve.chord_mm * rate[:, None],
+        rows[0] + place[:, None] * (rows[1] - rows[0]),
+        np.zeros(len(place)),
+        left_out=(*left_out, *off),
+        acceleration=change[:, None] * (rows[1] - rows[0]),
+    )
+
+
+def _follow(
+    time_s: Float64[np.ndarray, " m"],
+    share: Float64[np.ndarray, " m"],
+    at_s: Float64[np.ndarray, " n"],
+    cell_s: float,
+) -> Float64[np.ndarray, "2 n"]:
+    """Return the rate of the share of the line, and its change, at the cells.
+
+    By parabolas through the samples of each, and a few more where it has few.
+    """
+    half_s = max(0.5 * cell_s, _PARABOLA * float(np.median(np.diff(time_s))))
+    first = np.searchsorted(time_s, np.maximum(at_s - half_s, time_s[0]))
+    last = np.searchsorted(time_s, np.minimum(at_s + half_s, time_s[-1]), "right")
+    count = last - first
+    cell = np.repeat(np.arange(len(at_s)), count)
+    sample = np.arange(len(cell)) + np.repeat(last - np.cumsum(count), count)
+    lag = (time_s[sample] - at_s[cell]) / half_s
+    sums = np.array([np.bincount(cell, lag**p, len(at_s)) for p in range(5)])
+    right = [np.bincount(cell, share[sample] * lag**p, len(at_s)) for p in range(3)]
+    gram = sums[np.add.outer(range(3), range(3))].transpose(2, 0, 1)
+    bent = np.linalg.pinv(gram, hermitian=True) @ np.array(right).T[:, :, None]
+    return bent[:, 1:, 0].T * [[1.0 / half_s], [2.0 / half_s**2]]
+
+
+def _reduce_steady(
+    run: Run, line: int, each: Pass, stream: Stream, curve: Curve, cell_mm: float
+) -> CellBlock:
+    """Return the cells at constant feed, from which their places follow."""
+    part = slice(each.first, each.last)
+    time = stream.time_s[part]
+    middle, rate = 0.5 * float(time[0] + time[-1]), each.speed_mm_s / curve.length_mm
+    rotation = stream.pose.rotation
+
+    def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        return curve.point_mm(each.share + rate * (time_s - middle)) @ rotation.T
+
+    count = count_cells(
+        float(time[-1] - time[0]),
+        each.speed_mm_s * curve.fastest(),
+        rate * curve.turn_deg,
+        cell_mm,
+    )
+    aside = _aside_mm(curve, each, stream, time - middle, rate)
+    on = aside < stream.reach_mm
+    tracker, tracker_mm = run.machine.tracker, stream.tracker_mm[part]
+    left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
+    time = time[on]
+    cells = reduce_to_cells(time, tracker_mm[on], way, tracker.sigma_mm, count)
+    left_out += _describe_outliers(cells, time, each.row)
+    cells, off = leave_out_cells(cells, way(cells.time_s), tracker, each.row)
+    line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
+    share = each.share + rate * (cells.time_s - middle)
+    late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
+    share, rate = share + late + slow * line_time, rate + slow
+    rows = run.commanded.position[each.row - 1 : each.row + 1]
+    return CellBlock(
+        cells,
+        each.row,
+        line,
+        curve.slope_mm(share) * rate,
+        rows[0] + share[:, None] * (rows[1] - rows[0]),
+        line_time,
+        curve.length_mm * rate,
+        (*left_out, *off),
+    )
+
+
+def _aside_mm(
+    curve: Curve,
+    each: Pass,
+    stream: Stream,
+    lag_s: Float64[np.ndarray, " n"],
+    rate: float,
+) -> Float64[np.ndarray, " n"]:
+    """Return how far the samples of a pass lie aside of its line."""
+    share = each.share + rate * lag_s
+    slope = curve.slope_mm(share)
+    away = stream.points_mm(each.first, each.last) - curve.point_mm(share)
+    square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+    along = np.einsum("ni,ni->n", away, slope) / square
+    return np.linalg.norm(away - along[:, None] * slope, axis=1)
+
+
+def _describe_outliers(
+    cells: Cells, time_s: Float64[np.ndarray, " n"], row: int
+) -> list[LeftOut]:
+    return describe_samples("outliers", row, time_s[cells.outlier], cells.off_mm)
+
+
+def _timing(
+    curve: Curve,
+    share: Float64[np.ndarray, " n"],
+    to_workpiece: RigidTransform,
+    cells: Cells,
+    line_time_s: Float64[np.ndarray, " n"],
+) -> tuple[float, float]:
+    """Return by how much the cells are ahead, at mid line and more every second.
+
+    In shares of the line, by least squares along it; one cell tells no speed.
+    """
+    slope = curve.slope_mm(share)
+    off = to_workpiece.apply(cells.tracker_mm) - curve.point_mm(share)
+    square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+    ahead = np.einsum("ni,ni->n", off, slope) / square
+    if len(share) < 2:
+        return float(ahead[0]), 0.0
+    weight = cells.count * square
+    weight /= weight.sum()
+    lag = line_time_s - weight @ line_time_s
+    slow = float((weight * lag) @ ahead / ((weight * lag) @ lag))
+    return float(weight @ ahead) - slow * float(weight @ line_time_s), slow
+
+
+def reduce_standstills(
+    run: Run,
+    stops: StopSequence,
+    matching: Matching,
+    stream: Stream,
+    nominal: NominalPath,
+) -> list[CellBlock]:
+    """Return the cells of every matched standstill, settling left out.
+
+    Of lines as well: phase and speed of a line are free, and the stops at its ends tell
+    what is along it.
+    Not of those at which an axis may have turned unseen. They begin and end where the
+    machine is slow; how far it still was then tells how long it took to rest.
+    """
+    slow_mm_s = standstill_speed_mm_s(nominal.slowest_mm_s)
+    found: list[CellBlock] = []
+    for stop, place in zip(matching.stop, matching.waypoint, strict=True):
+        first, last = int(stops.first[stop]), int(stops.last[stop])
+        row = int(nominal.first[place])
+        if last - first < _FEWEST_SAMPLES or row != nominal.last[place]:
+            continue
+        left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
+        wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
+        inside = _find_settled(stream, first, last, wait_s)
+        if len(inside) < _FEWEST_SAMPLES:
+            continue
+        distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
+        sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
+        if _creeps(stream.tracker_mm[inside], sigma_mm):
+            continue
+        span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
+        cells = reduce_to_cells(
+            stream.time_s[inside],
+            stream.tracker_mm[inside],
+            _at_rest,
+            run.machine.tracker.sigma_mm,
+            min(count_cells(span), max(1, len(inside) // _FEWEST_SAMPLES)),
+        )
+        left_out = _describe_outliers(cells, stream.time_s[inside], row)
+        expected = _at_rest(cells.time_s)
+        cells, off = leave_out_cells(cells, expected, run.machine.tracker, row)
+        n = len(cells.time_s)
+        position = np.tile(run.commanded.position[row], (n, 1))
+        still = np.zeros((n, 3))
+        said = (*left_out, *off)
+        found.append(CellBlock(cells, row, -1, still, position, np.zeros(n), 0.0, said))
+    return found
+
+
+def _find_settled(
+    stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
+) -> Int64[np.ndarray, " m"]:
+    """Return the samples of a standstill without those at both ends.
+
+    wait_s : to leave out at its begin and at its end, at the least
+    """
+    time = stream.time_s[first:last]
+    begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
+    settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
+    return first + np.flatnonzero(settled)
+
+
+def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+    return np.zeros((len(time_s), 3))
+
+
+def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
+    """Tell whether a target moves that was too slow to be told from one at rest.
+
+    A target near a rotary axis, or on a table that hardly turns, does so on the way.
+
+    sigma_mm : noise of a sample
+    """
+    noise_mm = _CREEP_SIGMAS * sigma_mm / np.sqrt(0.25 * len(tracker_mm))
+    quarters = np.array_split(tracker_mm, 4)
+    means = np.array([quarter.mean(axis=0) for quarter in quarters])
+    return bool(np.linalg.norm(np.ptp(means, axis=0)) > max(_CREEP_MM, noise_mm))

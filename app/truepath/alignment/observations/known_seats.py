@@ -1,0 +1,58 @@
+"""Where targets sit, as far as the standstills or points so far tell."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.stream.seating import Seating, Seats
+from truepath.alignment.stream.sequence import seat_places
+
+
+class KnownSeats:
+    """Seats of targets while measurements come in. One thread.
+
+    place_mm, seated_mm : waypoints where they are stated, and where the targets stand
+    seats : targets that sit far off their places, and by how much; another object
+        once another target is known
+    """
+
+    def __init__(self) -> None:
+        self._settled: frozenset[str] = frozenset()
+        self.seats: Seats = {}
+
+    def expect(
+        self, place_mm: Float64[np.ndarray, "w 3"], seating: Seating | None
+    ) -> None:
+        """Know of waypoints; `seating` is None where every target sits as stated."""
+        self.place_mm = self.seated_mm = place_mm
+        self.seating = seating
+
+    def refine(
+        self, places_mm: Float64[np.ndarray, "k 3"], waypoints: Int64[np.ndarray, " k"]
+    ) -> bool:
+        """Find the seats from what was measured; say whether another one is known."""
+        if self.seating is None:
+            return False
+        self.seated_mm, found = seat_places(
+            places_mm, self.place_mm, waypoints, self.seating
+        )
+        settled = self.seating.list_settled(waypoints)
+        if settled == self._settled:
+            return False
+        # All anew with each target: the estimate is linear in the rest.
+        self._settled = settled
+        self.seats = {name: found[name] for name in found if name in settled}
+        return True
+
+    def is_known(self, waypoint: int) -> bool:
+        """Tell whether it is known where the target at a waypoint sits."""
+        if self.seating is None:
+            return True
+        return self.seating.names[self.seating.target[waypoint]] in self._settled
+
+    def find_reach_mm(self, waypoint: int) -> float:
+        """Return how far off its place a target may be whose seat is not known yet."""
+        if self.seating is None or self.is_known(waypoint):
+            return 0.0
+        return float(self.seating.reach_mm[waypoint])

@@ -1,0 +1,79 @@
+"""Points of a tracker that is polled: each sample says which commanded row it is of.
+
+Nothing is recognised from motion: a sample is the mean of a whole dwell. The sequence
+of places still has to be that of the rows, so that a wrong numbering, another target or
+a reflector that moved shows as a point that is astray.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.observations.cell_blocks import CellBlock
+from truepath.alignment.observations.reduction import Cells, beam_frame
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.alignment.stream.nominal_path import NominalPath
+from truepath.alignment.stream.sequence import Matching
+from truepath.alignment.stream.stops import StopSequence
+from truepath.files.bundle.run import PointRows, Run
+from truepath_drivers.interfaces.records import TrackerSamples
+
+
+def find_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
+    """Return which samples are measurements."""
+    return np.flatnonzero(samples.status == 0)
+
+
+def list_as_stops(tracker_mm: Float64[np.ndarray, "n 3"]) -> StopSequence:
+    """Return each measured point as a standstill of its own."""
+    number = np.arange(len(tracker_mm))
+    return StopSequence(number, number + 1, tracker_mm)
+
+
+def reduce_points(
+    run: Run,
+    points: PointRows,
+    measured: Int64[np.ndarray, " m"],
+    matching: Matching,
+    nominal: NominalPath,
+) -> tuple[list[CellBlock], list[LeftOut]]:
+    """Return a cell of each point that is where its row is, and what of the others.
+
+    measured : samples that are measurements
+    """
+    expected = matching.pose.apply(nominal.end_mm[points.row[measured]])
+    tracker_mm = run.tracker.position_mm[measured]
+    off_mm = np.linalg.norm(tracker_mm - expected, axis=1)
+    parts: list[CellBlock] = []
+    left_out: list[LeftOut] = []
+    for sample, off in zip(measured.tolist(), off_mm.tolist(), strict=True):
+        row, count = int(points.row[sample]), int(points.count[sample])
+        time_s = float(run.tracker.device_time_s[sample])
+        if off > matching.reach_mm:
+            left_out.append(LeftOut("astray", row, time_s, time_s, count, off))
+        else:
+            parts.append(reduce_point(run, points, sample))
+    return parts, left_out
+
+
+def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
+    """Return the cell of one measured point."""
+    row, tracker_mm = int(points.row[sample]), run.tracker.position_mm[[sample]]
+    frame = beam_frame(tracker_mm)[0]
+    square = np.diag(frame @ points.covariance_mm2[sample] @ frame.T)
+    sigma = run.machine.tracker.sigma_mm(np.linalg.norm(tracker_mm, axis=1))[0]
+    # A covariance that is not known says nothing of the scatter.
+    free = float(points.count[sample] - 1) * bool(square.any())
+    scatter = free * np.array([square[0], square[1] + square[2]]) / sigma**2
+    cells = Cells(
+        run.tracker.device_time_s[[sample]],
+        tracker_mm,
+        points.count[[sample]].astype(np.float64),
+        scatter,
+        np.array([free, 2.0 * free]),
+        np.zeros(1, bool),
+        np.empty(0),
+    )
+    position = run.commanded.position[[row]]
+    return CellBlock(cells, row, -1, np.zeros((1, 3)), position, np.zeros(1))

@@ -1,0 +1,241 @@
+"""Which standstill is which waypoint: the sequence decides, not the nearest point.
+
+Distances between standstills do not depend on where the tracker stands, so the longest
+chain of standstills whose mutual distances match those of the waypoints, in order,
+tells the correspondence without a first guess of the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.stream.nominal_path import require_spread
+from truepath.alignment.stream.seating import MOST_SIGMAS, Seating, Seats
+from truepath.alignment.stream.stop_chains import find_longest_chain, match_places
+from truepath.alignment.stream.stops import StopSequence
+from truepath.errors import AlignmentError
+from truepath.numerics.rigid import RigidTransform, fit_rigid
+
+TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
+_WIDER_MM = 2.5, 5.0  # of a machine that is far off
+_CLEAR = 0.9  # of the standstills: so many in a row are no chance
+_SPREAD = 4.0  # of the median of what the pose leaves
+_BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
+_FEW = 3  # lost standstills of a target: by chance
+_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
+_ROUNDS = 3  # pose and seats of targets in turn
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`.
+
+    seats : targets that sit far off their places, and by how much
+    reach_mm : how far off its nominal place the machine may be
+    """
+
+    stop: Int64[np.ndarray, " k"]
+    waypoint: Int64[np.ndarray, " k"]
+    pose: RigidTransform
+    seats: Seats = field(default_factory=dict[str, Float64[np.ndarray, "3"]])
+    reach_mm: float = TOLERANCE_MM
+
+
+def match_stops(
+    stops: StopSequence,
+    waypoint_mm: Float64[np.ndarray, "w 3"],
+    *,
+    ordered_by: str,
+    seating: Seating | None = None,
+) -> Matching:
+    """Match standstills (tracker frame) to nominal waypoints (workpiece frame).
+
+    ordered_by : what the waypoints are called in messages ("path.csv", "points.csv")
+    seating : how targets may sit off their places; as stated if left out
+
+    Raises AlignmentError if they do not belong together, or only as mirror images.
+    """
+    places = stops.position_mm
+    require_spread(waypoint_mm, ordered_by)
+    slack_mm = 0.0 if seating is None else seating.slack_mm()
+    stop, waypoint = _recognise(places, waypoint_mm, slack_mm, ordered_by)
+    seated: Float64[np.ndarray, "w 3"] = waypoint_mm
+    seats: Seats = {}
+    if seating is not None:
+        # A target of few rows in the chain, or of none, is found by its places.
+        seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
+        pose = fit_rigid(seated[waypoint], places[stop])
+        near_mm = TOLERANCE_MM + seating.reach_mm
+        stop, waypoint = match_places(places, pose.apply(seated), near_mm)
+        _require_followed(len(stop), len(places), len(waypoint_mm), ordered_by)
+        seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
+    pose = fit_rigid(seated[waypoint], places[stop])
+    _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
+    reach_mm = TOLERANCE_MM
+    if seating is None:
+        off = np.linalg.norm(pose.apply(seated)[waypoint] - places[stop], axis=1)
+        reach_mm = max(TOLERANCE_MM, _SPREAD * float(np.median(off)))
+    stop, waypoint = match_places(places, pose.apply(seated), reach_mm)
+    pose = fit_rigid(seated[waypoint], places[stop])
+    return Matching(stop, waypoint, pose, seats, reach_mm)
+
+
+def seat_places(
+    place_mm: Float64[np.ndarray, "k 3"],
+    waypoint_mm: Float64[np.ndarray, "w 3"],
+    waypoint: Int64[np.ndarray, " k"],
+    seating: Seating,
+) -> tuple[Float64[np.ndarray, "w 3"], Seats]:
+    """Return where targets stand at all waypoints, and their shifts where large.
+
+    place_mm : standstills at some of the waypoints
+    """
+    seat_mm = np.zeros((len(seating.names), 3))
+    for _ in range(_ROUNDS):
+        seated = seating.move(waypoint_mm, seat_mm)[waypoint]
+        to_machine = fit_rigid(seated, place_mm).invert()
+        rest = to_machine.apply(place_mm) - waypoint_mm[waypoint]
+        seat_mm = seating.fit(waypoint, waypoint_mm[waypoint], rest)
+    seat_mm = seating.drop_small(seat_mm)
+    return seating.move(waypoint_mm, seat_mm), seating.name(seat_mm)
+
+
+def is_wide(
+    points_mm: Float64[np.ndarray, "k 3"], volume_mm: Float64[np.ndarray, "w 3"]
+) -> bool:
+    """Tell whether points fix a pose for the whole volume, not for a line only."""
+    spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    reach = float(np.linalg.norm(np.ptp(volume_mm, axis=0)))
+    return bool(spread[1] > _WIDE * reach)
+
+
+def _recognise(
+    places: Float64[np.ndarray, "m 3"],
+    waypoints: Float64[np.ndarray, "w 3"],
+    slack_mm: float | Float64[np.ndarray, "w w"],
+    ordered_by: str,
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Return the longest chain; of a machine that is far off where it is clear.
+
+    slack_mm : by how much more distances may differ; they say nothing of the machine
+    """
+    m, w = len(places), len(waypoints)
+    alike = np.zeros((w, w)) + slack_mm
+    stop, waypoint = find_longest_chain(places, waypoints, alike + TOLERANCE_MM)
+    clear = max(3, round(_CLEAR * min(w, m)))
+    if len(stop) < clear and not alike.any():
+        for within_mm in _WIDER_MM:
+            wider = find_longest_chain(places, waypoints, alike + within_mm)
+            if len(wider[0]) >= clear:
+                return wider
+    _require_followed(len(stop), m, w, ordered_by)
+    return stop, waypoint
+
+
+def _require_followed(found: int, stops: int, waypoints: int, ordered_by: str) -> None:
+    if found < max(3, round(0.5 * min(waypoints, max(stops, 1)))):
+        raise AlignmentError(
+            f"the stream does not follow {ordered_by}: of {waypoints} commanded "
+            f"standstills {found} were recognised among {stops} in the stream; check "
+            "that the recording belongs to this path, has its order and measures the "
+            "targets that are named in it; a machine that errs by more than "
+            f"{_WIDER_MM[-1]:g} mm looks like this as well, and so does a control that "
+            "rounds corners where the rows have no dwell"
+        )
+
+
+def require_targets(
+    seating: Seating,
+    matching: Matching,
+    stops: StopSequence,
+    ordered_by: str,
+    places_of: Callable[[str], Float64[np.ndarray, "w 3"]],
+) -> None:
+    """Refuse a target that stood still, but not where it may sit.
+
+    Hidden from the tracker, it shows no standstills; then nothing is refused.
+
+    places_of : nominal places of all waypoints if one target were measured at them
+    """
+    order = np.searchsorted(matching.waypoint, np.arange(len(seating.target)))
+    for number, name in enumerate(seating.names):
+        rows = np.flatnonzero(seating.target == number)
+        reach = MOST_SIGMAS * float(seating.sigma_mm[number])
+        off = float(np.abs(matching.seats.get(name, np.zeros(3))).max())
+        lost = rows if off > reach else np.setdiff1d(rows, matching.waypoint)
+        unknown = _list_unknown(matching, len(stops), np.unique(order[lost]))
+        if off > reach:
+            unknown = matching.stop[np.isin(matching.waypoint, rows)]
+            said = f"sits {off:.1f} mm off its offset_mm, where {reach:g} mm may be"
+        elif 2 * len(lost) > len(rows) and len(lost) >= _FEW:
+            said = (
+                f"{len(lost)} of its {len(rows)} standstills are not where they should "
+                f"be, while {len(unknown)} in the stream are nowhere in {ordered_by}; "
+                f"it may sit {reach:g} mm off, no more"
+            )
+        else:
+            continue
+        if off > reach or 2 * len(unknown) >= len(lost):
+            shown = _find_measured(
+                [other for other in seating.names if other != name],
+                lambda other, lost=lost: matching.pose.apply(places_of(other)[lost]),
+                stops.position_mm[unknown],
+            )
+            raise AlignmentError(
+                f"target {name} {said}: {shown}check offset_mm in machine.json and the "
+                f"target column of {ordered_by}"
+            )
+
+
+def _list_unknown(
+    matching: Matching, stops: int, gaps: Int64[np.ndarray, " g"]
+) -> Int64[np.ndarray, " u"]:
+    """Return the standstills of no waypoint that lie in some gaps.
+
+    gaps : how many of the matched standstills are before each
+    """
+    gap = np.searchsorted(matching.stop, np.arange(stops))
+    free = ~np.isin(np.arange(stops), matching.stop)
+    return np.flatnonzero(free & np.isin(gap, gaps))
+
+
+def _find_measured(
+    names: list[str],
+    expect: Callable[[str], Float64[np.ndarray, "l 3"]],
+    places: Float64[np.ndarray, "u 3"],
+) -> str:
+    """Return words on the target that was measured instead; none where it is none."""
+    for name in names:
+        expected = expect(name)
+        found, _ = match_places(places, expected, _BESIDE_MM)
+        if 2 * len(found) > min(len(places), len(expected)):
+            return f"the tracker measured {name} instead; "
+    return ""
+
+
+def _require_right_handed(
+    places: Float64[np.ndarray, "k 3"],
+    waypoints: Float64[np.ndarray, "k 3"],
+    pose: RigidTransform,
+    ordered_by: str,
+) -> None:
+    mirrored = fit_rigid(waypoints, places, mirrored=True)
+    rms, mirrored_rms = (
+        float(np.sqrt(np.mean((t.apply(waypoints) - places) ** 2)))
+        for t in (pose, mirrored)
+    )
+    if rms > 5.0 * mirrored_rms and rms > 1.0:
+        raise AlignmentError(
+            f"the stream fits {ordered_by} only as a mirror image "
+            f"({rms:.2f} mm against {mirrored_rms:.3f} mm): one axis of the tracker "
+            "frame or of the path is reversed; record in a right-handed frame"
+        )
+    if rms > _WIDER_MM[-1]:
+        raise AlignmentError(
+            f"standstills and {ordered_by} disagree by {rms:.2f} mm after alignment; "
+            "check the units, the order and that the recording belongs to this path"
+        )

@@ -1,0 +1,91 @@
+"""The report of a calibration: one HTML file that needs no other.
+
+Its sections are in the order of ISO/TR 16907: machine and measurement, error motions,
+volumetric error, residuals, limits, validation, documentation. Uncertainties are
+expanded (k = 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from markupsafe import Markup
+
+from truepath.answers.calibration.error_sections import (
+    describe_direction,
+    describe_effects,
+    describe_error_motions,
+    describe_squareness,
+    describe_volume,
+    state_figure,
+)
+from truepath.answers.calibration.measurement_sections import (
+    GOOD_FIT,
+    describe_documentation,
+    describe_limits,
+    describe_machine,
+    describe_residuals,
+    describe_validation,
+    name_runs,
+    residual_over_noise,
+)
+from truepath.answers.shown.templating import View, render_page, render_part
+from truepath.results.findings import Findings
+
+_SECTIONS: dict[str, Callable[[Findings], View]] = {
+    "machine": describe_machine,
+    "error_motions": describe_error_motions,
+    "squareness": describe_squareness,
+    "direction": describe_direction,
+    "volume": describe_volume,
+    "residuals": describe_residuals,
+    "limits": describe_limits,
+    "effects": describe_effects,
+    "validation": describe_validation,
+    "documentation": describe_documentation,
+}
+
+
+def render_calibration_report(findings: Findings) -> str:
+    """Return the report."""
+    before, after = findings.volumetric.before, findings.volumetric.after
+    both = findings.both_directions
+    created = findings.provenance.created
+    return render_page(
+        "calibration.html",
+        {
+            "machine": findings.estimate.model.machine.name,
+            "measured": name_runs(findings),
+            "created": f"{created:%Y-%m-%d %H:%M} {created.tzname() or ''}",
+            "verdict": findings.verdict,
+            "before": before.mean.value_um,
+            "largest": state_figure(before.largest),
+            "both": both and state_figure(both.mean),
+            "after": after.mean.value_um,
+            "share": after.mean.value_um / max(before.mean.value_um, 1e-12),
+            "ratio": residual_over_noise(findings),
+            "good_fit": GOOD_FIT,
+            "known": len(findings.tables.tables),
+            "motions": 6 * len(findings.estimate.model.machine.axes),
+            "software": findings.provenance.software_version,
+            "number_of": _number_sections(findings),
+            "sections": [
+                render_section(name, findings) for name in _number_sections(findings)
+            ],
+        },
+    )
+
+
+def render_section(name: str, findings: Findings) -> Markup:
+    """Return one section of the report."""
+    numbers = _number_sections(findings)
+    common = {"findings": findings, "number": numbers[name], "number_of": numbers}
+    view = common | _SECTIONS[name](findings)
+    return render_part(f"calibration/{name}.html", view)
+
+
+def _number_sections(findings: Findings) -> dict[str, int]:
+    """Return the number of each section; effects are those of a given model."""
+    has_model = findings.provenance.model is not None
+    names = [name for name in _SECTIONS if has_model or name != "effects"]
+    return {name: number for number, name in enumerate(names, start=1)}

@@ -1,0 +1,454 @@
+"""What stands beside the numbers: effects, verification, compensation, origin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from truepath.answers.certificate.issue import Certificate, Source
+from truepath.answers.certificate.language import Language
+from truepath.answers.certificate.lengths import (
+    say_lengths,
+    say_measured_lengths,
+)
+from truepath.answers.certificate.picture import paint
+from truepath.answers.shown.number_format import SIGN
+from truepath.answers.shown.templating import View
+from truepath.answers.verification.circles.circle_figures import FIGURES
+from truepath.answers.verification.circles.circles_at_standstill import CIRCLE_FIGURES
+from truepath.answers.verification.circles.polar_figure import (
+    PolarWords,
+    draw_polar_circles,
+)
+from truepath.answers.verification.driven_figures import LINE_FIGURES
+from truepath.answers.verification.places.held_places import DOUBTFUL
+from truepath.documents.file_model import as_object
+from truepath.files.earlier.verdict import verdict_from_json
+
+Row = tuple[str, ...]
+_DECISIONS = ("within", "outside", "undecided")
+_LENGTHS = ("measured", "predicted", "deviation")
+_SPREAD = ("mean", "p95", "largest")
+_K = 2.0
+
+
+def describe_effects(certificate: Certificate, language: Language) -> View:
+    """Return effects of the model beside the error motions, with their sizes."""
+    effects: Sequence[Mapping[str, Any]] = certificate.found.content.get("effects", [])
+    words = {True: "agrees_yes", False: "agrees_no", None: "agrees_unknown"}
+    return {
+        "rows": [
+            (
+                _name_effect(one, language),
+                "; ".join(_list_numbers(one["parameters"], language)),
+                language.say(words[one.get("agrees")]),
+            )
+            for one in effects
+        ]
+    }
+
+
+def describe_verification(certificate: Certificate, language: Language) -> View:
+    """Return what a verification states: its verdict, then its numbers as they are."""
+    source = certificate.verification
+    if source is None:
+        return {"source": None}
+    return {
+        "source": source,
+        "mismatch": _say_mismatch(
+            "verification_mismatch", source, certificate, language
+        ),
+        "decision": say_decision(source.content, language),
+        "statements": word_findings(source.content, language),
+        "lengths": list(_list_lengths(source.content, language)),
+        "rows": list(_list_decisive(source.content, language)),
+        "driven": describe_driven(source.content, language),
+        "circles": _describe_circles(source.content, language),
+    }
+
+
+def describe_compensation(certificate: Certificate, language: Language) -> View:
+    """Return what compensation files leave, with its uncertainty."""
+    source = certificate.compensation
+    if source is None:
+        return {"source": None, "named": _say_named_files(certificate, language)}
+    account = source.content
+    error = account["volumetric_error_um"]
+    after = error["after"]
+    left = language.write_expanded(after["mean"], after["mean_uncertainty"])
+    key = f"format.{account['format']}"
+    carries = language.shared.get(f"{key}.carries", account["carries"])
+    not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
+    control = language.shared.get(f"{key}.control", account["control"])
+    rows = [
+        ("compensation_control", control),
+        ("compensation_carries", carries),
+        ("compensation_not_carried", not_carried),
+        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
+        (
+            "compensation_after",
+            f"{left} µm (k = 2)",
+        ),
+        ("compensation_lengths", _say_lengths(account, language)),
+        ("compensation_file", ", ".join(map(_base_name, account["files"]))),
+    ]
+    return {
+        "source": source,
+        "mismatch": _say_mismatch(
+            "compensation_mismatch", source, certificate, language
+        ),
+        "other": _say_other_files(certificate, language),
+        "rows": [(language.say(name), text) for name, text in rows],
+        "sign_open": not account["sign"]["verified"],
+    }
+
+
+def _say_lengths(account: Mapping[str, Any], language: Language) -> str:
+    """Return at which temperature the files hold, also of accounts without it."""
+    stated = as_object(account.get("lengths")).get("measured_degC")
+    if stated:
+        return say_lengths((stated[0], stated[1]), language)
+    return say_measured_lengths(as_object(account.get("provenance")), language)
+
+
+def _say_named_files(certificate: Certificate, language: Language) -> str:
+    """Return which files a verification names that nobody gave the account of."""
+    verification = certificate.verification
+    content = as_object(verification.content if verification else None)
+    if not content.get("compensated"):
+        return ""
+    named = as_object(content.get("compensation"))
+    files = as_object(named.get("files_sha256"))
+    if not files:
+        return language.say("compensation_unnamed")
+    each = ", ".join(f"{name} (SHA-256 {str(d)[:16]}…)" for name, d in files.items())
+    return language.say("compensation_named", format=named.get("format"), files=each)
+
+
+def _say_other_files(certificate: Certificate, language: Language) -> str:
+    """Return a warning where a verification was made with other files than stated."""
+    if certificate.verification is None or certificate.compensation is None:
+        return ""
+    active = as_object(certificate.verification.content.get("compensation"))
+    verified = as_object(active.get("files_sha256"))
+    stated = as_object(certificate.compensation.content.get("files_sha256"))
+    if not verified or not stated or set(verified.values()) == set(stated.values()):
+        return ""
+    return language.say("compensation_other", files=", ".join(verified))
+
+
+def describe_provenance(certificate: Certificate, language: Language) -> View:
+    """Return digests of all that the numbers come from."""
+    return {"rows": list(_list_origins(certificate, language))}
+
+
+def describe_signatures(certificate: Certificate, language: Language) -> View:
+    """Return who signs."""
+    operator = certificate.identity.get("operator", "")
+    return {
+        "signatories": [
+            (language.say("signature_operator"), operator),
+            (language.say("signature_responsible"), ""),
+        ]
+    }
+
+
+def _name_effect(one: Mapping[str, Any], language: Language) -> str:
+    keys = [
+        str(one[key]) for key in ("axis", "motion", "by", "direction") if key in one
+    ]
+    return " ".join([language.name_effect(one["name"]), *keys])
+
+
+def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator[str]:
+    for name, number in parameters.items():
+        stem, unit = next(
+            (
+                (name.removesuffix(f"_{u}"), sign)
+                for u, sign in SIGN.items()
+                if name.endswith(f"_{u}")
+            ),
+            (name, ""),
+        )
+        value, sigma = (np.atleast_1d(number[key]) for key in ("value", "uncertainty"))
+        pairs = zip(value.tolist(), sigma.tolist(), strict=True)
+        shown = ", ".join(language.write_expanded(v, s) for v, s in pairs)
+        word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
+        yield f"{word} {shown} {unit}".strip()
+
+
+def _say_mismatch(
+    key: str, source: Source, certificate: Certificate, language: Language
+) -> str:
+    other, own = source.input_sha256, certificate.found.input_sha256
+    if not other or other == own:
+        return ""
+    return language.say(key, other=other[:16], own=own[:16])
+
+
+def say_decision(content: Mapping[str, Any], language: Language) -> str:
+    """Return whether the machine keeps its tolerance, else whether both agree."""
+    conformity = as_object(content.get("conformity"))
+    decision = as_object(conformity.get("measured")).get("conformity")
+    agrees = as_object(content.get("agreement")).get("consistent")
+    if decision in _DECISIONS:
+        state = "_compensated" if content.get("compensated") else ""
+        return language.say(f"verification_{decision}{state}")
+    if isinstance(agrees, bool):
+        return language.say("verification_agrees" if agrees else "verification_differs")
+    return language.say("not_stated")
+
+
+def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
+    """Return the sentences of a verification in the language of the certificate.
+
+    Those of its file are English; of a file that states less they are quoted.
+    """
+    own = [str(text) for text in content.get("statements", ())]
+    if language.code == "en":
+        return own
+    try:
+        return list(_word_each(content, language)) or own
+    except KeyError:
+        return own
+
+
+def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
+    measured = as_object(as_object(content.get("conformity")).get("measured"))
+    if measured:
+        yield language.shared["verify.worst"].format(
+            count=len(content["places"]["row"]),
+            length=_um(measured["length_um"], language),
+            u=_um(measured["expanded_uncertainty_um"], language),
+            k=language.number(measured["coverage_factor"], 1),
+            tolerance=_um(measured["tolerance_um"], language),
+        )
+    if stated := as_object(content.get("run_verdict")):
+        yield from map(language.say_reason, verdict_from_json(stated).reasons)
+    if str(content.get("components", "")).startswith("three at standstills"):
+        yield language.shared["verify.across"]
+    if unseen := content.get("unseen_directions"):
+        axes = language.shared["grade.and"].join(unseen)
+        yield language.shared["verify.unseen"].format(axes=axes)
+    if resting := content.get("axes_at_rest"):
+        yield language.shared["verify.resting"].format(axes=", ".join(resting))
+    scale = as_object(content.get("map_scale"))
+    if agreement := as_object(content.get("agreement")):
+        yield _say_agreement(agreement, scale.get("cause"), language)
+    if cause := scale.get("cause"):
+        times = language.number(scale["value"], 2)
+        yield language.say(f"verification_scale_{cause}", times=times)
+    for ppm in dict.fromkeys(
+        one.get("length_scale_ppm") for one in _list_runs(content)
+    ):
+        if ppm is not None:
+            scale_ppm = language.number(ppm, 2)
+            yield language.say("length_scale", ppm=scale_ppm)
+
+
+def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    return content.get("runs", ())
+
+
+def _say_agreement(
+    agreement: Mapping[str, Any], cause: str | None, language: Language
+) -> str:
+    """Return whether they agree; a `cause` in the control goes before the tracker."""
+    if agreement["consistent"]:
+        key = "consistent"
+    elif agreement["chance_of_any_machine"] >= DOUBTFUL:
+        key = "changed"
+    else:
+        key = "other_compensation" if cause else "no_machine"
+    return language.shared[f"verify.{key}"].format(
+        chance=language.number(100.0 * agreement["chance"], 1),
+        share=language.number(100.0 * agreement["share_within_expanded"], 0),
+        k=f"{_K:g}",
+    )
+
+
+def _um(value: float, language: Language) -> str:
+    return f"{language.number(value, 2)} µm"
+
+
+def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    lengths = as_object(content.get("volumetric_error_um"))
+    for name in _LENGTHS:
+        one = as_object(lengths.get(name))
+        if one:
+            yield (
+                language.say(f"verification_{name}"),
+                *(
+                    language.write_expanded(one[key], one[f"{key}_uncertainty"])
+                    for key in _SPREAD
+                ),
+            )
+
+
+def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    """Yield the numbers that decide, as far as they are there."""
+    conformity = as_object(content.get("conformity"))
+    tolerance = as_object(conformity.get("measured")).get("tolerance_um")
+    if tolerance is not None:
+        yield language.say("verification_tolerance"), _um(tolerance, language)
+    agreement = as_object(content.get("agreement"))
+    if "chi_square" in agreement:
+        chance = language.number(100.0 * agreement["chance"], 1)
+        yield (
+            language.say("verification_chi_square"),
+            language.say(
+                "verification_chi_square_is",
+                value=language.number(agreement["chi_square"], 1),
+                freedom=agreement["freedom"],
+                chance=chance,
+            ),
+        )
+    if scale := as_object(content.get("map_scale")):
+        text = language.write_expanded(scale["value"], scale["uncertainty"])
+        yield language.say("verification_map_scale"), text
+
+
+def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]:
+    content = certificate.found.content
+    provenance = content["provenance"]
+    for run in provenance.get("runs", []):
+        yield f"{language.say('provenance_run')} ({run['name']})", run["input_sha256"]
+    plans = dict.fromkeys(
+        run["commanded"]["sha256"]
+        for run in content.get("runs", [])
+        if run.get("commanded")
+    )
+    for plan in plans:
+        yield language.say("provenance_plan"), plan
+    files = (
+        ("provenance_result", certificate.found),
+        ("provenance_left", certificate.left),
+        ("provenance_verification", certificate.verification),
+        ("provenance_compensation", certificate.compensation),
+    )
+    for key, source in files:
+        if source is not None:
+            yield language.say(key), source.sha256
+    version = f"truepath {provenance.get('software_version', '')}".strip()
+    yield language.say("provenance_software"), version
+    if model := provenance.get("model"):
+        text = language.say(
+            "provenance_model_is", version=model["version"], source=model["source"]
+        )
+        yield language.say("provenance_model"), text
+
+
+def _base_name(file: str) -> str:
+    return file.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
+    """Return figure and table of the circles; empty where none were driven.
+
+    content : of a `verification/1`; one of an earlier version has no centre to draw
+        its circles about, and they are stated without a figure
+    """
+    circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
+    missing: Sequence[int] = content.get("circles_missing", ())
+    words = _choose_words(language)
+    return {
+        "figure": paint(draw_polar_circles(circles, words)),
+        "head": (language.say("circle"), *map(words.name, FIGURES)),
+        "rows": [row for one in circles for row in _list_moving_circle(one, language)],
+        "missing": language.say(
+            "circles_missing", rows=", ".join(str(row + 1) for row in missing)
+        )
+        if missing
+        else "",
+    }
+
+
+def _choose_words(language: Language) -> PolarWords:
+    return PolarWords(
+        *(
+            language.own[f"circle_{name}"]
+            for name in (
+                "description",
+                "heading",
+                "counterclockwise",
+                "clockwise",
+                "predicted",
+                "ring",
+            )
+        ),
+        mark=language.mark,
+    )
+
+
+def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
+    heading = language.own["circle_heading"].format(
+        plane=one["plane"],
+        diameter=f"{one['diameter_mm']:g}",
+        feed=f"{one['feed_mm_min']:g}",
+    )
+    stated = one["figures_um"], one["uncertainty_um"]
+    predicted = one["predicted_um"], one["predicted_uncertainty_um"]
+    yield language.mark(heading), *_write_circle_figures(*stated, language)
+    yield language.say("circle_predicted"), *_write_circle_figures(*predicted, language)
+
+
+def _write_circle_figures(
+    value: Mapping[str, float], sigma: Mapping[str, float], language: Language
+) -> Iterator[str]:
+    for name in FIGURES:
+        known = name in value
+        yield language.write_expanded(value[name], sigma[name]) if known else "—"
+
+
+def describe_driven(content: Mapping[str, Any], language: Language) -> View:
+    """Return the figures of ISO 230-2, -6 and -4; empty where none were measured.
+
+    content : of a `verification/1`
+    """
+    lines: Sequence[Mapping[str, Any]] = content.get("lines", ())
+    circles: Sequence[Mapping[str, Any]] = content.get("circles", ())
+    return {
+        "line_head": (language.say("driven_line"), *LINE_FIGURES),
+        "lines": [
+            row
+            for one in lines
+            for row in _list_standard(
+                _name_line(one, language), one, LINE_FIGURES, language
+            )
+        ],
+        "circle_head": (language.say("circle"), "G", "F max", "F min"),
+        "circles": [
+            row
+            for one in circles
+            for row in _list_standard(
+                _name_circle(one, language), one, CIRCLE_FIGURES, language
+            )
+        ],
+    }
+
+
+def _name_line(one: Mapping[str, Any], language: Language) -> str:
+    standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
+    return language.say(
+        "driven_line_is", axes=one["axes"], standard=standard, runs=one["runs"]
+    )
+
+
+def _name_circle(one: Mapping[str, Any], language: Language) -> str:
+    radius = language.number(one["radius_mm"], 0)
+    return language.say("driven_circle_is", plane=one["plane"], radius=radius)
+
+
+def _list_standard(
+    name: str, one: Mapping[str, Any], figures: Sequence[str], language: Language
+) -> Iterator[Row]:
+    value, sigma, predicted = (
+        one[key] for key in ("figures_um", "uncertainty_um", "predicted_um")
+    )
+    yield name, *(language.write_expanded(value[f], sigma[f]) for f in figures)
+    yield (
+        language.say("circle_predicted"),
+        *(language.number(predicted[f]) if f in predicted else "—" for f in figures),
+    )

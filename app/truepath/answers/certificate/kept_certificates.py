@@ -1,0 +1,178 @@
+"""Certificates that were issued, kept with their result: numbered, and never changed.
+
+Each is a folder with its number for a name: `certificate.json`, the record;
+`certificate.html`; and `certificate.pdf`, where this installation can print. A folder
+is made aside and renamed when it is whole, so that a number has all or nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from truepath.answers.certificate.document import render_certificate
+from truepath.answers.certificate.issue import (
+    Certificate,
+    gather_certificate,
+    read_result_source,
+)
+from truepath.answers.certificate.language import LanguageCode
+from truepath.answers.certificate.pdf import (
+    PdfUnavailable,
+    print_pdf,
+    require_printer,
+)
+from truepath.documents.file_model import encode_json
+from truepath.documents.whole_files import sync_to_disk, write_files
+from truepath.errors import NotFound
+from truepath.files.bundle.identity_file import Identity
+
+RECORD, HTML, PDF = "certificate.json", "certificate.html", "certificate.pdf"
+SCHEMA = "certificate/1"
+FOLDER = "certificates"
+_FORMS = {"html": HTML, "pdf": PDF}
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateOrder:
+    """What certificate is asked for.
+
+    stem : of its number; a count follows it
+    result, left, verification, compensation : files; the last three as far as they are
+    issued_at, issued_by : when and by whom; empty for nobody who is known
+    """
+
+    stem: str
+    result: Path
+    issued_at: datetime
+    issued_by: str = ""
+    left: Path | None = None
+    verification: Path | None = None
+    compensation: Path | None = None
+    identity: Identity = field(default_factory=dict[str, str])
+    language: LanguageCode = "en"
+    accept_verdict: bool = False
+
+
+def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
+    """Make a certificate, keep it below `folder`, and return its record.
+
+    Raises NotUsable where the result is not to be used and that was not accepted,
+    BundleError for a file that does not fit.
+    """
+    content = gather_certificate(
+        read_result_source(order.result),
+        issued=order.issued_at.date(),
+        left=order.left,
+        verification=order.verification,
+        compensation=order.compensation,
+        identity=order.identity,
+        language=order.language,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 1 + len(list(folder.glob(f"*/{RECORD}")))
+    while True:
+        numbered = replace(content, number=f"{order.stem}-{count}")
+        files, record = _make_files(order, numbered)
+        if _keep(folder, numbered.number, files):
+            return record
+        count += 1
+
+
+def read_certificate(folder: Path, number: str) -> dict[str, Any]:
+    """Return the record of a certificate. Raises NotFound."""
+    place = _find_kept(folder).get(number)
+    if place is None:
+        raise NotFound(f"no certificate {number!r} is kept here")
+    record: dict[str, Any] = json.loads((place / RECORD).read_text(encoding="utf-8"))
+    return record
+
+
+def list_certificates(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the records of all certificates, in the order they were issued."""
+    every = (read_certificate(folder, number) for number in _find_kept(folder))
+    yield from sorted(every, key=lambda record: (record["issued_at"], record["number"]))
+
+
+def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) -> Path:
+    """Return the file of a certificate. Raises NotFound, PdfUnavailable."""
+    record = read_certificate(folder, number)
+    name = _FORMS[form]
+    if name not in record["files"]:
+        raise PdfUnavailable(
+            f"certificate {number} has no PDF: none could be made when it was issued; "
+            "print its HTML, or issue another where the extra `pdf` is installed, and "
+            "fonts that have every letter of it"
+        )
+    return folder / number / name
+
+
+def _make_files(
+    order: CertificateOrder, content: Certificate
+) -> tuple[dict[str, bytes], dict[str, Any]]:
+    html = render_certificate(content, accept_verdict=order.accept_verdict)
+    files = {HTML: html.encode()}
+    try:
+        require_printer()
+        files[PDF] = print_pdf(html)
+    except PdfUnavailable:
+        pass  # who asks for the PDF is told
+    record = {
+        "schema": SCHEMA,
+        "number": content.number,
+        "machine": content.found.result.machine.name,
+        "issued_at": order.issued_at.isoformat(timespec="seconds"),
+        "issued_by": order.issued_by,
+        "language": order.language,
+        "verdict": content.found.result.verdict.state,
+        "verdict_accepted": order.accept_verdict,
+        "identity": dict(order.identity),
+        "sources_sha256": _list_sources(content),
+        "files": {name: _digest(data) for name, data in files.items()},
+    }
+    # The record last: where it stands, the others stand as well.
+    return {**files, RECORD: encode_json(record, indent=1)}, record
+
+
+def _list_sources(content: Certificate) -> Mapping[str, str]:
+    sources = {
+        "result": content.found,
+        "as_left": content.left,
+        "verification": content.verification,
+        "compensation": content.compensation,
+    }
+    return {name: one.sha256 for name, one in sources.items() if one is not None}
+
+
+def _keep(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
+    """Write a certificate whole; tell whether the number was free."""
+    draft = Path(tempfile.mkdtemp(prefix=".", dir=folder))
+    try:
+        draft.chmod(0o755)
+        write_files(draft, files)
+        os.rename(draft, folder / number)
+    except OSError:
+        if not (folder / number).exists():
+            raise
+        return False
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    sync_to_disk(folder)
+    return True
+
+
+def _find_kept(folder: Path) -> dict[str, Path]:
+    places = (file.parent for file in folder.glob(f"*/{RECORD}"))
+    return {place.name: place for place in places if not place.name.startswith(".")}
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

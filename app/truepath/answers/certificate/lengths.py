@@ -1,0 +1,32 @@
+"""At which temperature lengths of a certificate hold, in its language."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from truepath.answers.certificate.language import Language
+from truepath.compensation.tables.length_reference import (
+    REFERENCE_DEGC,
+    STEEL_UM_PER_M_K,
+    find_measured_degc,
+)
+
+
+def say_lengths(measured_degc: tuple[float, float] | None, language: Language) -> str:
+    """Return the sentence that lengths are not normalised to 20 °C."""
+    at = language.say("lengths_unknown")
+    if measured_degc is not None:
+        ends = dict.fromkeys(language.number(end, 1) for end in measured_degc)
+        at = f"{' … '.join(ends)} °C"
+    return language.say(
+        "lengths_are",
+        at=at,
+        reference=f"{REFERENCE_DEGC:g}",
+        steel=language.number(STEEL_UM_PER_M_K, 1),
+    )
+
+
+def say_measured_lengths(provenance: Mapping[str, Any], language: Language) -> str:
+    """Return that sentence of a measurement."""
+    return say_lengths(find_measured_degc(provenance), language)

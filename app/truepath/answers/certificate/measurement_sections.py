@@ -1,0 +1,271 @@
+"""How it was measured: method, conditions, path and set-up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+from markupsafe import Markup
+
+from truepath.answers.certificate.issue import Certificate
+from truepath.answers.certificate.language import Language
+from truepath.answers.certificate.picture import paint
+from truepath.answers.shown.svg import (
+    WIDTH,
+    Colour,
+    draw_image,
+    draw_segments,
+    draw_strokes,
+    fill_box,
+    write_label,
+)
+from truepath.answers.shown.templating import View
+from truepath.answers.shown.volume_figure import project
+from truepath.documents.file_model import as_object
+from truepath.kinematics.machine.machine import LinearAxis
+
+Run = Mapping[str, Any]
+Row = tuple[str, str]
+_UNITS = {"degC": "°C", "hPa": "hPa", "percent": "%"}
+_QUANTITIES = {"degC": "temperature", "hPa": "pressure", "percent": "humidity"}
+_AIR = {"instrument": "instrument", "truepath": "service", "nobody": "nobody"}
+_HEIGHT, _EDGE = 300.0, 26.0
+_TRACKER = 7.0  # size of the tracker's sign
+
+
+def describe_measurement(certificate: Certificate, language: Language) -> View:
+    """Return method and conditions of each Run."""
+    runs: list[Run] = certificate.found.content.get("runs", [])
+    warm_up = certificate.identity.get("warm_up", language.say("not_stated"))
+    return {
+        "warm_up": (language.say("identity_warm_up"), warm_up),
+        "grade": _say_grade(certificate.found.content.get("grade"), language),
+        "runs": [_describe_run(run, language) for run in runs],
+    }
+
+
+def describe_setup(certificate: Certificate, language: Language) -> View:
+    """Return the picture of path, tracker and volume; None where nothing is known."""
+    runs: list[Run] = certificate.found.content.get("runs", [])
+    machine = certificate.found.result.machine
+    axes, target = machine.linear_axes, machine.target()
+    offset = np.array(target.offset_mm if target.on == "tool" else (0.0, 0.0, 0.0))
+    shown = [run["commanded"] for run in runs if run.get("commanded")]
+    paths = [
+        offset + np.array(each["shown_mm"], float).reshape(-1, 3)
+        for each in shown
+        if len(axes) == 3
+    ]
+    trackers = [np.array(run["tracker_mm"], float) for run in runs]
+    places = dict.fromkeys(
+        ", ".join(language.number(value, 0) for value in at.tolist()) for at in trackers
+    )
+    steps = [-(-each["rows"] // max(len(each["shown_mm"]), 1)) for each in shown]
+    return {
+        "figure": draw_setup(axes, offset, paths, trackers, language)
+        if paths
+        else None,
+        "places": places,
+        "step": max(steps, default=1),
+    }
+
+
+def _describe_run(run: Run, language: Language) -> View:
+    environment = run.get("environment", {})
+    sensors = environment.get("sensors", [])
+    return {
+        "name": run["name"],
+        "rows": list(_list_facts(run, language)),
+        "sensors": [_state_sensor(one, language) for one in sensors],
+        "missing": _list_missing(sensors, language),
+        "air": list(_list_air(environment, language)),
+    }
+
+
+def _list_facts(run: Run, language: Language) -> Iterator[Row]:
+    alignment = run["alignment"]
+    yield language.say("mode"), language.say(f"mode_{run['mode']}")
+    what = "lines" if run["mode"] == "otf" else "points"
+    counts = {"count": alignment["lines"], "matched": alignment["matched_lines"]}
+    yield language.say("commanded"), language.say(what, **counts)
+    if feed := run.get("feed_mm_min"):
+        speeds = dict.fromkeys(language.count(round(value)) for value in feed)
+        yield language.say("feed"), f"{' – '.join(speeds)} mm/min"
+    minutes = language.number(run["measured_s"] / 60.0)
+    yield language.say("duration"), f"{minutes} min"
+    share = 100.0 * run["used_samples"] / max(run["samples"], 1)
+    yield (
+        language.say("samples"),
+        language.say(
+            "samples_used",
+            count=language.count(run["samples"]),
+            share=language.number(share, 1),
+        ),
+    )
+    metres = language.number(run["noise"]["distance_mm"] / 1000.0, 2)
+    yield language.say("distance"), f"{metres} m"
+    said = "; ".join(_list_interruptions(run.get("interruptions", {}), language))
+    yield language.say("interruptions"), said or language.say("none")
+
+
+def _list_interruptions(found: Mapping[str, Any], language: Language) -> Iterator[str]:
+    if found.get("breaks"):
+        seconds = language.number(found["broken_s"])
+        yield language.say("beam_breaks", count=found["breaks"], seconds=seconds)
+    if found.get("gaps"):
+        count = language.count(found["lost_samples"])
+        yield language.say("lost_samples", count=count, gaps=found["gaps"])
+    if tries := found.get("searches", 0) + found.get("found", 0):
+        yield language.say("searches", count=tries)
+    if again := found.get("driven_again"):
+        yield language.say("driven_again", lines=", ".join(again))
+
+
+def _state_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]:
+    name, _, unit = one["name"].rpartition("_")
+    numbers = (one[key] for key in ("mean", "low", "high", "change"))
+    return (
+        language.own.get(f"sensor_{name}", name),
+        str(_UNITS.get(unit, unit)),
+        *("–" if value is None else language.number(value, 2) for value in numbers),
+    )
+
+
+def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
+    if not sensors:
+        return language.say("no_sensors")
+    recorded = {
+        one["name"].rpartition("_")[2] for one in sensors if one["mean"] is not None
+    }
+    names = [
+        language.say(f"quantity_{quantity}")
+        for unit, quantity in _QUANTITIES.items()
+        if unit not in recorded
+    ]
+    if not names:
+        return ""
+    return language.say("missing_quantities", names=", ".join(names))
+
+
+def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
+    refraction = as_object(environment.get("refraction"))
+    key = _AIR.get(refraction.get("by", ""), "unknown")
+    yield language.say(f"air_{key}")
+    if scale := environment.get("range_scale"):
+        per_k = language.number(scale["per_K_ppm"], 2)
+        per_hpa = language.number(scale["per_hPa_ppm"], 2)
+        yield language.say("air_scale", per_k=per_k, per_hpa=per_hpa)
+
+
+def _say_grade(grade: Mapping[str, Any] | None, language: Language) -> str:
+    if not grade:
+        return ""
+    word = language.shared[f"grade.{grade['verdict']}"]
+    return f"{language.number(float(grade['number']), 2)} ({word})"
+
+
+def draw_setup(
+    axes: Sequence[LinearAxis],
+    offset_mm: Float64[np.ndarray, "3"],
+    paths_mm: Sequence[Float64[np.ndarray, "n 3"]],
+    trackers_mm: Sequence[Float64[np.ndarray, "3"]],
+    language: Language,
+) -> Markup:
+    """Draw the set-up of all Runs.
+
+    offset_mm : of the target, with which the axes carry it
+    paths_mm : of each Run, places of the target in the order driven
+    trackers_mm : where the tracker stood, in the same coordinates
+    """
+    ends = product(*((axis.low, axis.high) for axis in axes))
+    corners = offset_mm + np.array(list(ends))
+    every = np.vstack([corners, *paths_mm, *(t[None] for t in trackers_mm)])
+    fit = _Fit(_flatten(every))
+    parts = [_draw_box(corners, fit)]
+    parts += [
+        draw_segments(
+            fit.place(np.tile(at, (8, 1))),
+            fit.place(corners),
+            Colour.THIRD,
+            width=0.4,
+            dash="2 3",
+        )
+        for at in trackers_mm
+    ]
+    parts += [_draw_path(path, fit) for path in paths_mm if len(path)]
+    parts += [
+        _draw_tracker(at, number, fit, language)
+        for number, at in enumerate(trackers_mm, start=1)
+    ]
+    parts += _write_axes(axes, corners, fit)
+    return paint(draw_image(_HEIGHT, language.say("section_setup"), parts))
+
+
+class _Fit:
+    """Places points of the room in the picture, as large as it holds."""
+
+    def __init__(self, flat: Float64[np.ndarray, "n 2"]) -> None:
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        begin = np.array([_EDGE + 20.0, _EDGE])
+        end = np.array([WIDTH - _EDGE - 30.0, _HEIGHT - _EDGE])
+        self._scale = float(np.min((end - begin) / np.maximum(high - low, 1e-9)))
+        self._shift = 0.5 * (begin + end) - 0.5 * self._scale * (low + high)
+
+    def place(self, room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Return where points are drawn."""
+        return self._scale * _flatten(room_mm) + self._shift
+
+
+def _flatten(room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+    return project(room_mm[None])[0]
+
+
+def _draw_box(corners: Float64[np.ndarray, "8 3"], fit: _Fit) -> Markup:
+    pairs = [
+        (one, other)
+        for one in range(8)
+        for other in range(one)
+        if np.count_nonzero(corners[one] != corners[other]) == 1
+    ]
+    begin, end = (fit.place(corners[[pair[k] for pair in pairs]]) for k in (0, 1))
+    return draw_segments(begin, end, Colour.INK, width=0.9)
+
+
+def _draw_path(path: Float64[np.ndarray, "n 3"], fit: _Fit) -> Markup:
+    at = fit.place(path)
+    points = "L".join(f"{x:.1f} {y:.1f}" for x, y in at.tolist())
+    return draw_strokes([f"M{points}"], Colour.ACCENT, width=0.7, opacity=0.75)
+
+
+def _draw_tracker(
+    at_mm: Float64[np.ndarray, "3"], number: int, fit: _Fit, language: Language
+) -> Markup:
+    x, y = fit.place(at_mm[None])[0].tolist()
+    half = _TRACKER / 2.0
+    name = language.say("tracker") + (f" {number}" if number > 1 else "")
+    is_right = x > WIDTH / 2.0
+    return fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD) + write_label(
+        x,
+        y + 14.0,
+        name,
+        colour=Colour.INK,
+        anchor="end" if is_right else "middle",
+    )
+
+
+def _write_axes(
+    axes: Sequence[LinearAxis], corners: Float64[np.ndarray, "8 3"], fit: _Fit
+) -> list[Markup]:
+    edges = ((0, 4), (4, 6), (0, 1))  # of corners: X in front, Y right, Z left
+    beside = ((0.0, 13.0, "middle"), (10.0, 9.0, "start"), (-8.0, 0.0, "end"))
+    parts: list[Markup] = []
+    for axis, edge, (dx, dy, anchor) in zip(axes, edges, beside, strict=True):
+        x, y = fit.place(corners[list(edge)]).mean(axis=0).tolist()
+        text = f"{axis.name} {axis.high - axis.low:.0f} mm"
+        parts.append(
+            write_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)
+        )
+    return parts

@@ -1,0 +1,317 @@
+"""The numbers: volumetric error, budget, tables, squareness, ISO 230-2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from truepath.answers.certificate.as_left import is_compensation_confirmed
+from truepath.answers.certificate.issue import Certificate, Content
+from truepath.answers.certificate.language import Language
+from truepath.answers.certificate.lengths import say_measured_lengths
+from truepath.answers.certificate.map_figures import (
+    compute_slices,
+    draw_histograms,
+    draw_slices,
+)
+from truepath.answers.shown.number_format import SIGN
+from truepath.answers.shown.templating import View
+from truepath.answers.verification.places.positioning_figures import (
+    HalfDifference,
+    PositioningFigures,
+    Stated,
+    compute_positioning_figures,
+)
+from truepath.kinematics.machine.machine import Axis, position_unit
+from truepath.kinematics.machine.symbols import list_error_motions
+from truepath.results.volumetric_error import (
+    VolumetricError,
+    compute_volumetric_error,
+)
+
+_K = 2.0
+_AT_ONCE = 3  # error motions of a table side by side on paper
+_POSITION_SIGN = {"mm": "mm", "deg": "°"}
+
+
+def describe_brief(certificate: Certificate, language: Language) -> View:
+    """Return the volumetric error as found, expected, and as left."""
+    stated = certificate.found.content["volumetric_error"]
+    states = [("before", stated["before"])]
+    if both := stated.get("both_directions"):
+        states.append(("before_both_directions", both))
+    states.append(("after_expected", stated["after_expected"]))
+    if certificate.left is not None:
+        left = certificate.left.content["volumetric_error"]
+        states.append(("after_left", left["before"]))
+        if both := left.get("both_directions"):
+            states.append(("after_left_both_directions", both))
+    return {
+        "rows": [
+            (
+                language.say(name),
+                *(_say_figure(spread[k], language) for k in ("mean", "p95", "largest")),
+            )
+            for name, spread in states
+        ],
+        "is_measured": certificate.left is not None,
+        "left_note": _say_compensated(certificate, language),
+        "scale_note": _say_scale(certificate, language),
+    }
+
+
+def _say_scale(certificate: Certificate, language: Language) -> str:
+    """Return the scale that is in these uncertainties; nothing where none is."""
+    sources = (certificate.found, certificate.left)
+    ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
+    return language.say("length_scale", ppm=language.number(ppm, 2)) if ppm else ""
+
+
+def _say_compensated(certificate: Certificate, language: Language) -> str:
+    """Return who says that the compensation was active as the machine was left."""
+    if certificate.left is None:
+        return ""
+    confirmed = is_compensation_confirmed(certificate.left.content)
+    return language.say("left_confirmed" if confirmed else "left_stated")
+
+
+def describe_volume(certificate: Certificate, language: Language) -> View:
+    """Return slices and histograms before and after."""
+    found, left = certificate.found, certificate.left
+    before = compute_volumetric_error(found.result)
+    after = _list_after(certificate, before, language)
+    lengths = np.linalg.norm(before.error_um, axis=1)
+    histograms = [(language.say("before"), lengths), after]
+    view: View = {"histograms": draw_histograms(histograms, language), "slices": []}
+    names = [axis.name for axis in found.result.machine.linear_axes]
+    if len(names) == 3:
+        as_found, unknown = compute_slices(found.result)
+        second, title = unknown, "slices_expected"
+        if left is not None:
+            second, title = compute_slices(left.result)[0], "slices_left"
+        view["slices"] = [
+            draw_slices(slices, names, language.say(text), language)
+            for slices, text in ((as_found, "slices_before"), (second, title))
+        ]
+    return view
+
+
+def describe_budget(certificate: Certificate, language: Language) -> View:
+    """Return each source's share of the uncertainty of the volumetric error."""
+    content = certificate.found.content
+    budget = content.get("uncertainty_budget")
+    if not budget:
+        return {"rows": []}
+    total = budget["total_um"]
+    directions = ("x", "y", "z", "volume")
+    rows = [
+        (
+            language.say(f"budget_{source}"),
+            *(language.number(part[name], 3) for name in directions),
+            f"{language.number(100.0 * _share(part, total), 1)} %",
+        )
+        for source, part in budget["sources_um"].items()
+    ]
+    sums = [language.number(total[name], 3) for name in directions]
+    doubled = [language.number(_K * total[name], 3) for name in directions]
+    has_thermal = budget["sources_um"].get("thermal", {}).get("volume", 0.0) > 0.0
+    return {
+        "rows": rows,
+        "total": (language.say("budget_total"), *sums, "100 %"),
+        "expanded": (language.say("budget_expanded"), *doubled, ""),
+        "thermal": "" if has_thermal else _say_no_thermal(content, language),
+    }
+
+
+def describe_tables(certificate: Certificate, language: Language) -> View:
+    """Return every table, its extrapolated positions marked, and half differences."""
+    content, machine = certificate.found.content, certificate.found.result.machine
+    holds = content.get("holds_for", {})
+    target = machine.target()
+    offset = ", ".join(language.number(value) for value in target.offset_mm)
+    return {
+        "holds": language.say("any_tool")
+        if holds.get("any_tool")
+        else language.say("this_tool", offset=offset),
+        "axes": [_describe_axis(axis, content, language) for axis in machine.axes],
+        "halves": list(_list_halves(content, language)),
+    }
+
+
+def describe_single(certificate: Certificate, language: Language) -> View:
+    """Return squareness, and where rotary axes are."""
+    content = certificate.found.content
+    square = {
+        symbol: (entry["value"], entry["uncertainty"], "urad")
+        for symbol, entry in content["squareness_urad"].items()
+    }
+    places = {
+        symbol: (entry[f"value_{unit}"], entry[f"uncertainty_{unit}"], unit)
+        for symbol, entry in content.get("axis_location", {}).items()
+        for unit in (_unit_of(entry, "value"),)
+    }
+    return {
+        "rows": [
+            (
+                symbol,
+                language.name_symbol(symbol),
+                f"{language.write_expanded(value, sigma)} {SIGN[unit]}",
+            )
+            for symbol, (value, sigma, unit) in {**square, **places}.items()
+        ]
+    }
+
+
+def describe_positioning(certificate: Certificate, language: Language) -> View:
+    """Return the figures of ISO 230-2 that an estimate can give."""
+    halves = _read_halves(certificate.found.content)
+    found = certificate.found.result
+    every = compute_positioning_figures(found, halves, found.measured)
+    return {
+        "rows": [_state_positioning(one, language) for one in every],
+        "lengths": say_measured_lengths(found.provenance, language),
+    }
+
+
+def _list_after(
+    certificate: Certificate, before: VolumetricError, language: Language
+) -> tuple[str, np.ndarray]:
+    if certificate.left is None:
+        return language.say("after_expected"), before.after_lengths_um
+    left = compute_volumetric_error(certificate.left.result)
+    return language.say("after_left"), np.linalg.norm(left.error_um, axis=1)
+
+
+def _say_figure(figure: Mapping[str, float], language: Language) -> str:
+    return language.write_expanded(figure["value_um"], figure["uncertainty_um"])
+
+
+def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:
+    return (part["volume"] / max(total["volume"], 1e-12)) ** 2
+
+
+def _say_no_thermal(content: Content, language: Language) -> str:
+    changes = [
+        abs(one["change"])
+        for run in content.get("runs", [])
+        for one in run.get("environment", {}).get("sensors", [])
+        if one["change"] is not None and one["name"][:2] in ("X_", "Y_", "Z_")
+    ]
+    change = language.say("budget_thermal_unknown")
+    if changes:
+        kelvin = language.number(max(changes), 2)
+        change = language.say("budget_thermal_change", kelvin=kelvin)
+    return language.say("budget_thermal_none", change=change)
+
+
+def _describe_axis(axis: Axis, content: Content, language: Language) -> View:
+    tables = {
+        symbol: content["error_tables"][symbol]
+        for symbol in list_error_motions(axis.name)
+        if symbol in content["error_tables"]
+    }
+    symbols = list(tables)
+    groups = [symbols[i : i + _AT_ONCE] for i in range(0, len(symbols), _AT_ONCE)]
+    beyond = any(any(table["extrapolated"]) for table in tables.values())
+    return {
+        "title": language.say("axis", axis=axis.name),
+        "measured": _say_measured(axis, content, language, beyond=beyond),
+        "tables": [
+            _list_values(axis, {s: tables[s] for s in group}, language)
+            for group in groups
+        ],
+    }
+
+
+def _say_measured(
+    axis: Axis, content: Content, language: Language, *, beyond: bool
+) -> str:
+    ends = content.get("measured_range", {}).get(axis.name)
+    if not ends:
+        return ""
+    low, high = (language.number(value, 1) for value in ends.values())
+    span = language.say("from_to", low=low, high=high)
+    key = "measured_range" if beyond else "no_extrapolation"
+    return language.say(key, range=f"{span} {_POSITION_SIGN[position_unit(axis)]}")
+
+
+def _list_values(
+    axis: Axis, tables: Mapping[str, Mapping[str, Any]], language: Language
+) -> View:
+    unit = position_unit(axis)
+    first = next(iter(tables.values()))
+    head = [f"{axis.name}, {_POSITION_SIGN[unit]}"]
+    columns: list[list[str]] = []
+    for symbol, table in tables.items():
+        own = _unit_of(table, "value")
+        head.append(f"{symbol}, {SIGN[own]}")
+        pairs = zip(table[f"value_{own}"], table[f"uncertainty_{own}"], strict=True)
+        columns.append(
+            [language.write_expanded(value, sigma) for value, sigma in pairs]
+        )
+    places = [
+        language.number(position, 1) + ("*" if is_beyond else "")
+        for position, is_beyond in zip(
+            first[f"position_{unit}"], first["extrapolated"], strict=True
+        )
+    ]
+    names = [f"{symbol}: {language.name_symbol(symbol)}" for symbol in tables]
+    return {
+        "head": head,
+        "names": names,
+        "rows": list(zip(places, *columns, strict=True)),
+    }
+
+
+def _read_halves(content: Content) -> dict[str, HalfDifference]:
+    halves: Mapping[str, Any] = content.get("direction", {}).get("half_difference", {})
+    return {
+        symbol: HalfDifference(
+            np.array(table.get("position_mm", table.get("position_deg")), float),
+            np.array(table[f"value_{unit}"], float),
+            np.array(table[f"uncertainty_{unit}"], float),
+        )
+        for symbol, table in halves.items()
+        for unit in (_unit_of(table, "value"),)
+    }
+
+
+def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ...]]:
+    for symbol, table in (
+        content.get("direction", {}).get("half_difference", {}).items()
+    ):
+        unit = _unit_of(table, "value")
+        value, sigma = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
+        largest = int(np.argmax(np.abs(value)))
+        place = "deg" if "position_deg" in table else "mm"
+        at = language.number(table[f"position_{place}"][largest], 0)
+        yield (
+            symbol,
+            language.name_symbol(symbol),
+            f"{language.write_expanded(value[largest], sigma[largest])} {SIGN[unit]}",
+            f"{at} {_POSITION_SIGN[place]}",
+        )
+
+
+def _unit_of(entry: Mapping[str, Any], stem: str) -> str:
+    return next(unit for unit in ("um", "urad") if f"{stem}_{unit}" in entry)
+
+
+def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str, ...]:
+    def say(stated: Stated | None) -> str:
+        if stated is None:
+            return "–"
+        return language.write_expanded(stated.value, stated.uncertainty)
+
+    low, high = (language.number(end, 0) for end in one.range)
+    over = f"{low}\u00a0… {high}\u00a0{_POSITION_SIGN[one.position_unit]}"
+    return (
+        f"{one.symbol[2]},\u00a0{SIGN[one.unit]}",
+        over,
+        say(one.mean_range),
+        say(one.reversal),
+        say(one.systematic_range),
+        language.say("iso_not_told"),
+    )

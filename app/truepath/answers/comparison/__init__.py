@@ -1,0 +1,1 @@
+"""How far two results, or a result and a direct measurement, differ."""

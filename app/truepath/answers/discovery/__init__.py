@@ -1,0 +1,4 @@
+"""What discovery states: the finding as JSON, the extended model, the report.
+
+The search itself is `truepath.discovery`.
+"""

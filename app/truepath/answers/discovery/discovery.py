@@ -1,0 +1,64 @@
+"""From Runs to what their model lacks, the model with it, and what to drive next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from truepath.answers.discovery.discovery_json import ask_json, discovery_json
+from truepath.answers.discovery.model_file import (
+    NextModel,
+    build_next_model,
+    build_reference,
+)
+from truepath.discovery.discover import Discovery, discover
+from truepath.discovery.open_questions import design_discrimination
+from truepath.discovery.terms.discrimination import DiscriminationDesign
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.bundle.run import Run
+from truepath.progress import Progress, ignore_progress, scale_progress
+
+ASK = "ask/path.csv"
+_FOUND = 0.95  # share of the work that is done with the search
+
+
+@dataclass(frozen=True, slots=True)
+class Discovered:
+    """What became of Runs; content : of `discovery.json`.
+
+    asked : lines to drive next, to be written as `ASK`; None where nothing is open
+    """
+
+    found: Discovery
+    content: dict[str, Any]
+    model: NextModel
+    asked: DiscriminationDesign | None
+
+
+def discover_runs(
+    runs: Sequence[Run],
+    parent: PriorModel | None = None,
+    on_progress: Progress = ignore_progress,
+) -> Discovered:
+    """Find what a model of Runs lacks.
+
+    parent : the model; the rigid-body model fitted to the Runs if None
+    on_progress : receives the share done and the stage: discovering, reporting
+
+    Raises AlignmentError, EstimationError if the Runs cannot be fitted, BundleError if
+    they, or the model, are not of one machine.
+    """
+    reference = None if parent is None else build_reference(parent, runs[0])
+    found = discover(
+        runs, reference, scale_progress(on_progress, 0.0, _FOUND, "discovering")
+    )
+    on_progress(_FOUND, "reporting")
+    model = build_next_model(found, parent)
+    asked = design_discrimination(found)
+    content = discovery_json(found) | {
+        "model": {k: model.content[k] for k in ("version", "parent", "difference")},
+        "verdict": model.content["verdict"],
+        "ask": None if asked is None else ask_json(asked, ASK),
+    }
+    return Discovered(found, content, model, asked)

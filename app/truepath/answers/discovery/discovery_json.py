@@ -1,0 +1,238 @@
+"""`discovery.json` (schema `discovery/1` of the file formats), and its words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from truepath.alignment.observations.observations import Observations
+from truepath.discovery.discover import Discovery
+from truepath.discovery.findings import Finding
+from truepath.discovery.residual_location import RunResidual, Segment
+from truepath.discovery.terms.discrimination import (
+    DECIDED,
+    DiscriminationDesign,
+    Question,
+)
+from truepath.files.bundle.commanded_file import list_columns
+from truepath.kinematics.effects.catalogue import Candidate, Family, find_family
+from truepath.kinematics.machine.symbols import is_turn
+from truepath.results.updated_effects import parameters_json
+
+SCHEMA = "discovery/1"
+_SEGMENTS = 20  # the worst ones; all of them are in the report's plots
+
+
+def discovery_json(found: Discovery) -> dict[str, Any]:
+    """Return the content of the file."""
+    named = [f for f in found.findings if f.structure is None]
+    return {
+        "schema": SCHEMA,
+        "effects": [effect_json(f) for f in named],
+        "possible": [effect_json(f) for f in found.possible],
+        "unnamed": [
+            *(
+                _encode_unnamed(f.structure, f)
+                for f in found.findings
+                if f.structure is not None
+            ),
+            *_list_unexplained(found),
+        ],
+        "gap": {
+            "unit": "um",
+            "before": found.gap.before_um,
+            "after": found.gap.after_um,
+            "noise_floor": found.gap.noise_floor_um,
+            "expected": found.gap.expected_um,
+            "on": "held-out segments",
+        },
+        "where": _worst(found),
+        "lines": [
+            line
+            for k, one in enumerate(found.residuals)
+            for line in _list_lines(one, k)
+        ],
+        "explained_by": _state_explanation(found.residuals[0]),
+        "runs": [
+            {
+                "name": scene.run.name,
+                "mode": scene.run.mode,
+                "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
+                "explained_by": _state_explanation(one),
+            }
+            for scene, one in zip(found.aligned, found.residuals, strict=True)
+        ],
+        "compared": found.compared,
+        "provenance": {
+            "run": found.run_names,
+            "software": f"truepath {version('truepath')}",
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    }
+
+
+def _list_unexplained(found: Discovery) -> list[dict[str, Any]]:
+    """Return what neither effects nor free forms explain, if anything is left."""
+    if not found.leaves_gap:
+        return []
+    left_um = float(np.sqrt(found.gap.after_um**2 - found.gap.expected_um**2))
+    by = next(iter(found.residuals[0].after.shares), "line")
+    return [
+        {
+            "depends_on": [by],
+            "description": f"a displacement of {left_um:.2g} µm (root mean square on "
+            f"held-out lines) in no shape that was tried; it shows most by {by}",
+            "rms_um": left_um,
+        }
+    ]
+
+
+def effect_json(finding: Finding) -> dict[str, Any]:
+    """Return one effect with its parameters and its evidence."""
+    words = finding.family.words["en"]
+    return {
+        **_key(finding.candidate),
+        "grade": finding.grade,
+        "parameters": parameters_json(finding.parameters),
+        "evidence": {
+            "log_bayes_factor": finding.evidence.log_bayes,
+            "held_out_log_score": finding.evidence.held_out,
+            "share_of_gap": finding.evidence.share,
+        },
+        "indistinguishable_from": [_key(c) for c in finding.alternatives],
+        "cause": words.cause,
+        "looks_like": words.looks_like,
+        "remedy": words.remedy,
+    }
+
+
+def _encode_unnamed(family: Family, finding: Finding) -> dict[str, Any]:
+    amplitude = finding.parameters.get("amplitude_um")
+    rms = finding.parameters.get("rms_um")
+    size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
+    return {
+        "structure": family.name,
+        "depends_on": family.list_covariates(finding.candidate),
+        "description": family.describe(finding.candidate, finding.parameters),
+        "rms_um": size,
+        **{k: v for k, v in effect_json(finding).items() if k not in ("name", "axis")},
+    }
+
+
+def _key(candidate: Candidate) -> dict[str, str]:
+    key = {"name": candidate.family, **candidate.keys}
+    if "motion" in candidate.keys:
+        key["unit"] = "urad" if is_turn(candidate.keys["motion"]) else "um"
+    return key
+
+
+def _segment_json(segment: Segment) -> dict[str, Any]:
+    content = asdict(segment)
+    return {"segment": content.pop("row"), **content}
+
+
+def _worst(found: Discovery) -> list[dict[str, Any]]:
+    """Return the segments of all Runs that disagree most; `run` counts them from 0."""
+    every = [
+        (s, k) for k, one in enumerate(found.residuals) for s in one.before.segments
+    ]
+    every.sort(key=lambda pair: -pair[0].rms_um)
+    return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
+
+
+def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
+    """Return how far every line or point of a Run is off, in the order of time."""
+    seen = one.observations
+    after = {(s.row, s.time_s): s.rms_um for s in one.after.segments}
+    celsius = _average_temperatures(seen)
+    return [
+        {
+            "run": run,
+            "segment": s.row,
+            "axis": s.axis,
+            "direction": s.direction,
+            "time_s": s.time_s,
+            "feed_mm_min": s.feed_mm_min,
+            "before_um": s.rms_um,
+            "after_um": after[s.row, s.time_s],
+            "temperature_degC": celsius.get(s.time_s, {}),
+        }
+        for s in sorted(one.before.segments, key=lambda s: s.time_s)
+    ]
+
+
+def _average_temperatures(seen: Observations) -> dict[float, dict[str, float]]:
+    recorded = seen.at.recorded
+    if recorded is None or recorded.temperature_degc is None:
+        return {}
+    means: dict[float, dict[str, float]] = {}
+    for first, last in seen.lines:
+        average = recorded.temperature_degc[first:last].mean(axis=0).tolist()
+        at_s = float(seen.at.time_s[first:last].mean())
+        means[at_s] = dict(zip(recorded.sensors, average, strict=True))
+    return means
+
+
+def _state_explanation(shown: RunResidual) -> dict[str, dict[str, float]]:
+    return {"before": shown.before.shares, "after": shown.after.shares}
+
+
+def write_title(candidate: Candidate) -> str:
+    """Return an effect in words: `Backlash of Y`."""
+    return find_family(candidate.family).title(candidate.keys)
+
+
+def describe_alternatives(finding: Finding) -> str:
+    """Say what else a finding may be."""
+    if not finding.alternatives:
+        return "no other effect of the catalogue explains the measurement as well"
+    names = "; ".join(write_title(c) for c in finding.alternatives)
+    return f"this measurement cannot tell it from: {names}"
+
+
+def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
+    """Return the questions, the lines that decide them, and the reason in words.
+
+    file : the `path.csv` of the lines, beside `discovery.json`; `rows` are the same, as
+        a measuring job takes them for its path
+    """
+    columns = list_columns(asked.path)
+    rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
+    return {
+        "reason": explain(asked),
+        "questions": [
+            {"between": [question.left, question.right], "expected_log_bayes": gain}
+            for question, gain in zip(asked.questions, asked.expected, strict=True)
+        ],
+        "decides": asked.decides,
+        "path": file,
+        "rows": [dict(zip(columns, row, strict=True)) for row in rows],
+        "lines": asked.lines,
+        "duration_s": asked.duration_s,
+    }
+
+
+def explain(asked: DiscriminationDesign) -> str:
+    """Return why the lines are to be driven, and what they are."""
+    step = np.sign(np.diff(asked.path.position, axis=0))
+    turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))
+    feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})
+    gain = min(asked.expected)
+    enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
+    questions = "; ".join(_describe_question(q) for q in asked.questions)
+    return (
+        f"{questions}. {asked.lines} lines in "
+        f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
+        f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
+        f"factor of {gain:.0f}, which {enough}."
+    )
+
+
+def _describe_question(question: Question) -> str:
+    if not question.right:
+        return f"the evidence for {question.left} is thin"
+    return f"{question.left} and {question.right} explain the measurement alike"

@@ -1,0 +1,310 @@
+"""What has changed in a machine between two of its calibrations, and how surely.
+
+Each calibration states θ̂ with its covariance C. Table entries and the volumetric error
+are linear in θ, so their difference R₂θ̂₂ − R₁θ̂₁ has the covariance
+R₂C₂R₂ᵀ + R₁C₁R₁ᵀ. That is on the safe side: what both took from the same prior would
+cancel. Tables are compared in their own gauge, the volumetric error after its best-fit
+rigid motion is removed from each: where the tracker stood is no change of the machine.
+
+The scale of air and tracker is common to all lengths of a calibration and is in none of
+its tables: here it counts, in positioning and in the volume, as one more parameter.
+
+Many entries are looked at, and some of them differ much by chance alone. An entry has
+changed only if its |difference| / uncertainty is more than the largest over all entries
+is with a chance of 2.5 %; the root mean square of the volumetric difference is held
+against its own such limit, so that an unchanged machine is said to have changed with a
+chance of 5 % at most. Both limits come from 4000 draws of the joint covariance: entries
+that go together count less than those that do not (the single-step maximum test of
+Westfall and Young, 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import BadInput
+from truepath.files.bundle.one_machine import have_same_targets, one_machine
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.units import PER_PPM, UM_PER_MM, scale_of
+from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.machine import LinearAxis, position_unit
+from truepath.kinematics.machine.symbols import find_unit, is_positioning
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results.error_tables import choose_table_positions
+
+CHANCE = 0.05  # that an unchanged machine is said to have changed
+_DRAWS = 4000
+_SMALLEST = 1e-9  # µm, µrad: rounding of what is 0 by convention of the table
+_FINE = 1e-9  # of the largest eigenvalue: shapes that no error over the travel shows
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedEntry:
+    """One number of the tables in both calibrations.
+
+    position : of the axis in `position_unit`; None of a number that has none
+    unit : "um" or "urad", of both values and of the uncertainty of their difference
+    chance : that so large a difference stands anywhere in the tables of a machine that
+        has not changed; 1/4001 at least
+    """
+
+    symbol: str
+    position: float | None
+    position_unit: str
+    unit: str
+    before: float
+    after: float
+    uncertainty: float
+    chance: float
+    is_significant: bool
+
+    @property
+    def difference(self) -> float:
+        """After less before."""
+        return self.after - self.before
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedVolume:
+    """The volumetric error of both calibrations, one less the other.
+
+    difference_um : root mean square of its length over the travel
+    by_chance_um : what that would be below with a chance of 97.5 % without a change
+    change_um : what is left of it when the part of chance is taken out; 0 if nothing is
+    """
+
+    difference_um: float
+    by_chance_um: float
+    change_um: float
+    chance: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the machine has changed in its volume."""
+        return self.difference_um > self.by_chance_um
+
+
+@dataclass(frozen=True, slots=True)
+class MachineChange:
+    """All that differs between two calibrations.
+
+    factor : how many standard uncertainties an entry has to differ by to count
+    not_compared : symbols that only one of both states
+    """
+
+    entries: tuple[ChangedEntry, ...]
+    volume: ChangedVolume
+    factor: float
+    not_compared: tuple[str, ...]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether anything has changed for sure."""
+        return self.volume.is_significant or any(e.is_significant for e in self.entries)
+
+
+def find_changes(before: CalibrationResult, after: CalibrationResult) -> MachineChange:
+    """Return what differs between two results of one machine.
+
+    Raises BadInput if they share a Run, or hold for other targets; BundleError if they
+    are of different machines.
+    """
+    _refuse_what_cannot_be_compared(before, after)
+    pair = _Pair(
+        _Side(before.at_targets, PER_PPM * before.length_scale_ppm),
+        _Side(after.at_targets, PER_PPM * after.length_scale_ppm),
+    )
+    places, values, drawn = pair.evaluate_entries()
+    sigma = drawn.std(axis=1)
+    known = sigma > _SMALLEST
+    highest = np.max(np.abs(drawn[known]) / sigma[known, None], axis=0, initial=0.0)
+    factor = float(np.quantile(highest, 1.0 - CHANCE / 2.0))
+    excess = np.where(known, np.abs(values[1] - values[0]), 0.0)
+    excess = np.divide(excess, sigma, out=np.zeros_like(excess), where=known)
+    entries = tuple(
+        ChangedEntry(
+            *place,
+            float(values[0, k]),
+            float(values[1, k]),
+            float(sigma[k]),
+            _count_chance(highest, float(excess[k])),
+            bool(excess[k] > factor),
+        )
+        for k, place in enumerate(places)
+    )
+    volume = _compare_volume(before, after)
+    return MachineChange(entries, volume, factor, pair.not_compared)
+
+
+def _refuse_what_cannot_be_compared(
+    before: CalibrationResult, after: CalibrationResult
+) -> None:
+    one_machine([before.machine, after.machine], ["the earlier", "the later result"])
+    any_tool = before.model.knows_all_motions and after.model.knows_all_motions
+    if not (any_tool or have_same_targets(before.machine, after.machine)):
+        raise BadInput(
+            "the results hold for different targets, or another tool; compare two that "
+            "were measured with the same, or with three targets that tell all motions"
+        )
+    shared = _list_digests(before) & _list_digests(after)
+    if shared:
+        raise BadInput(
+            "both results come from one Run, so that they are not independent; "
+            "compare results of different measurements"
+        )
+
+
+def _list_digests(result: CalibrationResult) -> set[str]:
+    runs = result.provenance.get("runs") or ()
+    return {str(run["input_sha256"]) for run in runs}
+
+
+Place = tuple[str, float | None, str, str]
+"""Symbol, position, its unit, unit of the value."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """One calibration: its parameters, and one more, the scale of its lengths.
+
+    scale : standard uncertainty of that, of 1; what is known of it is in the parameters
+    """
+
+    estimated: EstimatedModel
+    scale: float
+
+    @property
+    def theta(self) -> Float64[np.ndarray, " p"]:
+        """What was found of them, the scale last."""
+        return np.append(self.estimated.theta, 0.0)
+
+    def draw(self, seed: int) -> Float64[np.ndarray, "p d"]:
+        """Return departures of them by their covariance, always the same."""
+        value, vector = np.linalg.eigh(self.estimated.covariance)
+        rng = np.random.default_rng(seed)
+        unit = rng.standard_normal((len(value), _DRAWS))
+        own = vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
+        return np.vstack([own, self.scale * rng.standard_normal(_DRAWS)])
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """What two calibrations of one machine both state."""
+
+    before: _Side
+    after: _Side
+
+    @property
+    def not_compared(self) -> tuple[str, ...]:
+        """Symbols that only one of both states."""
+        before, after = (
+            _list_symbols(one.estimated) for one in (self.before, self.after)
+        )
+        return tuple(sorted(before ^ after))
+
+    def evaluate_entries(
+        self,
+    ) -> tuple[list[Place], Float64[np.ndarray, "2 n"], Float64[np.ndarray, "n d"]]:
+        """Return the entries of both tables, and their difference drawn by chance."""
+        sides = (self.before, self.after)
+        known = [_list_symbols(one.estimated) for one in sides]
+        symbols = known[0] & known[1]
+        if not symbols:
+            raise BadInput("the results state no error motion in common")
+        (places, rows), (_, other) = (
+            _find_rows(one.estimated, symbols) for one in sides
+        )
+        values = np.stack([rows @ self.before.theta, other @ self.after.theta])
+        return places, values, rows @ self.before.draw(1) + other @ self.after.draw(2)
+
+
+def _list_symbols(estimated: EstimatedModel) -> set[str]:
+    hidden = estimated.model.confounded
+    effects = [e for e in estimated.model.effects if e.name not in hidden]
+    return {e.iso_symbol for e in effects if e.iso_symbol}
+
+
+def _find_rows(
+    estimated: EstimatedModel, symbols: set[str]
+) -> tuple[list[Place], Float64[np.ndarray, "n p"]]:
+    """Return the entries of the tables, and how these follow from the parameters."""
+    model = estimated.model
+    places: list[Place] = []
+    blocks: list[Float64[np.ndarray, "k p"]] = []
+    effects = {e.iso_symbol: e for e in model.effects if e.name not in model.confounded}
+    for symbol in sorted(symbols):
+        effect, unit = effects[symbol], find_unit(symbol)
+        part = np.eye(1)
+        if motion := effect.motion:
+            at = choose_table_positions(motion.axis)
+            part = motion.rows(at)
+            measure = position_unit(motion.axis)
+            places += [(symbol, float(p), measure, unit) for p in at]
+        else:
+            places.append((symbol, None, "", unit))
+        block = np.zeros((len(part), model.size + 1))
+        block[:, model.slices[effect.name]] = scale_of(unit) * part
+        if motion and is_positioning(symbol) and isinstance(motion.axis, LinearAxis):
+            away_mm = choose_table_positions(motion.axis)
+            block[:, -1] = UM_PER_MM * (away_mm - reference_position_mm(motion.axis))
+        blocks.append(block)
+    return places, np.concatenate(blocks)
+
+
+def _compare_volume(
+    before: CalibrationResult, after: CalibrationResult
+) -> ChangedVolume:
+    sides = [_Side(one, PER_PPM * one.length_scale_ppm) for one in (before, after)]
+    columns = np.concatenate([-_weigh(before), _weigh(after)], axis=1)
+    value, vector = np.linalg.eigh(columns.T @ columns)
+    kept = value > _FINE * value[-1]
+    root: Float64[np.ndarray, "k p"] = (vector[:, kept] * np.sqrt(value[kept])).T
+    theta = np.concatenate([one.theta for one in sides])
+    drawn = root @ np.concatenate([one.draw(k) for k, one in enumerate(sides, 1)])
+    length_um: Float64[np.ndarray, " d"] = np.linalg.norm(drawn, axis=0)
+    difference_um = float(np.linalg.norm(columns @ theta))
+    left = difference_um**2 - float(np.mean(length_um**2))
+    return ChangedVolume(
+        difference_um,
+        float(np.quantile(length_um, 1.0 - CHANCE / 2.0)),
+        float(np.sqrt(max(left, 0.0))),
+        _count_chance(length_um, difference_um),
+    )
+
+
+def _weigh(estimated: EstimatedModel) -> Float64[np.ndarray, "m p"]:
+    """Return columns whose length is the root mean square over the travel, µm.
+
+    The last one is of the scale.
+    """
+    volumetric = build_volumetric_map(estimated.model)
+    away_mm = volumetric.volume.point_mm - volumetric.centre_mm
+    columns = np.concatenate(
+        [volumetric.jacobian(volumetric.volume), away_mm[:, :, None]], axis=2
+    )
+    columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]
+    return columns.reshape(-1, columns.shape[2])
+
+
+def _count_chance(drawn: Float64[np.ndarray, " d"], found: float) -> float:
+    """Return the share of draws that are as large; never none of them."""
+    return float((1 + np.count_nonzero(drawn >= found)) / (1 + len(drawn)))
+
+
+def list_significant(change: MachineChange) -> Iterator[ChangedEntry]:
+    """Yield of each symbol that has changed the entry that says so most surely."""
+    found: dict[str, ChangedEntry] = {}
+    for entry in change.entries:
+        known = found.get(entry.symbol)
+        if entry.is_significant and (known is None or _excess(entry) > _excess(known)):
+            found[entry.symbol] = entry
+    yield from sorted(found.values(), key=_excess, reverse=True)
+
+
+def _excess(entry: ChangedEntry) -> float:
+    return abs(entry.difference) / entry.uncertainty

@@ -1,0 +1,1 @@
+"""A plan as it is stored and shown; `truepath.planning` decides what to measure."""

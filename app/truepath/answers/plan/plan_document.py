@@ -1,0 +1,299 @@
+"""`plan.json` (schema `plan/1` of the file formats)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.earlier.verdict import Verdict, verdict_json
+from truepath.files.units import UM_PER_MM, scale_of
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.symbols import (
+    SQUARENESS,
+    describe_symbol,
+    find_unit,
+    is_location,
+)
+from truepath.planning.grade import sample_sigma_mm, verdict
+from truepath.planning.plan import Plan
+from truepath.planning.stations.station_choice import StationAdvice, StationOption
+from truepath.planning.stations.station_information import StationVariance
+from truepath.results.updated_effects import (
+    prior_model_json,
+    state_predicted_effects,
+)
+from truepath_drivers.interfaces.records import Path
+
+SCHEMA = "plan/1"
+_ORDINAL = {2: "second", 3: "third"}
+
+
+def plan_document(planned: Plan) -> dict[str, Any]:
+    """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
+    order, found = planned.order, planned.outcome
+    target_um, model = order.target_um, order.model
+    return {
+        "schema": SCHEMA,
+        "machine": machine_to_json(planned.machine),
+        "mode": order.mode,
+        "rows": sum(len(plan.commanded) for plan in planned.at_stations),
+        "duration_s": round(sum(p.duration_s for p in planned.at_stations), 3),
+        "corner_path": order.corner_path,
+        "perpendicular_only": order.perpendicular_only,
+        "feeds_mm_min": _list_feeds(planned),
+        "motion": _state_motion(planned.machine),
+        "feed_choice": _explain_feeds(planned),
+        "model": model and prior_model_json(model),
+        "verdict": verdict_json(Verdict() if model is None else model.judge_use()),
+        "tracker": {
+            "position_mm": [round(float(v), 3) for v in planned.station_mm],
+            "assumed": order.workspace.tracker_mm is None,
+            "chosen": planned.stations is not None and planned.stations.chosen,
+        },
+        "stations": planned.stations and _stations_json(planned.stations),
+        "at_stations": _list_stations(planned) if planned.further else None,
+        "predicted": {
+            **_state_both(planned.uncertainty_um),
+            "errors": _errors(planned),
+            "effects": state_predicted_effects(found),
+            "servo_mismatch": {
+                axis: {"uncertainty_ms": 1e3 * sigma}
+                for axis, sigma in planned.lag_sigma_s.items()
+            },
+        },
+        "target": None
+        if target_um is None
+        else {**_state_both(target_um), "reached": planned.reached},
+        "curve": list(_trace_curve(planned)),
+        "unobservable": _list_unobservable(planned),
+    }
+
+
+def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
+    """Yield what is left once rows are reached, its grade, and what is known least."""
+    for first_row, begin_s, plan in _in_turn(planned):
+        found = plan.forecast
+        sample_mm = sample_sigma_mm([run.observations for run in found.stations])
+        for step in found.curve:
+            number = step.sigma_mm / sample_mm
+            yield {
+                "row": first_row + step.row + 1,
+                "time_s": round(begin_s + float(plan.time_s[step.row]), 3),
+                **_state_both(UM_PER_MM * step.sigma_mm),
+                "grade": {"number": number, "verdict": verdict(number)},
+                "weakest": [
+                    {"error": name, "at_tool_um": UM_PER_MM * at_tool_mm}
+                    for name, at_tool_mm in step.weakest_mm.items()
+                ],
+            }
+
+
+def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
+    rows, time_s = 0, 0.0
+    for plan in planned.at_stations:
+        yield rows, time_s, plan
+        rows, time_s = rows + len(plan.commanded), time_s + plan.duration_s
+
+
+def _list_stations(planned: Plan) -> list[dict[str, Any]]:
+    return [
+        {
+            "position_mm": [round(float(v), 3) for v in plan.station_mm],
+            "rows": len(plan.commanded),
+            "duration_s": round(plan.duration_s, 3),
+            **_state_both(plan.uncertainty_um),
+        }
+        for plan in planned.at_stations
+    ]
+
+
+def _list_feeds(planned: Plan) -> list[float]:
+    """Return the feeds: those that were given, else those that are driven."""
+    if planned.order.feeds_mm_min:
+        return list(planned.order.feeds_mm_min)
+    if isinstance(planned.commanded, Path):
+        return sorted(set(planned.commanded.feed_mm_min[1:].tolist()), reverse=True)
+    return list(planned.order.feeds(planned.machine))
+
+
+def _state_motion(machine: Machine) -> dict[str, Any]:
+    motion, texts = machine.motion, list[str]()
+    if "max_feed_mm_min" in motion.assumed:
+        texts.append(
+            f"highest feed taken to be {motion.max_feed_mm_min:g} mm/min; state "
+            "motion.max_feed_mm_min in the machine file"
+        )
+    if "acceleration_mm_s2" in motion.assumed:
+        texts.append(
+            f"acceleration taken to be {motion.acceleration_mm_s2:g} mm/s²; state "
+            "motion.acceleration_mm_s2 in the machine file"
+        )
+    jerk = motion.jerk_mm_s3
+    return {
+        "max_feed_mm_min": motion.max_feed_mm_min,
+        "acceleration_mm_s2": motion.acceleration_mm_s2,
+        "jerk_mm_s3": jerk if math.isfinite(jerk) else None,
+        "assumed": texts,
+    }
+
+
+def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
+    """Return which lines have which feed and why; None where feeds were given."""
+    path = planned.commanded
+    if not planned.feeds_worth or not isinstance(path, Path):
+        return None
+    feeds = [
+        {
+            "feed_mm_min": feed,
+            "lines": int((path.feed_mm_min[1:] == feed).sum()),
+            "relative_information_per_s": round(worth, 3),
+        }
+        for feed, worth in planned.feeds_worth.items()
+    ]
+    counted = [f"{f['lines']} at {f['feed_mm_min']:g}" for f in feeds if f["lines"]]
+    slower = len(path) - 1 - sum(int(f["lines"]) for f in feeds)
+    if slower:
+        counted.append(f"{slower} slower, where rotary axes turn or the target changes")
+    driven = ", ".join(counted)
+    alone = ", ".join(
+        f"{f['relative_information_per_s']:.2f} at {f['feed_mm_min']:g}" for f in feeds
+    )
+    highest, machine_feed = (
+        max(planned.feeds_worth),
+        planned.machine.motion.max_feed_mm_min,
+    )
+    reason = (
+        f"each line has the feed, up to {highest:g} mm/min, at which it tells most a "
+        f"second, ramps and dwells included: of {len(path) - 1} lines {driven}; "
+        f"with one feed for all a second would tell {alone} times as much"
+    )
+    if highest < 0.99 * machine_feed:
+        reason += (
+            f"; at the machine's {machine_feed:g} mm/min too few lines would be long "
+            "enough for a steady feed"
+        )
+    return {"feeds": feeds, "reason": reason}
+
+
+def _list_unobservable(planned: Plan) -> list[str]:
+    said = list(planned.forecast.unobservable)
+    resting = planned.machine.rotary_axes
+    if planned.order.moving(planned.machine).rotary_axes:
+        resting = ()
+    if resting:
+        axes = ", ".join(axis.name for axis in resting)
+        said.append(
+            f"{axes}: rotary axes stand still on this path; their errors show between "
+            "standstills (--mode standstill)"
+        )
+    return said
+
+
+def _state_both(standard_um: float) -> dict[str, float]:
+    """Return a volumetric uncertainty as files state it: k = 1, and k = 2."""
+    return {
+        "volumetric_uncertainty_um": standard_um,
+        "expanded_volumetric_uncertainty_um": 2.0 * standard_um,
+    }
+
+
+def _errors(planned: Plan) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {}
+    for symbol, sigma in planned.forecast.motion_sigmas().items():
+        single = symbol in SQUARENESS or is_location(symbol)
+        kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
+        found[symbol] = {f"uncertainty_{kind}": sigma * scale_of(kind)}
+    return found
+
+
+def _stations_json(advice: StationAdvice) -> dict[str, Any]:
+    # Uncertainties are standard ones (k = 1).
+    return {
+        "recommended": len(advice.recommended.place_mm),
+        "statement": in_words(advice),
+        "move_minutes": advice.move_s / 60.0,
+        "judged": advice.judged,
+        "best": {"position_mm": _round(advice.best_mm), **_state(advice.best)},
+        "worst": _state(advice.worst),
+        "options": [_option_json(option) for option in advice.options],
+    }
+
+
+def in_words(advice: StationAdvice) -> list[str]:
+    """Return what a person needs to know before the tracker is set up."""
+    first, *further = advice.options
+    said = [
+        f"from {_place(first.place_mm[0])} {_um(first.left)} stay, "
+        f"{UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
+        f"errors; of {advice.judged} places the worst leaves {_um(advice.worst)}"
+    ]
+    if first.left.seen < 1.0:
+        said.append(f"{first.left.seen:.0%} of the travel are in range and in sight")
+    if not advice.chosen and advice.best.sigma_mm < 0.95 * first.left.sigma_mm:
+        said.append(f"{_place(advice.best_mm)} would leave {_um(advice.best)}")
+    said += [_compare(option) for option in further]
+    count = len(advice.recommended.place_mm)
+    said.append(f"{count} stations pay" if count > 1 else "one station is enough")
+    return said
+
+
+def _compare(option: StationOption) -> str:
+    count = len(option.place_mm)
+    places = " and ".join(_place(place) for place in option.place_mm[1:])
+    said = (
+        f"with a {_ORDINAL[count]} station ({places}) {_um(option.left)} after "
+        f"{option.total_s / 60.0:.0f} min in all; staying as long leaves "
+        f"{_um(option.stay)}"
+    )
+    if not option.pays:
+        return f"{said}: it does not pay"
+    return f"{said}: it pays, because {_give_reason(option)}"
+
+
+def _give_reason(option: StationOption) -> str:
+    if option.reason == "sight":
+        return (
+            f"one place sees {option.stay.seen:.0%} of the travel, these "
+            f"{option.left.seen:.0%}"
+        )
+    if option.reason == "systematic":
+        return "the tracker's own errors, which no time averages, differ by the place"
+    return f"one place leaves {option.reason} ({describe_symbol(option.reason)}) weak"
+
+
+def _option_json(option: StationOption) -> dict[str, Any]:
+    return {
+        "count": len(option.place_mm),
+        "position_mm": [_round(place) for place in option.place_mm],
+        "minutes": option.total_s / 60.0,
+        **_state(option.left),
+        "one_place_as_long": _state(option.stay),
+        "pays": option.pays,
+        "because": option.reason if option.pays else None,
+    }
+
+
+def _state(left: StationVariance) -> dict[str, float]:
+    return {
+        "volumetric_uncertainty_um": UM_PER_MM * left.sigma_mm,
+        "random_um": UM_PER_MM * left.random_mm,
+        "systematic_um": UM_PER_MM * left.systematic_mm,
+        "seen": left.seen,
+    }
+
+
+def _um(left: StationVariance) -> str:
+    return f"{UM_PER_MM * left.sigma_mm:.2f} µm"
+
+
+def _place(place_mm: Float64[np.ndarray, "3"]) -> str:
+    return f"({', '.join(f'{v:.0f}' for v in place_mm.tolist())}) mm"
+
+
+def _round(place_mm: Float64[np.ndarray, "3"]) -> list[float]:
+    return [round(v, 3) for v in place_mm.tolist()]

@@ -1,0 +1,1 @@
+"""What all reports share: numbers for people, charts, figures, the frame of a page."""

@@ -1,0 +1,231 @@
+"""A chart: two scales, their ticks on round numbers, a grid and a frame; panels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from markupsafe import Markup
+
+from truepath.answers.shown.svg import (
+    NUMBER,
+    TITLE,
+    WIDTH,
+    Colour,
+    draw_image,
+    draw_segments,
+    draw_strokes,
+    join_shapes,
+    write_label,
+)
+from truepath.kinematics.machine.machine import Axis, position_unit
+from truepath.kinematics.machine.symbols import describe_symbol, list_error_motions
+
+TOP, LEFT, EDGE = 16.0, 36.0, 7.0  # free above, left and right of the panels
+_GAP = 40.0
+_PANEL_HEIGHT, _ROW_HEIGHT = 116.0, 146.0
+_BELOW = 28.0  # for the numbers and the name of the axis
+_MARGIN = 0.05  # of the span of the data, beyond either end
+_DIGIT = 4.2  # width of a digit in the type of the numbers
+_FEWEST_DECADES = 4  # below it ticks at 2 and 5 as well
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """A linear or logarithmic map of `low` … `high` to `begin` … `end` of a figure.
+
+    names : of the only numbers it has, where they stand for classes
+    decimal_mark : of the numbers at its ticks
+    """
+
+    low: float
+    high: float
+    begin: float
+    end: float
+    logarithmic: bool = False
+    names: Mapping[float, str] | None = None
+    decimal_mark: str = "."
+
+    def place(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Return the places of numbers."""
+        low, high = self.low, self.high
+        if self.logarithmic:
+            low, high, value = math.log10(low), math.log10(high), np.log10(value)
+        return self.begin + (value - low) / (high - low) * (self.end - self.begin)
+
+    def find_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
+        """Return round numbers that stand at least `spacing` apart, or the classes."""
+        if self.names:
+            return np.array(sorted(self.names))
+        if self.logarithmic:
+            return self._list_decades()
+        room = max(1.0, abs(self.end - self.begin) / spacing)
+        step = round_up((self.high - self.low) / room)
+        first, last = math.ceil(self.low / step - 1e-9), self.high / step + 1e-9
+        return step * np.arange(first, math.floor(last) + 1)
+
+    def name_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
+        """Return ticks as text with a true minus sign, in equal decimals if linear."""
+        if self.names:
+            return [self.names[tick] for tick in ticks.tolist()]
+        digits = 0
+        while digits < 6 and not np.allclose(ticks, np.round(ticks, digits), rtol=1e-6):
+            digits += 1
+        form = "g" if self.logarithmic else f"z,.{digits}f"
+        signs = str.maketrans({"-": "−", ".": self.decimal_mark})
+        return [format(tick, form).translate(signs) for tick in ticks.tolist()]
+
+    def _list_decades(self) -> Float64[np.ndarray, " t"]:
+        low, high = math.log10(self.low), math.log10(self.high)
+        powers = 10.0 ** np.arange(math.floor(low), math.ceil(high) + 1)
+        if high - low < _FEWEST_DECADES:
+            powers = np.ravel(powers[:, None] * np.array([1.0, 2.0, 5.0]))
+        inside = (powers >= self.low * 0.999) & (powers <= self.high * 1.001)
+        return powers[inside]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The rectangle of a chart in its figure."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def make_x(
+        self, low: float, high: float, *, margin: float = 0.0, logarithmic: bool = False
+    ) -> Scale:
+        """Return the scale of the horizontal axis."""
+        low, high = _widen(low, high, margin)
+        return Scale(low, high, self.left, self.right, logarithmic)
+
+    def make_y(self, low: float, high: float, *, margin: float = _MARGIN) -> Scale:
+        """Return the scale of the vertical axis."""
+        low, high = _widen(low, high, margin)
+        return Scale(low, high, self.bottom, self.top)
+
+    def write_title(self, text: str) -> Markup:
+        """Return the title above the frame."""
+        return write_label(
+            self.left, self.top - 5.0, text, size=TITLE, colour=Colour.INK
+        )
+
+    def draw_axes(
+        self, x: Scale, y: Scale, x_label: str, y_label: str, *, upright: bool = True
+    ) -> Markup:
+        """Return grid, axes, numbers and labels.
+
+        upright : draw the grid's vertical lines as well
+        """
+        x_ticks, y_ticks = x.find_ticks(34.0), y.find_ticks(18.0)
+        x_at, y_at = x.place(x_ticks), y.place(y_ticks)
+        numbers = y.name_ticks(y_ticks)
+        widest = max(map(len, numbers), default=0)
+        middle = 0.5 * (self.top + self.bottom)
+        aside = self.left - 9.0 - _DIGIT * widest
+        return join_shapes(
+            [
+                _draw_grid(x_at, self.bottom, self.top, rows=False)
+                if upright
+                else Markup(),
+                _draw_grid(y_at, self.left, self.right, rows=True),
+                self._draw_axes(x_at),
+                *(
+                    write_label(
+                        at, self.bottom + 10.5, text, size=NUMBER, anchor="middle"
+                    )
+                    for at, text in zip(
+                        x_at.tolist(), x.name_ticks(x_ticks), strict=True
+                    )
+                ),
+                *(
+                    write_label(
+                        self.left - 4.0, at + 2.5, text, size=NUMBER, anchor="end"
+                    )
+                    for at, text in zip(y_at.tolist(), numbers, strict=True)
+                ),
+                self._write_x_label(x_label),
+                write_label(aside, middle, y_label, anchor="middle", upright=False),
+            ]
+        )
+
+    def draw_empty(self, text: str) -> Markup:
+        """Return a dashed frame that says why there is nothing in it."""
+        edge = (
+            f"M{self.left:g} {self.top:g}H{self.right:g}V{self.bottom:g}H{self.left:g}Z"
+        )
+        x, y = 0.5 * (self.left + self.right), 0.5 * (self.top + self.bottom)
+        lines = text.split("\n")
+        first = y + 2.5 - 5.5 * (len(lines) - 1)
+        return draw_strokes([edge], Colour.MUTED, width=0.6, dash="2 2") + join_shapes(
+            write_label(x, first + 11.0 * i, line, anchor="middle")
+            for i, line in enumerate(lines)
+        )
+
+    def _draw_axes(self, x_at: Float64[np.ndarray, " t"]) -> Markup:
+        corner = f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}"
+        marks = [f"M{at:.2f} {self.bottom:g}v2.5" for at in x_at.tolist()]
+        return draw_strokes([corner, *marks], Colour.MUTED, width=0.6)
+
+    def _write_x_label(self, label: str) -> Markup:
+        if not label:
+            return Markup()
+        x = 0.5 * (self.left + self.right)
+        return write_label(x, self.bottom + 22.0, label, anchor="middle")
+
+
+def round_up(number: float) -> float:
+    """Return the next number with a leading digit of 1, 2 or 5."""
+    power = 10.0 ** math.floor(math.log10(number))
+    return power * next(d for d in (1, 2, 5, 10) if d * power >= number * 0.999)
+
+
+def round_down(number: float) -> float:
+    """Return the last number before it with a leading digit of 1, 2 or 5."""
+    power = 10.0 ** math.floor(math.log10(number))
+    return power * max(d for d in (1, 2, 5) if d * power <= number * 1.001)
+
+
+def _widen(low: float, high: float, margin: float) -> tuple[float, float]:
+    span = high - low
+    if span <= 0.0:  # all data at one number
+        return low - 0.5, high + 0.5
+    return low - margin * span, high + margin * span
+
+
+def _draw_grid(
+    at: Float64[np.ndarray, " t"], begin: float, end: float, *, rows: bool
+) -> Markup:
+    first, last = (
+        np.column_stack([np.full(len(at), edge), at][:: 1 if rows else -1])
+        for edge in (begin, end)
+    )
+    return draw_segments(first, last, Colour.RULE, width=0.5)
+
+
+def draw_panels(
+    axis: Axis, title: str, draw_motion: Callable[[Frame, str, str], Markup]
+) -> Markup:
+    """Return the figure; the name of the axis stands below the lower panels.
+
+    draw_motion : draws an error motion, by its symbol, into a frame; its last argument
+        is the text below the frame
+    """
+    name = f"{axis.name}, {position_unit(axis)}"
+    parts: list[Markup] = []
+    for i, symbol in enumerate(list_error_motions(axis.name)):
+        frame = make_panel(*divmod(i, 3), _PANEL_HEIGHT, _ROW_HEIGHT)
+        parts.append(frame.write_title(f"{symbol}  {describe_symbol(symbol)}"))
+        parts.append(draw_motion(frame, symbol, name if i >= 3 else ""))
+    return draw_image(TOP + _ROW_HEIGHT + _PANEL_HEIGHT + _BELOW, title, parts)
+
+
+def make_panel(row: int, column: int, height: float, row_height: float) -> Frame:
+    """Return the frame of a panel; three stand side by side."""
+    width = (WIDTH - LEFT - 2 * _GAP - EDGE) / 3
+    left, top = LEFT + column * (width + _GAP), TOP + row * row_height
+    return Frame(left, top, left + width, top + height)

@@ -1,0 +1,1 @@
+"""A machine's temperature model of several calibrations, as file and report."""

@@ -1,0 +1,1 @@
+"""How errors move from Run to Run, and what that lets one expect."""

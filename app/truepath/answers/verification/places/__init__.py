@@ -1,0 +1,1 @@
+"""Places measured again: deviations, lengths, and what conforms (ISO 14253)."""

@@ -1,0 +1,306 @@
+"""Measurement and prediction at the same places, both less their rigid motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import block_diag
+from scipy.special import fdtrc
+
+from truepath.answers.verification.places.length_statistics import DRAWS
+from truepath.answers.verification.places.measured_places import (
+    MeasuredPlaces,
+    join_places,
+)
+from truepath.answers.verification.places.predicted_motion import (
+    Correction,
+    predict_displacement,
+)
+from truepath.estimation.solve.extrapolation import (
+    beyond_travel_variance_mm2,
+    estimate_variations,
+    full_travel,
+)
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.units import PER_PPM, UM_PER_MM
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.error_motion import find_arm, find_usual_size
+from truepath.results.lost_motion import list_lost_departures_mm
+
+K = 2.0
+# Chances below which deviations are not consistent, and a measurement is in doubt.
+_LIKELY, DOUBTFUL = 0.05, 0.01
+_FREE = 10.0  # stated uncertainties that a machine which has changed may be off
+_ROUNDING = 1e-12
+_FEWEST = 8.0  # degrees of freedom by which the noise of a Run is known at the least
+_GROWTH = 5e-5  # of a length: steel that is some 4 K warmer
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceVectors:
+    """A vector at each place, less rigid motion; covariance : (n, 3, 3) of it."""
+
+    vector_mm: Float64[np.ndarray, "n 3"]
+    covariance_mm2: Float64[np.ndarray, "n 3 3"]
+
+    @property
+    def length_um(self) -> Float64[np.ndarray, " n"]:
+        """Lengths."""
+        return UM_PER_MM * np.linalg.norm(self.vector_mm, axis=1)
+
+    @property
+    def length_sigma_um(self) -> Float64[np.ndarray, " n"]:
+        """Standard uncertainty of a length: that of the direction known least."""
+        largest = np.linalg.eigvalsh(self.covariance_mm2)[:, -1]
+        return UM_PER_MM * np.sqrt(np.maximum(largest, 0.0))
+
+    @property
+    def sigma_um(self) -> Float64[np.ndarray, "n 3"]:
+        """Standard uncertainties of the components."""
+        variance = np.diagonal(self.covariance_mm2, axis1=1, axis2=2)
+        return UM_PER_MM * np.sqrt(np.maximum(variance, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """χ² of deviations, and how likely a larger one is if all is as stated.
+
+    The noise is known by the Run itself, as well as it has data beyond those that a
+    free machine takes up: the chance is that of an F distribution.
+
+    share_within : of components that are within their expanded uncertainty (k = 2)
+    known_by : degrees of freedom by which the Run knows its noise
+    repeated : chance of what a machine free to err otherwise leaves: small where the
+        measurement itself does not fit together
+    """
+
+    chi_square: float
+    freedom: int
+    chance: float
+    share_within: float
+    known_by: float
+    repeated: float
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether the deviations are what noise and stated uncertainty allow."""
+        return self.chance >= _LIKELY
+
+    @property
+    def fits_together(self) -> bool:
+        """Whether some machine, changed in any way, would explain the measurement."""
+        return self.repeated >= DOUBTFUL
+
+
+@dataclass(frozen=True)
+class HeldPlaces:
+    """Measurement and prediction at places, in their m components, mm.
+
+    scale_mm, own_scale_mm : (m,) by one standard uncertainty of the scale of air and
+        tracker, of the measurement and of the result
+    columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
+    lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
+    change_mm : (m, c) by what usually changes of an axis
+    less_rigid : (m, m) takes the best-fit pose and seats out of components
+    """
+
+    result: CalibrationResult
+    places: MeasuredPlaces
+    as_found_mm: Float64[np.ndarray, " m"]
+    predicted_mm: Float64[np.ndarray, " m"]
+    scale_mm: Float64[np.ndarray, " m"]
+    own_scale_mm: Float64[np.ndarray, " m"]
+    columns: Float64[np.ndarray, "m p"]
+    bend_mm2: Float64[np.ndarray, " m"]
+    lost_mm: Float64[np.ndarray, "m s"]
+    change_mm: Float64[np.ndarray, "m c"]
+    less_rigid: Float64[np.ndarray, "m m"]
+
+    @staticmethod
+    def of(
+        result: CalibrationResult,
+        places: MeasuredPlaces,
+        correction: Correction | None,
+        scale_ppm: float = 0.0,
+    ) -> HeldPlaces:
+        """Return the places of one Run with what a result says of them.
+
+        scale_ppm : standard uncertainty that all lengths of the Run have in common
+        """
+        model, at = result.model, places.cells
+        as_found = places.project(predict_displacement(result, at))
+        predicted = places.project(predict_displacement(result, at, correction))
+        told = result.at_targets
+        known = estimate_variations(
+            told.model,
+            told.theta,
+            result.measured or full_travel(result.machine),
+            told.covariance,
+        )
+        bend = beyond_travel_variance_mm2(places.at, told.model, known)
+        size = len(places.owner)
+        N = places.nuisance
+        # From where is no matter: a shift of all places goes with the pose.
+        away_mm = places.project(at.point_mm - at.point_mm.mean(axis=0))
+        return HeldPlaces(
+            result,
+            places,
+            as_found,
+            predicted,
+            PER_PPM * scale_ppm * away_mm,
+            PER_PPM * result.length_scale_ppm * away_mm,
+            places.project(model.jacobian(at)),
+            np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
+            places.project(list_lost_departures_mm(result, at)),
+            places.project(_list_typical_changes_mm(at)),
+            np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
+        )
+
+    @staticmethod
+    def join(parts: Sequence[HeldPlaces]) -> HeldPlaces:
+        """Return several Runs as one, each without a rigid motion of its own."""
+        if len(parts) == 1:
+            return parts[0]
+        return HeldPlaces(
+            parts[0].result,
+            join_places([part.places for part in parts]),
+            np.concatenate([part.as_found_mm for part in parts]),
+            np.concatenate([part.predicted_mm for part in parts]),
+            np.concatenate([part.scale_mm for part in parts]),
+            np.concatenate([part.own_scale_mm for part in parts]),
+            np.concatenate([part.columns for part in parts]),
+            np.concatenate([part.bend_mm2 for part in parts]),
+            np.concatenate([part.lost_mm for part in parts]),
+            np.concatenate([part.change_mm for part in parts]),
+            block_diag(*(part.less_rigid for part in parts)),
+        )
+
+    @property
+    def covariance_mm2(self) -> Float64[np.ndarray, "m m"]:
+        """Covariance of the measurement: its noise, and the scale it has in common."""
+        return self.places.noise_mm2 + np.outer(self.scale_mm, self.scale_mm)
+
+    def state(
+        self, value: Float64[np.ndarray, " m"], covariance: Float64[np.ndarray, "m m"]
+    ) -> PlaceVectors:
+        """Return a quantity and its covariance as vectors at the places."""
+        M = self.less_rigid
+        return PlaceVectors(
+            self.places.collect(M @ value),
+            self.places.collect_covariance(M @ covariance @ M),
+        )
+
+    def predict_covariance(self) -> Float64[np.ndarray, "m m"]:
+        """Return the covariance of what the result predicts, mm²."""
+        spread = self.columns @ self.result.covariance @ self.columns.T
+        spread += np.outer(self.own_scale_mm, self.own_scale_mm)
+        return spread + self.lost_mm @ self.lost_mm.T + np.diag(self.bend_mm2)
+
+    def free_covariance(self) -> Float64[np.ndarray, "m m"]:
+        """Return that of a machine which errs otherwise, mm²."""
+        spread = self.columns @ self.result.covariance @ self.columns.T
+        free = _FREE**2 * (spread + self.lost_mm @ self.lost_mm.T)
+        return free + self.change_mm @ self.change_mm.T + np.diag(self.bend_mm2)
+
+    def draw(
+        self, covariance: Float64[np.ndarray, "m m"], seed: int
+    ) -> Float64[np.ndarray, "n 3 d"]:
+        """Return departures by a covariance, less their rigid motion."""
+        value, vector = np.linalg.eigh(covariance)
+        unit = np.random.default_rng(seed).standard_normal((len(value), DRAWS))
+        drawn = (vector * np.sqrt(np.maximum(value, 0.0))) @ unit
+        return self.places.collect(self.less_rigid @ drawn)
+
+    def compute_chi_square(
+        self, covariance: Float64[np.ndarray, "m m"]
+    ) -> tuple[float, int]:
+        """Return χ² of the deviations, pose and seats fitted, and its freedom."""
+        deviation = self.places.residual_mm - self.predicted_mm
+        factor = np.linalg.cholesky(self.covariance_mm2 + covariance)
+        whitened = np.linalg.solve(
+            factor, np.column_stack([deviation, self.places.nuisance])
+        )
+        data, taken = whitened[:, 0], _orthonormalise(whitened[:, 1:])
+        left = data - taken @ (taken.T @ data)
+        return float(left @ left), len(data) - taken.shape[1]
+
+    def fit_share(
+        self, data: Float64[np.ndarray, " m"], shape: Float64[np.ndarray, " m"]
+    ) -> tuple[float, float]:
+        """Return how many times a shape is in data, and the inverse variance of that.
+
+        Pose and seats are fitted beside it; the noise is that of the measurement.
+        """
+        factor = np.linalg.cholesky(self.covariance_mm2)
+        columns = np.column_stack([data, shape, self.places.nuisance])
+        white = np.linalg.solve(factor, columns)
+        taken = _orthonormalise(white[:, 2:])
+        own = white[:, 1] - taken @ (taken.T @ white[:, 1])
+        square = float(own @ own)
+        return float(own @ white[:, 0]) / max(square, 1e-300), square
+
+    def match_chi_square(
+        self,
+        covariance: Float64[np.ndarray, "m m"],
+        true: Float64[np.ndarray, "m m"],
+    ) -> tuple[float, float]:
+        """Return scale and freedom of the χ² by one covariance where another is true.
+
+        Its first two moments (Satterthwaite 1946), pose and seats taken off.
+        """
+        V = self.covariance_mm2
+        ratio = np.linalg.solve(V + covariance, V + true)
+        mean = float(np.trace(ratio)) - self.places.nuisance.shape[1]
+        square = float(np.sum(ratio * ratio.T))
+        mean = max(mean, 1.0)
+        scale = square / mean
+        return scale, mean / scale
+
+
+def judge_consistency(
+    held: HeldPlaces, spread: Float64[np.ndarray, "m m"]
+) -> Consistency:
+    """Return how the deviations stand to the noise and to the result's own covariance.
+
+    spread : (m, m) covariance of what the result predicts, mm²
+    """
+    chi_square, freedom = held.compute_chi_square(spread)
+    free = held.free_covariance()
+    _, noise_freedom = held.match_chi_square(free, np.zeros_like(free))
+    known_by = max(noise_freedom, _FEWEST)
+    rest, _ = held.compute_chi_square(free)
+    scale, rest_freedom = held.match_chi_square(free, spread)
+    M = held.less_rigid
+    off = M @ (held.places.residual_mm - held.predicted_mm)
+    sigma = np.sqrt(np.diag(M @ (held.covariance_mm2 + spread) @ M))
+    return Consistency(
+        chi_square,
+        freedom,
+        float(fdtrc(freedom, known_by, chi_square / freedom)),
+        float(np.mean(np.abs(off) <= K * sigma)),
+        known_by,
+        float(fdtrc(rest_freedom, known_by, rest / scale / rest_freedom)),
+    )
+
+
+def _orthonormalise(columns: Float64[np.ndarray, "m k"]) -> Float64[np.ndarray, "m r"]:
+    unit = columns / np.linalg.norm(columns, axis=0)
+    basis, size, _ = np.linalg.svd(unit, full_matrices=False)
+    return basis[:, size > 1e-10 * size[0]]
+
+
+def _list_typical_changes_mm(at: Conditions) -> Float64[np.ndarray, "n 3 c"]:
+    # By lost motion, and by growth of linear axes; from where growth is counted is no
+    # matter: a shift of all places goes with the pose.
+    machine = at.machine
+    moved: list[Float64[np.ndarray, "n 3"]] = []
+    for column, axis in enumerate(machine.axes):
+        symbol = f"E{axis.name}{axis.name}"
+        arm = find_arm(symbol, at)
+        moved.append(find_usual_size(symbol) * arm * at.approach[:, [column]])
+        if axis in machine.linear_axes:
+            moved.append(_GROWTH * arm * at.position_mm[:, [column]])
+    return np.stack(moved, axis=2)

@@ -1,0 +1,69 @@
+"""How much of a result's map a measurement shows, and what that says of a controller.
+
+As found a machine errs by what the result says of it, so 1 time; an ideal compensation
+leaves 0, one of the wrong sign 2. Files that carry a part of the errors alone leave the
+rest: what they should leave stands beside what is seen, and whether they are active is
+told by what they add, not by what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from truepath.answers.verification.places.held_places import HeldPlaces
+
+ScaleCause = Literal["wrong-sign", "not-active", "active"]
+Causes = Mapping[float, ScaleCause | None]
+_AS_FOUND: Causes = {1.0: None, 0.0: "active", 2.0: "wrong-sign"}
+_BY_FILES: Causes = {1.0: None, 0.0: "not-active", -1.0: "wrong-sign"}
+_NEARLY = 0.2  # of the expected number, whatever the noise
+
+
+@dataclass(frozen=True, slots=True)
+class MapScale:
+    """How much of the result's map the machine still has.
+
+    uncertainty : the standard one; expected : 1 as found, else what the files leave
+    cause : why it is otherwise, of the controller's compensation; None where it is not
+        otherwise, or the measurement does not tell
+    """
+
+    value: float
+    uncertainty: float
+    expected: float
+    cause: ScaleCause | None
+
+
+def find_map_scale(held: HeldPlaces, *, is_compensated: bool) -> MapScale | None:
+    """Return how much of the map is in the measurement; None where it has no errors.
+
+    is_compensated : the controller is said to correct by files of the result
+    """
+    value, square = held.fit_share(held.places.residual_mm, held.as_found_mm)
+    if square < 1.0:
+        return None
+    expected, _ = held.fit_share(held.predicted_mm, held.as_found_mm)
+    sigma = square**-0.5
+    if not is_compensated:
+        return MapScale(value, sigma, expected, _find_cause(value, sigma, _AS_FOUND))
+    return MapScale(value, sigma, expected, _judge_files(held))
+
+
+def _judge_files(held: HeldPlaces) -> ScaleCause | None:
+    """Return what is wrong with files that are said to be active, by what they add."""
+    added = held.predicted_mm - held.as_found_mm
+    share, square = held.fit_share(held.places.residual_mm - held.as_found_mm, added)
+    if square < 1.0:
+        return None
+    return _find_cause(share, square**-0.5, _BY_FILES)
+
+
+def _find_cause(times: float, sigma: float, causes: Causes) -> ScaleCause | None:
+    """Return the cause of the only number that the measurement allows."""
+    clear = 3.0 * sigma + _NEARLY
+    near: list[ScaleCause | None] = [
+        cause for number, cause in causes.items() if abs(times - number) < clear
+    ]
+    return near[0] if len(near) == 1 else None

@@ -1,0 +1,250 @@
+"""A verification: its page, one HTML file, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame
+from truepath.answers.shown.error_figures import draw_legend
+from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.answers.shown.svg import (
+    WIDTH,
+    Colour,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    draw_strokes,
+    join_shapes,
+)
+from truepath.answers.shown.templating import View, render_page
+from truepath.answers.verification.circles.circle_figures import FIGURES
+from truepath.answers.verification.circles.circle_figures import (
+    FIGURES as MOVING_FIGURES,
+)
+from truepath.answers.verification.circles.circles_at_standstill import (
+    CIRCLE_FIGURES,
+    CircleFigures,
+)
+from truepath.answers.verification.circles.circles_in_motion import CircleInMotion
+from truepath.answers.verification.circles.circles_json import circles_json
+from truepath.answers.verification.circles.polar_figure import (
+    ENGLISH,
+    draw_polar_circles,
+)
+from truepath.answers.verification.driven_figures import LINE_FIGURES, LineFigures
+from truepath.answers.verification.places.held_places import K
+from truepath.answers.verification.verification import Verification
+from truepath.answers.verification.verification_json import verification_json
+from truepath.answers.verification.verification_statements import state_findings
+from truepath.documents.file_model import encode_json
+from truepath.documents.whole_files import write_files
+
+VERIFICATION, REPORT = "verification.json", "report.html"
+_HEIGHT = 130.0
+_STATISTICS = (
+    ("mean", "Mean"),
+    ("p95", "95 % of the places within"),
+    ("largest", "Largest"),
+)
+
+
+def write_verification(
+    found: Verification,
+    folder: str | Path,
+    asked: Mapping[str, Any] | None = None,
+    *,
+    compensation: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write `verification.json` and `report.html`; return the content of the first.
+
+    asked : what was asked for, to be repeated there
+    compensation : which files were active, `format` and `files_sha256` by name
+    """
+    content = {
+        **verification_json(found),
+        "compensation": compensation,
+        "asked": dict(asked or {}),
+    }
+    page = render_verification_report(found).encode()
+    write_files(Path(folder), {REPORT: page, VERIFICATION: encode_json(content)})
+    return content
+
+
+def render_verification_report(found: Verification) -> str:
+    """Return the page."""
+    return render_page(
+        "verification.html",
+        {
+            "machine": found.result.machine.name,
+            "verdict": found.result.verdict,
+            "run_verdict": found.run_verdict,
+            "run": ", ".join(one.summary.name for one in found.runs),
+            "is_compensated": found.is_compensated,
+            "statements": list(state_findings(found)),
+            "statistics": [
+                (title, *(_state(found, which, name) for which in found.statistics))
+                for name, title in _STATISTICS
+            ],
+            "places": _draw_places(found),
+            "directions": _list_directions(found),
+            "line_head": ("Line", "standard", "runs", *LINE_FIGURES),
+            "lines": [row for one in found.driven.lines for row in _state_line(one)],
+            "circle_head": ("Plane", "radius mm", *CIRCLE_FIGURES),
+            "circles": [
+                row for one in found.driven.circles for row in _state_circle(one)
+            ],
+            "moving_head": ("Plane", "diameter mm", "feed mm/min", *MOVING_FIGURES),
+            "moving_circles": [
+                row
+                for one in found.circles.circles
+                for row in _state_moving_circle(one)
+            ],
+            "polar_circles": draw_polar_circles(
+                circles_json(found.circles)["circles_in_motion"], ENGLISH
+            ),
+            "runs": [_draw_line(one) for one in found.driven.lines],
+            "components": "in all three components"
+            if found.places.is_whole
+            else "across the travel on lines, in three components at standstills",
+        },
+    )
+
+
+def _state(found: Verification, which: str, name: str) -> str:
+    one = found.statistics[which][name]
+    return format_expanded(one.value_um, one.uncertainty_um)
+
+
+def _list_directions(found: Verification) -> list[tuple[str, ...]]:
+    value = 1e3 * found.deviation.vector_mm
+    sigma = found.deviation.sigma_um
+    return [
+        (
+            name,
+            format_number(float(np.sqrt(np.mean(value[:, k] ** 2))), 2),
+            format_number(float(np.abs(value[:, k]).max()), 2),
+            format_number(K * float(np.sqrt(np.mean(sigma[:, k] ** 2))), 2),
+        )
+        for k, name in enumerate("XYZ")
+    ]
+
+
+def _state_line(one: LineFigures) -> list[tuple[str, ...]]:
+    """Return a row as measured, one of the noise alone, and one as predicted."""
+    measured = (
+        format_expanded(one.figures_um[name], one.uncertainty_um[name])
+        for name in LINE_FIGURES
+    )
+    own = (format_number(one.own_um[name], 1) for name in LINE_FIGURES)
+    stated = (
+        format_number(one.predicted_um[name], 1) if name in one.predicted_um else "—"
+        for name in LINE_FIGURES
+    )
+    title = one.kind.upper().replace("ISO-", "ISO ")
+    return [
+        (one.axes, title, str(one.runs), *measured),
+        ("", "of that, by the tracker alone", "", *own),
+        ("", "as the result predicts", "", *stated),
+    ]
+
+
+def _state_circle(one: CircleFigures) -> list[tuple[str, ...]]:
+    measured = (
+        format_expanded(one.figures_um[name], one.uncertainty_um[name])
+        for name in CIRCLE_FIGURES
+    )
+    own = (format_number(one.own_um[name], 1) for name in CIRCLE_FIGURES)
+    stated = (format_number(one.predicted_um[name], 1) for name in CIRCLE_FIGURES)
+    return [
+        (one.plane, format_number(one.radius_mm, 0), *measured),
+        ("", "noise alone", *own),
+        ("", "predicted", *stated),
+    ]
+
+
+def _draw_places(found: Verification) -> Markup:
+    frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
+    number = np.arange(1.0, len(found.places) + 1.0)
+    sets = (
+        (found.measured, Colour.SECOND),
+        (found.deviation, Colour.ACCENT),
+    )
+    top = max(float(one.length_um.max()) for one, _ in sets)
+    top = max(top, found.tolerance_um or 0.0)
+    x = frame.make_x(0.0, float(number[-1]) + 1.0)
+    y = frame.make_y(0.0, 1.05 * top, margin=0.0)
+    shapes: list[Markup] = []
+    for one, colour in sets:
+        half = K * one.length_sigma_um
+        at, low = x.place(number), y.place(np.maximum(one.length_um - half, 0.0))
+        high, middle = y.place(one.length_um + half), y.place(one.length_um)
+        ends = np.column_stack([at, low]), np.column_stack([at, high])
+        shapes.append(draw_segments(*ends, colour, width=0.7))
+        dots = [f"M{a - 1.2:.2f} {b:.2f}h2.4" for a, b in zip(at, middle, strict=True)]
+        shapes.append(draw_strokes(dots, colour, width=1.6))
+    if found.tolerance_um is not None:
+        height = float(y.place(np.array([found.tolerance_um]))[0])
+        ends = (frame.left, height), (frame.right, height)
+        shapes.append(draw_segments(*ends, Colour.INK, width=0.8, dash="4 2"))
+    legend = ((Colour.SECOND, "machine as it is"), (Colour.ACCENT, "less the result"))
+    return draw_image(
+        TOP + _HEIGHT + 28.0,
+        "Length of the error at each place, as measured and less the prediction",
+        [
+            frame.draw_axes(x, y, "places in the order of measuring", "µm"),
+            *shapes,
+            draw_legend(frame, legend),
+        ],
+    )
+
+
+def _draw_line(one: LineFigures) -> View:
+    frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + 0.8 * _HEIGHT)
+    sides = ((one.forward_um, Colour.SECOND), (one.backward_um, Colour.THIRD))
+    values: Sequence[float] = np.concatenate([one.forward_um, one.backward_um]).tolist()
+    x = frame.make_x(float(one.position_mm[0]), float(one.position_mm[-1]), margin=0.02)
+    y = frame.make_y(min(0.0, *values), max(0.0, *values))
+    curves = [
+        draw_curve(x.place(one.position_mm), y.place(value), colour)
+        for value, colour in sides
+    ]
+    legend = ((Colour.SECOND, "+ direction"), (Colour.THIRD, "− direction"))
+    figure = draw_image(
+        TOP + 0.8 * _HEIGHT + 28.0,
+        f"Deviation along the line of {one.axes}",
+        [
+            frame.draw_axes(x, y, "along the line, mm", "µm"),
+            join_shapes(curves),
+            draw_legend(frame, legend),
+        ],
+    )
+    return {"name": one.axes, "figure": figure}
+
+
+def _state_moving_circle(one: CircleInMotion) -> list[tuple[str, ...]]:
+    """Return a row as measured, one of the noise alone, and one as predicted."""
+    measured, commanded = one.measured, one.commanded
+    own = [
+        format_number(measured.own_um[name], 1) if name in measured.own_um else "—"
+        for name in FIGURES
+    ]
+    stated = _list_figures(measured.value_um, measured.uncertainty_um)
+    predicted = _list_figures(one.predicted_um, one.predicted_uncertainty_um)
+    diameter, feed = f"{2.0 * commanded.radius_mm:g}", f"{commanded.feed_mm_min:g}"
+    return [
+        (commanded.plane, diameter, feed, *stated),
+        ("", "noise alone", "", *own),
+        ("", "predicted", "", *predicted),
+    ]
+
+
+def _list_figures(value: dict[str, float], sigma: dict[str, float]) -> list[str]:
+    return [
+        format_expanded(value[name], sigma[name]) if name in value else "—"
+        for name in FIGURES
+    ]

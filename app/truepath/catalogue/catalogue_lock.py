@@ -1,0 +1,117 @@
+"""A catalogue in PostgreSQL, held by one service at a time.
+
+The lock belongs to a connection of its own: a server that restarts forgets it, and it
+is taken again as soon as the server is back. What is measured meanwhile goes on.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import structlog
+from sqlalchemy import Connection, Engine, text
+from sqlalchemy.exc import SQLAlchemyError
+
+from truepath.catalogue.errors import InUse, StorageUnavailable
+from truepath.catalogue.store.database import Database
+from truepath.seldom import Seldom
+
+log = structlog.get_logger(__name__)
+
+PATIENCE_S = 5.0
+"""How long the connection of a service that was killed may take to be gone."""
+_LOOK_EVERY_S = 5.0
+# A computer that lost its power closes no connection: after a minute it is held gone.
+_KEEP_ALIVE = text(
+    "SET tcp_keepalives_idle = 30; SET tcp_keepalives_interval = 10; "
+    "SET tcp_keepalives_count = 3"
+)
+# Of one database; of one schema, for whoever keeps a catalogue in each of several.
+_TAKE = text(
+    "SELECT pg_try_advisory_lock(hashtext('truepath'), hashtext(current_schema()))"
+)
+
+
+@contextmanager
+def hold_catalogue(
+    database: Database,
+    *,
+    patience_s: float = PATIENCE_S,
+    look_every_s: float = _LOOK_EVERY_S,
+) -> Iterator[None]:
+    """Hold a catalogue in PostgreSQL; one in SQLite is held by its data folder.
+
+    Raises InUse, StorageUnavailable.
+    """
+    if database.engine.dialect.name != "postgresql":
+        yield
+        return
+    lock, closing = _Lock(database.engine), threading.Event()
+    lock.take_within(patience_s)
+    keeper = threading.Thread(
+        target=lock.keep,
+        args=(closing, look_every_s),
+        name="catalogue-lock",
+        daemon=True,  # it may wait for a frozen server
+    )
+    keeper.start()
+    try:
+        yield
+    finally:
+        closing.set()
+        keeper.join(timeout=2.0)
+
+
+class _Lock:
+    """The lock and its connection; one thread at a time."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine, self._seldom = engine, Seldom(600.0)
+        self._connection: Connection | None = None
+
+    def take_within(self, patience_s: float) -> None:
+        """Take the lock. Raises InUse, StorageUnavailable after `patience_s`."""
+        deadline = time.monotonic() + patience_s
+        while not (is_held := self._take()):
+            if time.monotonic() < deadline:
+                time.sleep(0.1)
+                continue
+            self._release()
+            if is_held is None:
+                raise StorageUnavailable("the catalogue does not answer")
+            raise InUse(
+                "another instance works on the catalogue of database_url; stop it, or "
+                "give each its own database"
+            )
+
+    def keep(self, closing: threading.Event, every_s: float) -> None:
+        """Hold the lock until `closing`; take it again where a restart has lost it."""
+        while not closing.wait(every_s):
+            if self._take() is False and self._seldom.is_due():
+                log.error("another instance works on the same catalogue; stop one")
+        self._release()
+
+    def _take(self) -> bool | None:
+        """Return whether the lock is held, None where no server answers.
+
+        A session takes its own lock as often as it likes.
+        """
+        try:
+            if self._connection is None:
+                raw = self._engine.connect()
+                self._connection = raw.execution_options(isolation_level="AUTOCOMMIT")
+                self._connection.execute(_KEEP_ALIVE)
+            return bool(self._connection.execute(_TAKE).scalar())
+        except SQLAlchemyError:
+            self._release()
+            return None
+
+    def _release(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            with suppress(SQLAlchemyError):
+                connection.invalidate()  # nobody else gets it: the lock goes with it
+                connection.close()

@@ -1,0 +1,332 @@
+"""The Job record and the records it is made of. Frozen; the store replaces them."""
+
+from __future__ import annotations
+
+import os
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from truepath.catalogue.live_notice import LiveNotice, OnNotice
+from truepath.catalogue.transitions import FINAL, VERB_TRANSITIONS, State, Verb
+from truepath.files.earlier.verdict import State as VerdictState
+from truepath.numerics.adaptive_trials import TrialPlan
+
+Json = Mapping[str, Any]
+
+
+class JobKind(StrEnum):
+    """What a job does.
+
+    `PLAN` chooses what a measuring job may drive. `MEASURE_EXTRA` drives the lines that
+    a discovery asks for and ends with a discovery in all their Runs. `TREND` follows a
+    machine over Runs. `REANALYSE` analyses many Runs again, each for itself. `VERIFY`
+    drives points that a result was not made from, and holds it against them.
+    """
+
+    MEASURE_OTF = "measure-otf"
+    MEASURE_STANDSTILL = "measure-standstill"
+    MEASURE_ADAPTIVE = "measure-adaptive"
+    MEASURE_EXTRA = "measure-extra"
+    ANALYSE = "analyse"
+    DISCOVER = "discover"
+    TREND = "trend"
+    REANALYSE = "reanalyse"
+    VERIFY = "verify"
+    PLAN = "plan"
+
+    @property
+    def measures(self) -> bool:
+        """Whether the job drives the machine."""
+        return self.value.startswith("measure-") or self is JobKind.VERIFY
+
+    @property
+    def analyses(self) -> bool:
+        """Whether the job ends with error tables."""
+        if self is JobKind.VERIFY:
+            return False
+        return self is JobKind.ANALYSE or (self.measures and not self.discovers)
+
+    @property
+    def discovers(self) -> bool:
+        """Whether the job ends with what a model lacks, in place of error tables."""
+        return self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA)
+
+
+class Stage(StrEnum):
+    """Where in the pipeline a job works; progress, not a second state."""
+
+    WAITING = "waiting"
+    PLANNING = "planning"
+    MEASURING = "measuring"
+    ALIGNING = "aligning"
+    ESTIMATING = "estimating"
+    VALIDATING = "validating"
+    DISCOVERING = "discovering"
+    FOLLOWING = "following"
+    REPORTING = "reporting"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the stage is. `eta_s` is None where nobody can say."""
+
+    done: float = 0.0
+    total: float = 0.0
+    unit: str = ""
+    eta_s: float | None = None
+    elapsed_s: float = 0.0
+    position: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What the tracker's link has seen during the measurement.
+
+    gaps : places where samples are missing; repeats : times that lines were driven
+        again, because their stream was damaged
+    """
+
+    samples: int = 0
+    lost_samples: int = 0
+    crc_errors: int = 0
+    gaps: int = 0
+    repeats: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class StationCheck:
+    """How a station agrees with the one before, by the known points.
+
+    problem : `not-seen`, `not-moved` or `residual` where it does not, `moved` where it
+        has gone on and is not where it was; else empty
+    text : that in words
+    """
+
+    station: int
+    place_mm: tuple[float, ...] | None = None
+    moved_mm: float | None = None
+    residual_um: float | None = None
+    allowed_um: float | None = None
+    problem: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StationProgress:
+    """Where the tracker stands, or is to be set down, of several stations.
+
+    number : of the station, from 1; position_mm : its place
+    checks : of the stations so far, the newest of each
+    """
+
+    number: int
+    total: int
+    position_mm: tuple[float, ...]
+    checks: tuple[StationCheck, ...] = ()
+
+    def add_check(self, check: StationCheck) -> StationProgress:
+        """Return it with a newer check of a station."""
+        others = [one for one in self.checks if one.station != check.station]
+        return replace(self, checks=(*others, check))
+
+
+@dataclass(frozen=True, slots=True)
+class EarlyEnd:
+    """The target uncertainty was reached and the rest of the plan left out.
+
+    reached_um : volumetric uncertainty (k = 1) at that moment
+    done, total : finished lines or points behind it, and those of the plan
+    """
+
+    reached_um: float
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a job did not succeed.
+
+    family : name of the error's class, by which `api.failures` finds the problem
+    code, action : as the machine named them; empty to take those of the family
+    """
+
+    family: str
+    detail: str
+    code: str = ""
+    action: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One job. `seq` orders jobs; wall-clock times are for people.
+
+    seq, id, desired_state, created : given by the store
+    run_id : the Run that it made, or the first that it analyses
+    further_run_ids : those that are analysed together with it: of other stations, or
+        named; of extra lines, those of the discovery that asks for them
+    target_um : volumetric uncertainty (k = 1) at which the measurement may end early
+    monte_carlo : the trials that an analysis holds its uncertainty against
+    verdict : state of its result, discovery or trend, once that stands
+    station : of a measurement from several places of the tracker
+    on_notice : what is done where its live estimate notices a change
+    notices : what it has noticed
+    machine, machine_version : the machine that it drives, plans for or is about, and
+        which configuration of it
+    owner : name of the user who asked for it; None where nobody logs in
+    attempts : how often it was begun, restarts of the service in between
+    name, note : what people call it, and remark on it
+    """
+
+    kind: JobKind
+    seq: int = 0
+    id: str = ""
+    state: State = State.QUEUED
+    desired_state: str = ""
+    version: int = 1
+    stage: Stage = Stage.WAITING
+    created: str = ""
+    started: str | None = None
+    ended: str | None = None
+    run_id: str | None = None
+    further_run_ids: tuple[str, ...] = ()
+    perpendicular_only: bool = False
+    monte_carlo: TrialPlan | None = None
+    target_um: float | None = None
+    early_end: EarlyEnd | None = None
+    verdict: VerdictState | None = None
+    station: StationProgress | None = None
+    on_notice: OnNotice = OnNotice.NOTE
+    notices: tuple[LiveNotice, ...] = ()
+    progress: Progress = field(default_factory=Progress)
+    health: Health = field(default_factory=Health)
+    failure: Failure | None = None
+    owner: str | None = None
+    attempts: int = 0
+    machine: str | None = None
+    machine_version: int | None = None
+    name: str = ""
+    note: str = ""
+
+    @property
+    def run_ids(self) -> tuple[str, ...]:
+        """All its Runs, in the order in which they were measured or named."""
+        own = (self.run_id,) if self.run_id else ()
+        if self.kind is JobKind.MEASURE_EXTRA:
+            return (*self.further_run_ids, *own)
+        return (*own, *self.further_run_ids)
+
+    def add_run(self, run_id: str) -> Job:
+        """Return the job with a Run that it has made: its first one, or a further.
+
+        Of extra lines the newest is `run_id`, after all others.
+        """
+        if self.run_id in (None, run_id):
+            return replace(self, run_id=run_id)
+        newest = self.kind is JobKind.MEASURE_EXTRA
+        first, added = (run_id, self.run_id) if newest else (self.run_id, run_id)
+        further = tuple(dict.fromkeys((*self.further_run_ids, added)))
+        return replace(self, run_id=first, further_run_ids=further)
+
+    @property
+    def wants_pause(self) -> bool:
+        """Whether a user has asked for a pause and for nothing since."""
+        return self.desired_state == State.PAUSED
+
+    @property
+    def is_final(self) -> bool:
+        """Whether the job has ended."""
+        return self.state in FINAL
+
+    @property
+    def allowed_verbs(self) -> tuple[Verb, ...]:
+        """What may be asked of it as it is; what it obeys already is not among it."""
+        verbs = {v for v, states in VERB_TRANSITIONS.items() if self.state in states}
+        if not self.kind.measures:  # nothing to hold, or to let move
+            verbs &= {Verb.CANCEL, Verb.ABORT}
+        if self.state is State.RUNNING and self.stage is not Stage.MEASURING:
+            verbs.discard(Verb.PAUSE)  # nothing moves any more
+        return tuple(verb for verb in Verb if verb in verbs)
+
+    @property
+    def has_result(self) -> bool:
+        """Whether error tables stand."""
+        return self.state is State.SUCCEEDED and self.kind.analyses
+
+    @property
+    def has_discovery(self) -> bool:
+        """Whether it has found what a model lacks, or that nothing is missing."""
+        return self.state is State.SUCCEEDED and self.kind.discovers
+
+    @property
+    def has_trend(self) -> bool:
+        """Whether it has followed a machine over time."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.TREND
+
+    @property
+    def has_reanalysis(self) -> bool:
+        """Whether it has analysed its Runs again, or said why not."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
+
+    @property
+    def has_verification(self) -> bool:
+        """Whether it has held a result against what it measured."""
+        return self.state is State.SUCCEEDED and self.kind is JobKind.VERIFY
+
+
+@dataclass(frozen=True, slots=True)
+class JobEvent:
+    """One event of a job.
+
+    type : `job` is stored in the catalogue and has its `id`, so that a client can
+        catch up; `progress`, `live`, `estimate`, `plan`, `notice` not
+    """
+
+    type: str
+    job_id: str | None
+    body: Json
+    id: int | None = None
+
+
+_JOB = TypeAdapter(Job)
+
+
+def encode_job(job: Job) -> dict[str, Any]:
+    """Return the record as rows and events keep it."""
+    return _JOB.dump_python(job, mode="json")
+
+
+def decode_job(content: Json) -> Job:
+    """Return the record that `encode_job` wrote."""
+    return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
+
+
+def make_id() -> str:
+    """Return an identifier that sorts by time: a UUID of version 7."""
+    stamp = (time.time_ns() // 1_000_000) << 80
+    noise = int.from_bytes(os.urandom(10)) & ~(0xF << 76) & ~(0x3 << 62)
+    return str(uuid.UUID(int=stamp | 0x7 << 76 | 0x2 << 62 | noise))
+
+
+def format_utc_now() -> str:
+    """Return the time in UTC as people and JSON read it, to the millisecond."""
+    return format_utc(datetime.now(UTC))
+
+
+def format_utc(at: datetime) -> str:
+    """Return a time in UTC in the same form."""
+    text = at.astimezone(UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")
+
+
+def format_file_time(file: Path) -> str:
+    """Return when a file was last written, in the same form."""
+    return format_utc(datetime.fromtimestamp(file.stat().st_mtime, UTC))

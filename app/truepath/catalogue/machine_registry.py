@@ -1,0 +1,204 @@
+"""The machines of the catalogue: who they are, and each configuration they had.
+
+A configuration is the machine file with the devices; a changed one is a new version,
+which jobs and Runs name. Passwords among the options of a device set in the settings
+are not kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy import Connection, insert, select, update
+
+from truepath.catalogue.errors import MachineKnown
+from truepath.catalogue.job import Json, format_utc_now
+from truepath.catalogue.schema import jobs, machine_versions, machines, runs
+from truepath.catalogue.store.database import Database
+from truepath.errors import NotFound
+
+IDENTITY = ("name", "maker", "model", "serial_number", "control", "customer", "place")
+SETTINGS, CATALOGUE, REMOVED = "settings", "catalogue", "removed"
+HIDDEN = "***"
+_SECRET = ("pass", "secret", "token", "credential", "api_key", "private_key")
+
+
+@dataclass(frozen=True, slots=True)
+class MachineVersion:
+    """One configuration of a machine, since when it holds."""
+
+    number: int
+    sha256: str
+    machine_file: Mapping[str, Any]
+    devices: Mapping[str, Any]
+    since: str
+
+
+@dataclass(frozen=True, slots=True)
+class MachineRecord:
+    """One machine of the catalogue.
+
+    origin : `settings` or `catalogue`: where it is configured; `removed` where it is
+        known by its history alone
+    tolerance_um : what 95 % of the places in its travel may err by at most
+    reference_job : whose result it is held against; None for the one before
+    stated : what certificates state besides, by the names of `identity_file.FIELDS`
+    versions : the newest first
+    """
+
+    id: str
+    origin: str
+    name: str
+    maker: str
+    model: str
+    serial_number: str
+    control: str
+    customer: str
+    place: str
+    tolerance_um: float | None
+    reference_job: str | None
+    created: str
+    stated: Mapping[str, str] = field(default_factory=dict[str, str])
+    versions: tuple[MachineVersion, ...] = ()
+
+
+class MachineRegistry:
+    """The machines of the catalogue; any thread may call it."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def list_all(self) -> list[MachineRecord]:
+        """Return every machine that was not removed, the oldest first."""
+        return [one for one in self._list_known() if one.origin != REMOVED]
+
+    def _list_known(self) -> list[MachineRecord]:
+        query = select(machines.c.id).order_by(machines.c.created, machines.c.id)
+        with self._database.read() as connection:
+            ids = connection.execute(query).scalars().all()
+            return [_read_record(connection, machine_id) for machine_id in ids]
+
+    def get(self, machine_id: str) -> MachineRecord:
+        """Return a machine. Raises NotFound."""
+        with self._database.read() as connection:
+            return _read_record(connection, machine_id)
+
+    def find_version(self, machine_id: str, number: int) -> MachineVersion | None:
+        """Return one configuration of a machine; None where it is not known."""
+        try:
+            versions = self.get(machine_id).versions
+        except NotFound:
+            return None
+        return next((one for one in versions if one.number == number), None)
+
+    def find_by_name(self, name: str) -> MachineRecord | None:
+        """Return the machine whose machine file has this name; None without one."""
+        for record in self._list_known():
+            if record.versions and record.versions[0].machine_file.get("name") == name:
+                return record
+        return None
+
+    def add(self, machine_id: str, origin: str, identity: Mapping[str, str]) -> None:
+        """Add a machine. Raises MachineKnown."""
+
+        def change(connection: Connection) -> None:
+            if not _is_known(connection, machine_id):
+                _insert_machine(connection, machine_id, origin, identity)
+                return
+            if _read_record(connection, machine_id).origin != REMOVED:
+                raise MachineKnown(f"there is a machine {machine_id} already")
+            values = {"origin": origin, **identity}
+            own = machines.c.id == machine_id
+            connection.execute(update(machines).where(own).values(**values))
+
+        self._database.write(change)
+
+    def note(
+        self, machine_id: str, origin: str, machine_file: Json, devices: Json
+    ) -> int:
+        """Return the version of a configuration; a changed one is a new version.
+
+        The machine is added where it is not known. Its jobs of before it had an
+        identifier, known by the name in the machine file, become its own.
+        """
+        content = {"machine_file": machine_file, "devices": devices}
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+        sha256 = hashlib.sha256(text.encode()).hexdigest()
+        name = str(machine_file.get("name", machine_id))
+
+        def change(connection: Connection) -> int:
+            if not _is_known(connection, machine_id):
+                _insert_machine(connection, machine_id, origin, {"name": name})
+            record = _read_record(connection, machine_id)
+            if record.origin == REMOVED:  # the settings name it again
+                own = machines.c.id == machine_id
+                connection.execute(update(machines).where(own).values(origin=origin))
+            known = record.versions
+            if known and known[0].sha256 == sha256:
+                return known[0].number
+            number = known[0].number + 1 if known else 1
+            row = {"machine_id": machine_id, "number": number, "sha256": sha256}
+            row |= content | {"since": format_utc_now()}
+            connection.execute(insert(machine_versions).values(**row))
+            _adopt_jobs(connection, machine_id, name)
+            return number
+
+        return self._database.write(change)
+
+    def change(self, machine_id: str, **values: Any) -> MachineRecord:
+        """Change identity, tolerance or reference of a machine. Raises NotFound."""
+        query = update(machines).where(machines.c.id == machine_id).values(**values)
+
+        def change(connection: Connection) -> None:
+            _read_record(connection, machine_id)
+            if values:
+                connection.execute(query)
+
+        self._database.write(change)
+        return self.get(machine_id)
+
+
+def hide_secrets(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options without the passwords among them."""
+    return {
+        name: HIDDEN if any(word in name.lower() for word in _SECRET) else value
+        for name, value in options.items()
+    }
+
+
+def _is_known(connection: Connection, machine_id: str) -> bool:
+    query = select(machines.c.id).where(machines.c.id == machine_id)
+    return connection.execute(query).first() is not None
+
+
+def _insert_machine(
+    connection: Connection, machine_id: str, origin: str, identity: Mapping[str, str]
+) -> None:
+    texts = {name: identity.get(name, "") for name in IDENTITY}
+    row = {"id": machine_id, "origin": origin, **texts, "created": format_utc_now()}
+    connection.execute(insert(machines).values(**row))
+
+
+def _read_record(connection: Connection, machine_id: str) -> MachineRecord:
+    query = select(machines).where(machines.c.id == machine_id)
+    row = connection.execute(query).mappings().first()
+    if row is None:
+        raise NotFound(f"there is no machine {machine_id}")
+    own = machine_versions.c.machine_id == machine_id
+    newest = select(machine_versions).where(own)
+    newest = newest.order_by(machine_versions.c.number.desc())
+    versions = tuple(
+        MachineVersion(**{k: v for k, v in one.items() if k != "machine_id"})
+        for one in connection.execute(newest).mappings()
+    )
+    return MachineRecord(**row, versions=versions)
+
+
+def _adopt_jobs(connection: Connection, machine_id: str, name: str) -> None:
+    of_name = select(runs.c.id).where(runs.c.machine == name)
+    older = jobs.c.machine.is_(None) & jobs.c.run_id.in_(of_name)
+    connection.execute(update(jobs).where(older).values(machine=machine_id))

@@ -1,0 +1,1 @@
+"""Rows read and written: jobs, events, requests that are repeated."""

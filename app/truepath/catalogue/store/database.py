@@ -1,0 +1,287 @@
+"""The catalogue's connection: SQLite or PostgreSQL, the same code.
+
+Writers take turns behind one lock, so that event identifiers are committed in order and
+SQLite never has two writers of ours. Every SQLite connection gets write-ahead logging,
+full synchronisation, foreign keys and a busy timeout.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import structlog
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, create_engine, event, text
+from sqlalchemy.exc import (
+    ArgumentError,
+    DatabaseError,
+    NoSuchModuleError,
+    OperationalError,
+)
+from sqlalchemy.pool import ConnectionPoolEntry
+
+from truepath.catalogue.catalogue_file import check_catalogue
+from truepath.catalogue.errors import (
+    SchemaTooNew,
+    SchemaTooOld,
+    StorageFull,
+    StorageUnavailable,
+)
+from truepath.errors import BadInput
+from truepath.seldom import Seldom
+
+log = structlog.get_logger(__name__)
+T = TypeVar("T")
+
+_MIGRATIONS = Path(__file__).parents[1] / "migrations"
+_FULL = "disk is full", "No space left"  # as SQLite and PostgreSQL say it
+_DAMAGED = "malformed", "not a database"
+_PRAGMAS = (
+    "journal_mode=WAL",
+    "synchronous=FULL",
+    "foreign_keys=ON",
+    "busy_timeout=5000",
+)
+
+
+class Database:
+    """One catalogue. `migrate` before anything else.
+
+    patience_s : how long a write is repeated while another program holds the lock
+    """
+
+    def __init__(self, url: str, *, patience_s: float = 15.0) -> None:
+        self._patience_s = patience_s
+        self._writer, self._seldom = threading.RLock(), Seldom()
+        self.engine = _engine(url)
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """Open a consistent view."""
+        with _as_storage_errors(), self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def read_snapshot(self) -> Iterator[Connection]:
+        """Open a view that stays the same over several queries, whoever writes."""
+        with _as_storage_errors(), self.engine.connect() as raw:
+            connection = raw
+            if self.engine.dialect.name == "postgresql":
+                connection = raw.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
+
+    def write(
+        self, change: Callable[[Connection], T], then: Callable[[T], None] | None = None
+    ) -> T:
+        """Run `change` in one transaction, alone, repeated while the file is locked.
+
+        then : runs before the next writer
+
+        Raises StorageUnavailable after `patience_s`, StorageFull at once.
+        """
+        deadline = time.monotonic() + self._patience_s
+        with self._writer:
+            result = self._commit(change, deadline)
+            if then is not None:
+                then(result)
+            return result
+
+    def migrate(self, revision: str | None = None) -> None:
+        """Bring the tables up to this version; a SQLite file is copied first.
+
+        revision : that of a backup, to put its rows back; else the newest
+
+        Raises SchemaTooNew, SchemaTooOld, CatalogueDamaged, CatalogueReadOnly.
+        """
+        before = self.check()
+        script = ScriptDirectory(str(_MIGRATIONS))
+        if revision is None:
+            revision = script.get_current_head() or ""
+        _require_known(script, revision, "the backup")
+        if before == revision:
+            return
+        if before is not None:
+            self._copy_aside(before)
+        with _as_storage_errors(), self.engine.begin() as connection:
+            if _is_psycopg(self.engine):
+                from truepath.catalogue.store.postgres_connection import (
+                    wait_for_migration,
+                )
+
+                wait_for_migration(connection)
+            config = Config(attributes={"connection": connection})
+            config.set_main_option("script_location", str(_MIGRATIONS))
+            command.upgrade(config, revision)
+        self.engine.dispose()  # that connection is more patient than any request
+        log.info("catalogue migrated", before=before, now=revision)
+
+    @property
+    def file(self) -> Path | None:
+        """The file of a catalogue in SQLite, else None."""
+        name = self.engine.url.database
+        is_file = self.engine.dialect.name == "sqlite" and name
+        return Path(name) if is_file and name else None
+
+    def check(self) -> str | None:
+        """Return the schema of the catalogue, None where there is none yet.
+
+        Changes nothing. Raises SchemaTooNew, SchemaTooOld, CatalogueDamaged,
+        CatalogueReadOnly.
+        """
+        script = ScriptDirectory(str(_MIGRATIONS))
+        if self.file is not None:
+            check_catalogue(self.file, script.get_current_head() or "")
+            if not self.file.exists():
+                return None
+        with _as_storage_errors(), self.engine.connect() as connection:
+            revision = MigrationContext.configure(connection).get_current_revision()
+        if revision is not None:
+            _require_known(script, revision, str(self.file or self.engine.url))
+        return revision
+
+    def ready(self) -> bool:
+        """Say whether the catalogue answers."""
+        try:
+            with self.read() as connection:
+                connection.execute(text("SELECT 1"))
+        except StorageUnavailable:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Release every connection."""
+        self.engine.dispose()
+
+    def _commit(self, change: Callable[[Connection], T], deadline: float) -> T:
+        while True:
+            try:
+                with self.engine.connect() as raw:
+                    connection = raw.execution_options(truepath_writes=True)
+                    with connection.begin():
+                        return change(connection)
+            except OperationalError as error:
+                if _is_full(error):
+                    text = f"the catalogue cannot be written: {error.orig}"
+                    raise StorageFull(text) from error
+                if time.monotonic() > deadline:
+                    raise StorageUnavailable(_busy_text(error)) from error
+                if self._seldom.is_due():
+                    log.warning("catalogue is busy", reason=str(error.orig))
+                time.sleep(0.1)
+            except DatabaseError as error:
+                _refuse_damaged(error)
+                raise
+
+    def _copy_aside(self, revision: str) -> None:
+        file = self.file
+        if file is None:
+            return
+        stamp = int(time.time())
+        while (
+            copy := file.with_name(f"{file.stem}.before-{revision}-{stamp}.sqlite")
+        ).exists():
+            stamp += 1  # tried again within a second
+        with self.engine.connect() as connection:
+            raw = connection.execution_options(isolation_level="AUTOCOMMIT")
+            raw.execute(text("VACUUM INTO :copy"), {"copy": str(copy)})
+        log.info("catalogue copied before its migration", copy=str(copy))
+
+
+@contextmanager
+def _as_storage_errors() -> Iterator[None]:
+    try:
+        yield
+    except OperationalError as error:
+        raise StorageUnavailable(_busy_text(error)) from error
+    except DatabaseError as error:
+        _refuse_damaged(error)
+        raise
+
+
+def _refuse_damaged(error: DatabaseError) -> None:
+    if any(sign in str(error.orig) for sign in _DAMAGED):
+        raise StorageUnavailable(
+            f"the catalogue is damaged ({error.orig}); stop the service, then run "
+            "`truepath catalogue rebuild` with its settings"
+        ) from error
+
+
+def _is_full(error: OperationalError) -> bool:
+    return any(sign in str(error.orig) for sign in _FULL)
+
+
+def _busy_text(error: OperationalError) -> str:
+    return f"the catalogue does not answer: {error.orig}"
+
+
+def _require_known(script: ScriptDirectory, revision: str, place: str) -> None:
+    if revision in {step.revision for step in script.walk_revisions()}:
+        return
+    oldest = script.get_base() or ""
+    if revision < oldest:  # they are numbered in four digits
+        raise SchemaTooOld(
+            f"{place} has schema {revision}, older than {oldest}, the first that this "
+            "version opens; it is left as it is. Open it once with the version of "
+            f"Truepath before this one, which brings it to {oldest}, then with this one"
+        )
+    raise SchemaTooNew(
+        f"{place} has schema {revision}, newer than this version knows; "
+        "start the version that wrote it, or give another data folder"
+    )
+
+
+def _engine(url: str) -> Engine:
+    try:
+        # As many connections as there are threads of requests.
+        engine = create_engine(
+            url,
+            pool_size=20,
+            max_overflow=40,
+            pool_pre_ping=not url.startswith("sqlite"),
+        )
+    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+        raise BadInput(f"setting database_url: {error}") from error
+    if engine.dialect.name == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    elif _is_psycopg(engine):
+        from truepath.catalogue.store.postgres_connection import limit_waits
+
+        limit_waits(engine)
+    return engine
+
+
+def _is_psycopg(engine: Engine) -> bool:
+    return engine.dialect.driver == "psycopg"
+
+
+def _prepare_sqlite(dbapi_connection: Any, _: ConnectionPoolEntry) -> None:
+    # Transactions are begun by `_begin_sqlite`, not by the module behind our back.
+    dbapi_connection.isolation_level = None
+    # Its own knows no letters beyond ASCII: who seeks "müller" finds "Müller".
+    dbapi_connection.create_function("lower", 1, _fold_case, deterministic=True)
+    for pragma in _PRAGMAS:
+        dbapi_connection.execute(f"PRAGMA {pragma}")
+
+
+def _fold_case(text: Any) -> Any:
+    return text.lower() if isinstance(text, str) else text
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    # A transaction that will write takes the lock at once: upgrading a read to a write
+    # fails without waiting when somebody else wrote in between.
+    options = connection.get_execution_options()
+    if options.get("isolation_level") == "AUTOCOMMIT":
+        return
+    writes = options.get("truepath_writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,0 +1,375 @@
+"""Jobs, their events and their idempotency keys in the catalogue.
+
+Every change of state is compare-and-set on `version`, and its event stands in the same
+transaction. Progress is written without a new version: it must not make the version
+that an operator has read go stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import (
+    Connection,
+    RowMapping,
+    Select,
+    delete,
+    func,
+    insert,
+    select,
+    update,
+)
+
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import (
+    Health,
+    Job,
+    JobEvent,
+    JobKind,
+    Json,
+    Progress,
+    Stage,
+    encode_job,
+    format_utc,
+    format_utc_now,
+    make_id,
+)
+from truepath.catalogue.schema import events, jobs
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.idempotency import (
+    IdempotencyKey,
+    delete_old_keys,
+    find_job_by_key,
+    insert_key,
+)
+from truepath.catalogue.store.job_changes import (
+    refuse_to_measure_again,
+    require_version,
+    stamp_times,
+)
+from truepath.catalogue.store.job_rows import (
+    JOBS,
+    MEASURED_WITHOUT_RUN,
+    UNFINISHED,
+    encode_columns,
+    find_analyses_of_one,
+    insert_job,
+    read_job,
+    refuse_second_measurement,
+    select_jobs,
+    update_job,
+)
+from truepath.catalogue.transitions import State, check_transition
+
+KEEP_EVENTS = 20_000
+_MOST_EVENTS = 500  # that are read at once
+Listener = Callable[[JobEvent], None]
+
+
+class Store:
+    """The jobs; `listener` receives each event after its commit, in their order.
+
+    One that has ended counts as ended in every read, although the catalogue refuses to
+    store that and says that it runs.
+    """
+
+    def __init__(self, database: Database, listener: Listener) -> None:
+        self._database, self._listener = database, listener
+        self._ended: dict[str, Job] = {}
+
+    def create(
+        self, new: Job, key: IdempotencyKey | None = None, plan: Json | None = None
+    ) -> tuple[Job, bool]:
+        """Add a job; True if it is new, False if the key has made it before.
+
+        plan : as `encode_commanded_json` makes it; the `request` of a job that plans
+
+        Raises KeyReused, CellBusy.
+        """
+        identified = replace(new, id=make_id())
+
+        def change(connection: Connection) -> tuple[Job, JobEvent | None]:
+            added = _find_first_event(connection, identified.id)
+            if added is not None:  # the word that it was committed got lost
+                return read_job(connection, identified.id), added
+            earlier = find_job_by_key(connection, key) if key else None
+            if earlier is not None:
+                return earlier, None
+            if new.kind.measures:
+                refuse_second_measurement(connection, new.machine)
+            job = insert_job(connection, identified, plan)
+            if key is not None:
+                insert_key(connection, key, job.id)
+            return job, _insert_event(connection, job)
+
+        job, event = self._database.write(change, self._publish)
+        return job, event is not None
+
+    def add_recovered(self, job: Job, plan: Json | None) -> bool:
+        """Add a job that has ended as it is; False where there is one of its name."""
+
+        def change(connection: Connection) -> bool:
+            known = select(jobs.c.seq).where(jobs.c.id == job.id)
+            if connection.execute(known).first() is not None:
+                return False
+            connection.execute(insert(jobs).values(**encode_columns(job), plan=plan))
+            return True
+
+        return self._database.write(change)
+
+    def find_analyses_of_one(self) -> dict[str, str]:
+        """Return, by Run, the newest job with a result of that Run alone."""
+        with self._database.read() as connection:
+            return find_analyses_of_one(connection)
+
+    def find_by_key(self, key: IdempotencyKey) -> Job | None:
+        """Return the job that a key has made, if any. Raises KeyReused."""
+        with self._database.read() as connection:
+            return find_job_by_key(connection, key)
+
+    def get(self, job_id: str) -> Job:
+        """Return a job. Raises NotFound."""
+        with self._database.read() as connection:
+            return self.see(read_job(connection, job_id))
+
+    def see(self, job: Job) -> Job:
+        """Return a job as the catalogue has it, but ended if it has."""
+        return job if job.is_final else self._ended.get(job.id, job)
+
+    def keep_end(self, before: Job, ended: Job) -> Job:
+        """Let a job be seen as ended until `change` has stored it; the first counts."""
+        return self._ended.setdefault(before.id, stamp_times(before, ended))
+
+    def forget_end(self, job_id: str) -> None:
+        """Leave an end that could not be stored to the next start of the service."""
+        self._ended.pop(job_id, None)
+
+    def read_plan(self, job_id: str) -> Json | None:
+        """Return what a job commands or has planned, None if nothing or not yet."""
+        content = self._read_plan_content(job_id)
+        return content if "kind" in content else None
+
+    def read_plan_request(self, job_id: str) -> Json:
+        """Return what is asked of the plan of a job, nothing if nothing is."""
+        return self._read_plan_content(job_id).get("request") or {}
+
+    def keep_plan(self, job_id: str, plan: Json) -> None:
+        """Keep what has been planned beside what was asked."""
+        self._update(job_id, plan={"request": self.read_plan_request(job_id), **plan})
+
+    def list_page(
+        self,
+        limit: int,
+        *,
+        before_seq: int | None = None,
+        states: Sequence[State] = (),
+        kinds: Sequence[JobKind] = (),
+        machine: str | None = None,
+        name: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+    ) -> list[Job]:
+        """Return jobs, the newest first, older than `before_seq`.
+
+        name : a part of it, in small letters or capitals
+        since, until : created not before the one and before the other, with a zone
+        """
+        query = JOBS.order_by(jobs.c.seq.desc()).limit(limit)
+        if before_seq is not None:
+            query = query.where(jobs.c.seq < before_seq)
+        if states:
+            stored = jobs.c.state.in_([str(state) for state in states])
+            query = query.where(stored | jobs.c.id.in_(list(self._ended)))
+        if kinds:
+            query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
+        if machine is not None:
+            query = query.where(jobs.c.machine == machine)
+        if name is not None:
+            query = query.where(jobs.c.name.icontains(name, autoescape=True))
+        if since is not None:
+            query = query.where(jobs.c.created >= format_utc(since))
+        if until is not None:
+            query = query.where(jobs.c.created < format_utc(until))
+        found = self._read(query)
+        return [job for job in found if not states or job.state in states]
+
+    def count_by_state(self) -> dict[tuple[JobKind, State], int]:
+        """Return how many jobs of each kind are in each state, of all times."""
+        query = select(jobs.c.kind, jobs.c.state, func.count())
+        with self._database.read() as connection:
+            rows = connection.execute(query.group_by(jobs.c.kind, jobs.c.state)).all()
+            stored = [read_job(connection, job_id) for job_id in [*self._ended]]
+        counts = {(JobKind(kind), State(state)): n for kind, state, n in rows}
+        for job in stored:
+            counts[job.kind, job.state] -= 1
+            seen = job.kind, self.see(job).state
+            counts[seen] = counts.get(seen, 0) + 1
+        return counts
+
+    def list_unfinished(self) -> list[Job]:
+        """Return the jobs that have not ended, the oldest first."""
+        return [job for job in self._read(UNFINISHED) if not job.is_final]
+
+    def list_with_result(self, machine: str) -> list[Job]:
+        """Return the jobs of a machine whose error tables stand, the oldest first."""
+        own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
+        found = self._read(JOBS.where(own).order_by(jobs.c.seq))
+        return [job for job in found if job.has_result]
+
+    def list_machines(self) -> list[str]:
+        """Return the machines that jobs are about."""
+        query = select(jobs.c.machine).where(jobs.c.machine.is_not(None)).distinct()
+        with self._database.read() as connection:
+            return sorted(str(one) for one in connection.execute(query).scalars())
+
+    def find_newest_created(self) -> datetime | None:
+        """Return when the newest job was created, None without any."""
+        with self._database.read() as connection:
+            newest = connection.execute(select(func.max(jobs.c.created))).scalar()
+        return None if newest is None else datetime.fromisoformat(newest)
+
+    def list_without_run(self) -> list[Job]:
+        """Return the measurements that have ended and name no Run, but have one."""
+        return self._read(MEASURED_WITHOUT_RUN)
+
+    def change(
+        self,
+        job_id: str,
+        change: Callable[[Job], Job],
+        *,
+        version: int | None = None,
+        ends: bool = False,
+    ) -> Job:
+        """Replace a job by `change(job)`, stamped; the same object changes nothing.
+
+        ends : whether this stores the end that is seen already; nothing comes before
+
+        Raises StaleVersion if `version` is given and not the newest, IllegalTransition.
+        """
+        written: list[tuple[Job, JobEvent]] = []
+        unstored = None if ends else self._ended.get(job_id)
+        if unstored is not None:  # seen as ended without waiting for the catalogue
+            if change(unstored) is unstored:
+                return unstored
+            raise StorageUnavailable(f"the end of job {job_id} is not stored yet")
+
+        def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
+            before = read_job(connection, job_id)
+            for after, event in written:
+                if (before.version, before.state) == (after.version, after.state):
+                    return before, event  # the word that it was committed got lost
+            if version is not None:
+                require_version(before, version)
+            seen = before if ends else self.see(before)
+            after = change(seen)
+            if after is seen:
+                return seen, None
+            if seen is not before:
+                raise StorageUnavailable(f"the end of job {job_id} is not stored yet")
+            if after.state is not before.state:
+                check_transition(before.state, after.state)
+                if before.is_final and after.kind.measures:
+                    refuse_second_measurement(connection, after.machine)
+                refuse_to_measure_again(after)
+            after = stamp_times(before, replace(after, version=before.version + 1))
+            update_job(connection, before, after)
+            written.append((after, _insert_event(connection, after)))
+            return written[-1]
+
+        job = self._database.write(apply, self._publish)[0]
+        if ends and job.is_final:
+            self.forget_end(job_id)
+        return job
+
+    def rename(self, job_id: str, name: str | None, note: str | None) -> Job:
+        """Change name and note of a job, without a new version; None leaves one.
+
+        Raises NotFound.
+        """
+        values = {c: t for c, t in (("name", name), ("note", note)) if t is not None}
+        written: list[JobEvent] = []
+
+        def change(connection: Connection) -> tuple[Job, JobEvent | None]:
+            before = read_job(connection, job_id)
+            after = replace(before, **values)
+            if after == before:  # the word that it was committed may have got lost
+                return before, written[-1] if written else None
+            connection.execute(update(jobs).where(jobs.c.id == job_id).values(**values))
+            written.append(_insert_event(connection, after))
+            return after, written[-1]
+
+        return self._database.write(change, self._publish)[0]
+
+    def keep_progress(
+        self, job_id: str, stage: Stage, progress: Progress, health: Health
+    ) -> None:
+        """Keep how far a job is, without a new version."""
+        done = {"progress": asdict(progress), "health": asdict(health)}
+        self._update(job_id, stage=str(stage), **done)
+
+    def read_events_after(
+        self, event_id: int, *, job_id: str | None = None
+    ) -> list[JobEvent]:
+        """Return kept events in order, at most 500 after `event_id`.
+
+        job_id : of the one job whose events are asked for; None for all
+        """
+        query = select(events).where(events.c.id > event_id).order_by(events.c.id)
+        if job_id is not None:
+            query = query.where(events.c.job_id == job_id)
+        with self._database.read() as connection:
+            kept = connection.execute(query.limit(_MOST_EVENTS)).mappings()
+            return [_decode_event(row) for row in kept]
+
+    def read_last_event_id(self) -> int:
+        """Return the identifier of the newest event, 0 if there is none."""
+        with self._database.read() as connection:
+            return connection.execute(select(func.max(events.c.id))).scalar() or 0
+
+    def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
+        """Forget events and idempotency keys that nobody can still ask for."""
+        last = self.read_last_event_id()
+
+        def change(connection: Connection) -> None:
+            connection.execute(delete(events).where(events.c.id <= last - keep_events))
+            delete_old_keys(connection)
+
+        self._database.write(change)
+
+    def _read(self, query: Select[Any]) -> list[Job]:
+        with self._database.read() as connection:
+            return [self.see(job) for job in select_jobs(connection, query)]
+
+    def _update(self, job_id: str, **values: Any) -> None:
+        query = update(jobs).where(jobs.c.id == job_id).values(**values)
+        self._database.write(lambda connection: connection.execute(query).rowcount)
+
+    def _read_plan_content(self, job_id: str) -> Json:
+        query = select(jobs.c.plan).where(jobs.c.id == job_id)
+        with self._database.read() as connection:
+            return connection.execute(query).scalar() or {}
+
+    def _publish(self, outcome: tuple[Job, JobEvent | None]) -> None:
+        if (event := outcome[1]) is not None:
+            self._listener(event)
+
+
+def _insert_event(connection: Connection, job: Job) -> JobEvent:
+    body = encode_job(job)
+    row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
+    done = connection.execute(insert(events).values(**row))
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return JobEvent("job", job.id, body, done.inserted_primary_key[0])
+
+
+def _find_first_event(connection: Connection, job_id: str) -> JobEvent | None:
+    query = select(events).where(events.c.job_id == job_id).order_by(events.c.id)
+    row = connection.execute(query.limit(1)).mappings().first()
+    return None if row is None else _decode_event(row)
+
+
+def _decode_event(row: RowMapping) -> JobEvent:
+    return JobEvent(row["type"], row["job_id"], row["body"], row["id"])

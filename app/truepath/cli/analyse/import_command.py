@@ -1,0 +1,200 @@
+"""`import`: a recording of any tracker's software, as a bundle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from truepath.cli.terminal import (
+    Json,
+    collect_seldom,
+    list_files,
+    print_files,
+    print_json,
+    print_table,
+    require_folder,
+    say,
+)
+from truepath.errors import AlignmentError, BadInput
+
+if TYPE_CHECKING:
+    from truepath.files.bundle.run import Run
+    from truepath.files.imports.recording import Recording
+
+_CSV = ".csv"
+
+
+def import_recording(
+    recording: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Text or CSV of a tracker.")
+    ],
+    machine: Annotated[
+        Path, typer.Option(metavar="MACHINE.json", help="The machine it measured.")
+    ],
+    path: Annotated[
+        Path,
+        typer.Option(
+            metavar="PATH", help="path.csv, points.csv, or the NC program that ran."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="BUNDLE", help="Bundle to write.")
+    ],
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROLE=NAME",
+            help="A column by name or number: x y z time date status point NAME_degC.",
+        ),
+    ] = None,
+    unit: Annotated[
+        Literal["", "mm", "m", "inch", "um", "cm", "ft"],
+        typer.Option(help="Of positions."),
+    ] = "",
+    time_unit: Annotated[
+        Literal["", "s", "ms", "us"], typer.Option(help="Of times that are numbers.")
+    ] = "",
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", min=0.01, help="Rows come so often, none missing."),
+    ] = None,
+    decimal: Annotated[
+        Literal["", "point", "comma"], typer.Option(help="Mark of decimals.")
+    ] = "",
+    delimiter: Annotated[
+        Literal["", "tab", "semicolon", "comma", "blank"],
+        typer.Option(help="What separates columns."),
+    ] = "",
+    valid: Annotated[
+        list[str] | None, typer.Option(help="Status of samples that may be used.")
+    ] = None,
+    axes: Annotated[
+        str, typer.Option(help="The file's axes that become x, y, z: x,-y,z.")
+    ] = "x,y,z",
+    date_order: Annotated[
+        Literal["", "dmy", "mdy"], typer.Option(help="Order of day and month.")
+    ] = "",
+    across_midnight: Annotated[
+        bool, typer.Option("--across-midnight", help="The time of day starts anew.")
+    ] = False,
+    dialect: Annotated[
+        str, typer.Option(help="Control whose NC program is given as the path.")
+    ] = "",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what is recognised, write nothing.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """A recording of any tracker's software, as a bundle for `analyse`."""
+    from truepath.documents.whole_files import read_whole
+    from truepath.files.bundle.bundle import write_bundle
+    from truepath.files.bundle.commanded_file import read_point_names
+    from truepath.files.bundle.recorded_files import MAX_STREAM_TEXT_BYTES
+    from truepath.files.bundle.run import Run
+    from truepath.files.imports.options import TextOptions, parse_columns
+    from truepath.files.imports.recording import read_recording
+
+    require_folder(output, "the bundle")
+    collect_seldom()
+    options = TextOptions(
+        delimiter=delimiter,
+        decimal=decimal,
+        columns=parse_columns(column or []),
+        unit=unit,
+        time_unit=time_unit,
+        date_order=date_order,
+        across_midnight=across_midnight,
+        rate_hz=rate,
+        valid=tuple(valid or []),
+        axes=axes,
+    )
+    known, commanded, source = _read_commanded(machine, path, dialect)
+    data = read_whole(recording, largest_bytes=MAX_STREAM_TEXT_BYTES)
+    names = read_point_names(path) if path.suffix.lower() == _CSV else ()
+    read = read_recording(data, str(recording), commanded, options, names)
+    run = Run(
+        name=recording.stem,
+        machine=known,
+        commanded=commanded,
+        tracker=read.samples,
+        points=read.points,
+        temperature=read.temperature,
+        events=read.events,
+        stream_file=str(recording),
+    )
+    if not json:
+        _print_recording(read, source)
+    _check_alignment(run)
+    if not dry_run:
+        write_bundle(run, output)
+    files = [] if dry_run else list_files(output)
+    if json:
+        print_json(_summarise(read, source, files))
+    else:
+        print_files(files)
+
+
+def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, str]:
+    from truepath.files.bundle.commanded_file import read_set_up
+    from truepath.files.bundle.commanded_program import read_commanded_program
+    from truepath.files.bundle.machine_file import read_machine
+
+    if path.suffix.lower() == _CSV:
+        return *read_set_up(machine, path), "rows"
+    known = read_machine(machine)
+    commanded, name = read_commanded_program(path, known, dialect)
+    return known, commanded, f"NC program, {name}"
+
+
+def _check_alignment(run: Run) -> None:
+    from truepath.alignment.align import align
+
+    try:
+        align(run)
+    except AlignmentError as error:
+        mirrored = replace(
+            run.tracker, position_mm=run.tracker.position_mm * [1.0, -1.0, 1.0]
+        )
+        try:
+            align(replace(run, tracker=mirrored))
+        except AlignmentError:
+            raise BadInput(
+                f"the recording does not fit what was commanded: {error}"
+            ) from error
+        raise BadInput(
+            "the recording fits what was commanded only mirrored: its axes are "
+            "left-handed or two are swapped; say which by --axes (x,-y,z or y,x,z)"
+        ) from error
+
+
+def _print_recording(read: Recording, source: str) -> None:
+    from rich.markup import escape  # else "[mm]" is taken for a style
+
+    rows = [
+        (escape(c.name), str(c.index + 1), c.role or "left out", c.unit, escape(cell))
+        for c, cell in zip(read.columns, read.first_row, strict=True)
+    ]
+    print_table("columns", ["name", "number", "read as", "unit", "first row"], rows)
+    facts = {**read.facts, "commanded": source}
+    print_table("recording", ["what", "read as"], list(facts.items()))
+    for note in read.notes:
+        say(f"note: {note}")
+
+
+def _summarise(read: Recording, source: str, files: list[Path]) -> dict[str, Any]:
+    columns = [
+        {"number": c.index + 1, "name": c.name, "role": c.role, "unit": c.unit}
+        for c in read.columns
+    ]
+    return {
+        "schema": "import-summary/1",
+        "columns": columns,
+        **read.facts,
+        "commanded": source,
+        "row_of_point": read.row_of,
+        "notes": list(read.notes),
+        "files": files,
+    }

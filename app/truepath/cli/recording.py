@@ -1,0 +1,111 @@
+"""Record a tracker beside a CNC without any link."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from truepath.cli.terminal import say, show_progress
+from truepath.files.environment.refraction import choose_refraction
+from truepath.measurement.faults import Fault
+from truepath.measurement.messages import RunClosed
+from truepath.measurement.monitors.environment_reader import (
+    EnvironmentReader,
+    list_groups,
+    name_channels,
+)
+from truepath.measurement.monitors.stream_reader import StreamState, record_stream
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath_drivers.interfaces.thermometers import Thermometers
+from truepath_drivers.interfaces.tracker import Tracker
+from truepath_drivers.interfaces.tracker_records import Light
+
+_NOTES = {
+    StreamState.GOOD: "",
+    StreamState.SILENT: "no samples",
+    StreamState.DEAD: "no samples",
+    StreamState.DAMAGED: "samples bad or lost",
+    StreamState.BEAM_LOST: "beam lost",
+}
+
+
+def record_run(
+    tracker: Tracker,
+    header: RunHeader,
+    file: Path,
+    seconds: float | None,
+    *,
+    thermometers: Thermometers | None = None,
+    light: Light | None = None,
+) -> RunClosed:
+    """Record until Ctrl-C, or for so many seconds; close the Run whatever happens.
+
+    Raises DeviceError; what was recorded by then is in the Run file.
+    """
+    with (
+        tracker,
+        _watch_for_end(seconds) as end,
+        show_progress("record") as on_progress,
+    ):
+        who = {"tracker": tracker.connect()}
+        groups = list_groups(tracker, thermometers)
+        header = replace(
+            header,
+            devices=who,
+            channels=name_channels(groups),
+            refraction=choose_refraction(tracker.capabilities, light),
+        )
+        recorder = Recorder(file, header)
+
+        def on_notice(notice: Fault) -> None:
+            recorder.event(notice.code, notice.text)
+            say(notice.text)
+
+        environment = EnvironmentReader(groups, recorder, on_notice)
+        environment.start()
+        outcome = "failed"
+        start_s = time.monotonic()
+        has_samples = False
+
+        def on_samples(samples: int, lost: int, verdict: StreamState) -> None:
+            nonlocal has_samples
+            if samples and not has_samples:
+                has_samples = True
+                say("recording; press Ctrl-C 2 s after the last motion")
+            elapsed_s = time.monotonic() - start_s
+            note = f"{samples} samples, {lost} lost {_NOTES[verdict]}".strip()
+            on_progress(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
+
+        try:
+            record_stream(tracker, recorder, header.rate_hz, end.wait, on_samples)
+            outcome = "finished"
+        finally:
+            environment.stop()
+            if thermometers is not None:
+                thermometers.close()
+            closed = recorder.close(outcome)
+    return closed
+
+
+@contextmanager
+def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
+    """Give what tells the end: Ctrl-C, the end of the process, or the time."""
+    end = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {n: signal.signal(n, lambda *_: end.set()) for n in numbers}
+    timer = threading.Timer(seconds or threading.TIMEOUT_MAX, end.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield end
+    finally:
+        timer.cancel()
+        timer.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,1 @@
+"""Commands that turn a result into something else: tables, reports, certificates."""

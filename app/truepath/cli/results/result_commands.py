@@ -1,0 +1,291 @@
+"""The commands that use a result: `compare` it with a reference, `export` it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from truepath.cli.summary import UNITS, find_unit, print_verdict, warn_of_verdict
+from truepath.cli.terminal import (
+    Json,
+    OutputFolder,
+    ResultFile,
+    collect_seldom,
+    list_files,
+    print_files,
+    print_json,
+    print_table,
+    require_folder,
+    say,
+)
+from truepath.errors import ActiveTablesUnknown, BadInput, NotUsable
+
+
+def compare(
+    result: ResultFile,
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REFERENCE.csv", help="error,position_mm,direction,value,unit"
+        ),
+    ],
+    output: OutputFolder,
+    reference_um: Annotated[
+        float,
+        typer.Option(min=0.0, help="Standard uncertainty of its displacements, µm."),
+    ] = 0.0,
+    reference_urad: Annotated[
+        float, typer.Option(min=0.0, help="Standard uncertainty of its angles, µrad.")
+    ] = 0.0,
+    json: Json = False,
+) -> None:
+    """A result against a direct measurement of single error motions."""
+    collect_seldom()
+    from truepath.answers.comparison.comparison import ReferenceUncertainty
+    from truepath.answers.comparison.comparison_report import compare_files
+
+    require_folder(output, "the comparison")
+    uncertainty = ReferenceUncertainty(reference_um, reference_urad)
+    content = compare_files(result, reference, output, uncertainty)
+    files = list_files(output)
+    warn_of_verdict(content["verdict"])
+    if json:
+        print_json(_summarise_comparison(content, files))
+    else:
+        _print_comparison(content, files)
+
+
+def export(
+    result: ResultFile,
+    format: Annotated[
+        str, typer.Option(metavar="F", help="Of the controller; `formats` lists them.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
+    ],
+    spacing: Annotated[
+        float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
+    ] = 10.0,
+    unmeasured: Annotated[
+        Literal["hold", "fade", "refuse"],
+        typer.Option(
+            help="Where an axis was not measured: hold the last value, fade to 0, or "
+            "refuse to write.",
+        ),
+    ] = "hold",
+    control: Annotated[
+        Literal["840d-sl", "828d", "808d"] | None,
+        typer.Option(help="Of Siemens: whose room for tables is used. [840d-sl]"),
+    ] = None,
+    measuring_system: Annotated[
+        str | None,
+        typer.Option(
+            metavar="1|2|X=1,Y=2",
+            help="Of Siemens leadscrew tables: the measuring system of the axes that "
+            "they are of. [1]",
+        ),
+    ] = None,
+    backlash_reading: Annotated[
+        Literal["negative-value", "difference"] | None,
+        typer.Option(help="Of Heidenhain's column BACKLASH. [negative-value]"),
+    ] = None,
+    directions: Annotated[
+        Literal["both", "mean"] | None,
+        typer.Option(help="Of Fanuc: whether lost motion is in the tables. [both]"),
+    ] = None,
+    tool_length: Annotated[
+        Literal["fixed", "followed"] | None,
+        typer.Option(
+            help="Of ISG, Etalon: of the measured tool, or of the one in use. [fixed]"
+        ),
+    ] = None,
+    at_temperature: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGC",
+            help="Of the machine, where RESULT.json is what `temperature` wrote.",
+        ),
+    ] = None,
+    active: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="A table that the control had while it was measured, once for each "
+            "file: what is written has it as well, to be loaded in its place.",
+        ),
+    ] = None,
+    difference: Annotated[
+        bool,
+        typer.Option("--difference", help="Only what the active tables lacked."),
+    ] = False,
+    accept_verdict: Annotated[
+        bool,
+        typer.Option(
+            "--accept-verdict",
+            help="Write the files of a result that is not to be used all the same.",
+        ),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """A controller's compensation file, and what it leaves behind."""
+    collect_seldom()
+    from truepath.compensation.active_files import read_given_tables
+    from truepath.compensation.export import export_files
+    from truepath.compensation.tables.unmeasured import Unmeasured
+
+    chosen = {
+        "control": control,
+        "measuring_system": measuring_system,
+        "backlash_reading": backlash_reading,
+        "directions": directions,
+        "tool_length": tool_length,
+    }
+    try:
+        account = export_files(
+            result,
+            format,
+            output,
+            spacing_mm=spacing,
+            unmeasured=Unmeasured(unmeasured),
+            choices={key: word for key, word in chosen.items() if word},
+            accept_verdict=accept_verdict,
+            at_temperature_degc=at_temperature,
+            given=read_given_tables(active or (), format, is_difference=difference),
+        )
+    except ActiveTablesUnknown as error:
+        remedy = "--active FILE for each of their files, or --difference"
+        raise BadInput(f"{result}: {error}: {remedy}") from error
+    except NotUsable as error:
+        raise BadInput(f"{error} --accept-verdict writes it all the same") from error
+    warn_of_verdict(account["verdict"])
+    sign = account["sign"]
+    if not sign["verified"]:
+        say(
+            "note: the sign is not verified for this control "
+            f"({sign['rule']}): try one deliberate value before first use"
+        )
+    if warning := account["lengths"]["warning"]:
+        say(f"warning: {warning}")
+    if json:
+        print_json(account)
+    else:
+        _print_compensation(account)
+
+
+def _print_compensation(account: Mapping[str, Any]) -> None:
+    error = account["volumetric_error_um"]
+    print(f"holds {account['basis']['holds']}: {account['basis']['text']}")
+    print(f"carries: {account['carries']}")
+    print(f"not carried: {account['not_carried']}")
+    if stated := account["temperature"]:
+        print(f"of temperature: {stated['carried']}")
+    print(
+        f"mean volumetric error {error['before']['mean']:.2f} µm, "
+        f"with these tables {_state_left(error['after'])}"
+    )
+    if account["unmeasured"] and (inside := error["after_where_measured"]):
+        print(f"where every axis was measured {_state_left(inside)}")
+    reasons = (
+        f"{reason.replace('_', ' ')} {value:.2f}"
+        for reason, value in account["left_um"].items()
+        if reason != "map"
+    )
+    print(f"of that, root mean squares in µm: {', '.join(reasons)}")
+    if over := account["over_all_axes_um"]:
+        print(
+            f"over the travel of all axes {over['before']:.2f} ± "
+            f"{over['before_expanded_uncertainty']:.2f} µm, with these files "
+            f"{over['after_expected']:.2f} ± {over['after_expanded_uncertainty']:.2f} "
+            f"µm (k = {over['coverage_factor']:g})"
+        )
+    for axis, one in account["rotary"].items():
+        print(f"rotary axis {axis}: {_state_rotary(one)}")
+    for statement in account["unmeasured"]:
+        print(f"not measured: {statement}")
+    print(account["lengths"]["text"])
+    print(f"do: {account['note']}")
+    for statement in account["unobservable"]:
+        print(f"not in the tables: {statement}")
+    print_files(account["files"])
+
+
+def _state_rotary(one: Mapping[str, Any]) -> str:
+    parts: list[str] = []
+    if table := one["table"]:
+        beyond = "each turn" if table["repeats_each_turn"] else "end values beyond"
+        parts.append(
+            f"table {table['from_deg']:g} to {table['to_deg']:g} deg, {beyond}"
+        )
+    if angle := one.get("positioning_urad"):
+        parts.append(
+            f"positioning {_state_change(angle)} µrad, at the tool "
+            f"{_state_change(one['at_tool_um'])} µm"
+        )
+    lost = one["lost_motion_urad"]
+    change = f"{_state_change(lost)} µrad, " if lost else ""
+    parts.append(f"lost motion {change}{one['lost_motion']}")
+    if place := one.get("location_at_tool_um"):
+        parts.append(f"its place, at the tool {_state_change(place)} µm")
+    if one["not_in_files"]:
+        parts.append(f"not in the files: {', '.join(one['not_in_files'])}")
+    return f"{'; '.join(parts)} (root mean squares; k = 2)"
+
+
+def _state_change(left: Mapping[str, float]) -> str:
+    return (
+        f"{left['before']:.2f} to {left['after_expected']:.2f} "
+        f"± {left['after_expanded_uncertainty']:.2f}"
+    )
+
+
+def _state_left(after: Mapping[str, float]) -> str:
+    return f"{after['mean']:.2f} ± {2.0 * after['mean_uncertainty']:.2f} µm (k = 2)"
+
+
+def _print_comparison(content: Mapping[str, Any], files: Sequence[Path]) -> None:
+    print_verdict(content["verdict"])
+    columns = ("error", "largest |d|", "mean |d|", "largest |En|", "agree", "")
+    title = f"Result less reference, {content['machine']}"
+    print_table(title, columns, [*_yield_rows(content)])
+    for symbol, reason in content["not_compared"].items():
+        print(f"not compared: {symbol}: {reason}")
+    print_files(files)
+
+
+def _summarise_comparison(
+    content: Mapping[str, Any], files: Sequence[Path]
+) -> dict[str, Any]:
+    kept = ("largest_difference", "mean_difference", "largest_en", "share_within")
+    return {
+        "schema": "comparison-summary/1",
+        "verdict": content["verdict"],
+        "errors": {
+            symbol: {k: v for k, v in error.items() if k.startswith(kept)}
+            for symbol, error in content["errors"].items()
+        },
+        "numbers": content["numbers"],
+        "kinds": content["kinds"],
+        "volumetric": content["volumetric"],
+        "not_compared": content["not_compared"],
+        "files": files,
+    }
+
+
+def _yield_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for symbol, error in content["errors"].items():
+        unit = find_unit(error, "difference")
+        yield (
+            symbol,
+            f"{error[f'largest_difference_{unit}']:.2f}",
+            f"{error[f'mean_difference_{unit}']:.2f}",
+            f"{error['largest_en']:.2f}",
+            f"{100.0 * error['share_within']:.0f} %",
+            UNITS[unit],
+        )
+    for symbol, number in content["numbers"].items():
+        unit = find_unit(number, "difference")
+        difference, en = abs(number[f"difference_{unit}"]), abs(number["en"])
+        yield symbol, f"{difference:.2f}", "", f"{en:.2f}", "", UNITS[unit]

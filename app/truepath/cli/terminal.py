@@ -1,0 +1,137 @@
+"""What commands share: options, progress on standard error, tables on the output."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from truepath.errors import BadInput
+
+Config = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings, as TOML.")
+]
+DataDir = Annotated[
+    Path | None,
+    typer.Option("--data-dir", metavar="DIR", help="Runs, results, catalogue."),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
+]
+OutputFolder = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Where the files go.")
+]
+PerpendicularOnly = Annotated[
+    bool,
+    typer.Option(
+        "--perpendicular-only", help="Leave out what is seen along each line."
+    ),
+]
+ResultFile = Annotated[
+    Path,
+    typer.Argument(metavar="RESULT.json", help="What `analyse` or `discover` wrote."),
+]
+
+NotedProgress = Callable[..., None]
+"""Receives the share done, 0 to 1, the stage, and what else to show (`note`)."""
+
+
+@contextmanager
+def show_progress(title: str) -> Iterator[NotedProgress]:
+    """Show a bar while the block runs; a line a stage where no person is watching.
+
+    Yields the callback of the work.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield print_stages(lambda _, stage, _note: f"{title}: {stage}")
+        return
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
+    *usual, remaining = Progress.get_default_columns()
+    note = TextColumn("{task.fields[note]}")
+    columns = (*usual, TimeElapsedColumn(), remaining, note)
+    with Progress(*columns, console=console) as bars:
+        bar = bars.add_task(title, total=1.0, note="")
+
+        def on_progress(share: float, stage: str, note: str = "") -> None:
+            bars.update(bar, completed=share, description=stage or title, note=note)
+
+        yield on_progress
+
+
+def print_stages(
+    describe: Callable[[float, str, str], str], *, steps: int = 0
+) -> NotedProgress:
+    """Return a callback that says a line a stage, and one at each step of its share."""
+    last = ("", 0)
+
+    def on_progress(share: float, stage: str, note: str = "") -> None:
+        nonlocal last
+        now = (stage, int(steps * share))
+        if stage and now != last:
+            say(describe(share, stage, note))
+            last = now
+
+    return on_progress
+
+
+def say(text: str) -> None:
+    """Write a line to standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def print_json(summary: Mapping[str, Any]) -> None:
+    """Write one JSON object to standard output; paths in it are texts."""
+    text = json.dumps(summary, indent=1, allow_nan=False, default=os.fspath)
+    print(text, flush=True)
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Write a table to standard output: names left, numbers right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, name in enumerate(columns):
+        table.add_column(name, justify="left" if number == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def list_files(folder: Path) -> list[Path]:
+    """Return the files of a folder, sorted."""
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def print_files(files: Iterable[Path | str]) -> None:
+    """Write the places of files to standard output, a line each."""
+    for file in files:
+        print(file)
+
+
+def require_folder(output: Path, content: str) -> None:
+    """Raise BadInput where a file is in the place of an output folder."""
+    if output.exists() and not output.is_dir():
+        raise BadInput(f"{output}: is a file; name a folder for {content}")
+
+
+def collect_seldom() -> None:
+    """Look for cycles of objects seldom, in a command that computes and soon ends.
+
+    Imports make many objects that stay; looking through them again and again costs it
+    a twentieth of its time.
+    """
+    gc.set_threshold(100_000, 50, 50)

@@ -1,0 +1,1 @@
+"""What a compensation leaves of the errors, by its own tables."""

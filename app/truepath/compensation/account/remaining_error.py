@@ -1,0 +1,298 @@
+"""What the files of a format leave of the error, as their controller reads them.
+
+It is computed on a grid and between the rows of the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from truepath.compensation.format import Correction
+from truepath.compensation.tables.error_map import ErrorMap, find_own_arm
+from truepath.compensation.tables.unmeasured import MeasuredRange
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.units import UM_PER_MM
+from truepath.kinematics.conditions import make_standstill
+from truepath.numerics.rigid import cross_matrix
+from truepath.results.lost_motion_across import draw_across_mm
+from truepath.results.volumetric_error import (
+    draw_parameters,
+    fill_travel,
+    make_grid,
+)
+
+GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
+CLOSE = 4096  # that fill it for the mean of the map, whose own error is below its U
+_FEWEST = 12  # places that have a mean beside their rigid motion
+# Of a standard deviation that a file does not say how well it knows: 50 values.
+_UNSTATED_SCALE = 0.1
+SIDES = (1.0, -1.0)  # + and − direction
+COVERAGE = 2.0  # k of expanded uncertainties
+
+
+def sample_travel(
+    errors: ErrorMap, count: int = EVEN
+) -> tuple[Float64[np.ndarray, "n a"], Float64[np.ndarray, " n"]]:
+    """Return positions over the travel and what each counts in a mean, 1 in all.
+
+    Those that count fill the travel evenly, between the rows of the tables; a grid with
+    the corners, where errors are largest, counts for the largest alone.
+    """
+    grid = make_grid(errors.axes, GRID)
+    position = np.tile(errors.middle_mm, (len(grid) + count, 1))
+    position[:, : len(errors.axes)] = [*grid, *fill_travel(errors.axes, count)]
+    return position, np.append(np.zeros(len(grid)), np.full(count, 1.0 / count))
+
+
+def remove_rigid_motion(
+    position_mm: Float64[np.ndarray, "n a"],
+    error_mm: Float64[np.ndarray, "n 3 ..."],
+    weight: Float64[np.ndarray, " n"] | None = None,
+) -> Float64[np.ndarray, "n 3 ..."]:
+    """Remove the best-fit rigid motion, which is not an error of the machine.
+
+    error_mm : of one map, or of many beside one another
+    """
+    root = np.sqrt(np.ones(len(position_mm)) if weight is None else weight)
+    point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
+    shifts = np.broadcast_to(np.eye(3), (len(point), 3, 3))
+    columns = np.concatenate([shifts, cross_matrix(point)], axis=2).reshape(-1, 6)
+    rows, root = error_mm.reshape(len(columns), -1), np.repeat(root, 3)[:, None]
+    fit, *_ = np.linalg.lstsq(root * columns, root * rows, rcond=None)
+    return error_mm - (columns @ fit).reshape(error_mm.shape)
+
+
+@dataclass(frozen=True, slots=True)
+class RemainingError:
+    """What the errors leave at positions over the travel, both directions, in mm.
+
+    position_mm : (n, 3 or more), of the straight axes or the tool, others after these
+    left_mm : (s, n, 3) of the map with the correction, without rigid motion
+    drawn_mm : (s, n, 3, d) what the map may be wrong by, drawn from its covariance
+    is_measured : (n,) where every axis was measured
+    weight : (n,) what each position counts in a mean
+    scale : how well the size of what was drawn is known itself, k = 1, of 1
+    close : the map alone at positions so close that its mean is that of the travel;
+        None where these are
+    """
+
+    position_mm: Float64[np.ndarray, "n a"]
+    left_mm: Float64[np.ndarray, "s n 3"]
+    drawn_mm: Float64[np.ndarray, "s n 3 d"]
+    is_measured: Bool[np.ndarray, " n"]
+    weight: Float64[np.ndarray, " n"]
+    scale: float
+    close: RemainingError | None = None
+
+    def state_map(self, *, measured: bool = False) -> dict[str, float]:
+        """Return mean and largest length of the map itself, µm.
+
+        measured : at the places alone where every axis was measured, if there are
+            enough; what is left has no rigid motion of these
+        """
+        if measured and (part := self.keep_measured()) is not None:
+            return part.state_map()
+        every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
+        mean = (self.close or self).average_map_um()
+        return {"mean": mean, "largest": float(every.max())}
+
+    def state(self, *, measured: bool = False) -> dict[str, float] | None:
+        """Return mean length, largest and standard uncertainty of the mean, µm.
+
+        As `state_map`, of errors that the measurement allows; None without such places.
+        """
+        if measured:
+            part = self.keep_measured()
+            return None if part is None else part.state()
+        total = self.left_mm[..., None] + self.drawn_mm
+        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
+        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
+        largest = lengths.max(axis=(0, 1))
+        of_map = self.average_map_um()
+        expected, sigma = expect_length(mean, of_map, self.scale)
+        return {
+            "mean": expected + self.state_map()["mean"] - of_map,
+            "largest": float(largest.mean()),
+            "mean_uncertainty": sigma,
+        }
+
+    def find_map_uncertainty_um(self) -> float:
+        """Return the standard uncertainty of the mean length of the map, µm.
+
+        What the measurement does not know makes the map longer than the error is: not
+        taken off, it counts as an uncertainty.
+        """
+        total = self.left_mm[..., None] + self.drawn_mm
+        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
+        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
+        return float(np.hypot(mean.std(), mean.mean() - self.average_map_um()))
+
+    def find_difference_um(self, other: RemainingError) -> float:
+        """Return the root mean square length of what two corrections differ by."""
+        return self._average_um((self.left_mm - other.left_mm) ** 2)
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square of the length that the map leaves."""
+        return self._average_um(self.left_mm**2)
+
+    @property
+    def unknown_um(self) -> float:
+        """Root mean square of the length that the measurement does not know."""
+        return self._average_um(np.mean(self.drawn_mm**2, axis=3))
+
+    def average_map_um(self) -> float:
+        """Return the mean length of the map at these positions."""
+        every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
+        return float(np.average(every.mean(axis=0), weights=self.weight))
+
+    def keep_measured(self) -> RemainingError | None:
+        """Return what is left where every axis was measured; None at too few places.
+
+        The rigid motion of errors that nobody measured is no part of it.
+        """
+        kept = self.is_measured
+        weight = self.weight[kept]
+        if np.count_nonzero(weight) < _FEWEST:
+            return None
+        position = self.position_mm[kept]
+        left, drawn = (
+            remove_from_both(position, list(errors[:, kept]), weight)
+            for errors in (self.left_mm, self.drawn_mm)
+        )
+        return replace(
+            self,
+            position_mm=position,
+            left_mm=left,
+            drawn_mm=drawn,
+            is_measured=kept[kept],
+            weight=weight / weight.sum(),
+            close=self.close and self.close.keep_measured(),
+        )
+
+    def _average_um(self, squares_mm2: Float64[np.ndarray, "k n 3"]) -> float:
+        """Return the root mean square length of squares over k sets of positions."""
+        each = squares_mm2.sum(axis=2).mean(axis=0)
+        return UM_PER_MM * float(np.sqrt(self.weight @ each))
+
+
+def expect_length(
+    drawn: Float64[np.ndarray, " d"], of_map: float, scale: float
+) -> tuple[float, float]:
+    """Return the expected length that is left, and its standard uncertainty.
+
+    drawn : lengths of errors that the measurement allows; of_map : that of the map
+    scale : how well the size of what was drawn is known itself, k = 1, of 1
+
+    The uncertainty is the spread over what was drawn, and how well its size is known.
+    """
+    mean = float(drawn.mean())
+    return mean, float(np.hypot(drawn.std(), scale * (mean - of_map)))
+
+
+def find_remaining(
+    errors: ErrorMap,
+    measured: Mapping[str, MeasuredRange],
+    correction: Correction | None = None,
+) -> RemainingError:
+    """Return what is left of the errors with a correction, or without any."""
+    position, weight = sample_travel(errors)
+    close, even = sample_travel(errors, CLOSE)
+    scale = find_scale(errors.result)
+    return RemainingError(
+        position,
+        _find_left_mm(errors, correction, position, weight),
+        draw_errors_mm(errors, position),
+        _find_measured(errors, measured, position),
+        weight,
+        scale,
+        RemainingError(
+            close,
+            _find_left_mm(errors, correction, close, even),
+            np.zeros((len(SIDES), len(close), 3, 0)),
+            _find_measured(errors, measured, close),
+            even,
+            scale,
+        ),
+    )
+
+
+def _find_left_mm(
+    errors: ErrorMap,
+    correction: Correction | None,
+    position: Float64[np.ndarray, "n a"],
+    weight: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "s n 3"]:
+    """Return what the map leaves, without one rigid motion of both directions.
+
+    What lost motion is between them stays.
+    """
+    left: list[Float64[np.ndarray, "n 3"]] = []
+    for side in SIDES:
+        error = errors.error_mm(position, side)
+        if correction is not None:
+            error = error + correction(position, side)
+        left.append(error)
+    return remove_from_both(position, left, weight)
+
+
+def _find_measured(
+    errors: ErrorMap,
+    measured: Mapping[str, MeasuredRange],
+    position: Float64[np.ndarray, "n a"],
+) -> Bool[np.ndarray, " n"]:
+    inside = [
+        (position[:, column] >= one.low) & (position[:, column] <= one.high)
+        for column, one in enumerate(measured[axis.name] for axis in errors.axes)
+    ]
+    return np.all(inside, axis=0)
+
+
+def find_scale(result: CalibrationResult) -> float:
+    """Return the relative uncertainty of a standard deviation of ν values, 1/√(2ν).
+
+    ν are the independent values that the measurement has of its slow noise, which
+    decides how well errors are known (JCGM 100, E.4.3).
+    """
+    if result.noise_freedom is None:
+        return _UNSTATED_SCALE
+    return float(1.0 / np.sqrt(2.0 * result.noise_freedom))
+
+
+def draw_errors_mm(
+    errors: ErrorMap, position: Float64[np.ndarray, "n a"]
+) -> Float64[np.ndarray, "s n 3 d"]:
+    """Return what the map may be wrong by in both directions, lost motion with it."""
+    at = make_standstill(errors.machine, position)
+    J = errors.volumetric_map.jacobian(at).reshape(3 * len(position), -1)
+    drawn = (J @ draw_parameters(errors.result.covariance)).reshape(
+        len(position), 3, -1
+    )
+    both = np.stack([drawn] * len(SIDES))
+    rng = np.random.default_rng(1)
+    both += draw_across_mm(errors.result, at, drawn.shape[2])
+    for column, axis in enumerate(errors.axes):
+        sigma = errors.half_difference_sigma_mm(axis.name, position[:, column])
+        half = np.outer(sigma, rng.standard_normal(drawn.shape[2]))
+        moved = find_own_arm(axis, at)[:, :, None] * half[:, None]
+        for number, side in enumerate(SIDES):
+            both[number] += side * moved
+    return both
+
+
+def remove_from_both(
+    position: Float64[np.ndarray, "n a"],
+    error_mm: Sequence[Float64[np.ndarray, "n 3 ..."]],
+    weight: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "s n 3 ..."]:
+    """Return errors of each direction without their common rigid motion."""
+    every = remove_rigid_motion(
+        np.concatenate([position] * len(error_mm)),
+        np.concatenate(error_mm),
+        np.concatenate([weight] * len(error_mm)),
+    )
+    return every.reshape(len(error_mm), *error_mm[0].shape)

@@ -1,0 +1,248 @@
+"""The volumetric error of a result at any position, and as tables of its axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.compensation.format import AxisTable, PairTable
+from truepath.compensation.tables.unmeasured import MeasuredRange
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.kinematics.conditions import Conditions, make_standstill
+from truepath.kinematics.effects.error_motion import (
+    find_arm,
+    reference_position_mm,
+)
+from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
+from truepath.kinematics.machine.symbols import DIRECTION, LINEAR, is_turn
+from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.results.lost_motion_across import complete_across, find_across_mm
+
+_FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorMap:
+    """A result, and its map without rigid motion."""
+
+    result: CalibrationResult
+    volumetric_map: VolumetricMap
+
+    @property
+    def machine(self) -> Machine:
+        """The machine of the result."""
+        return self.result.machine
+
+    @property
+    def axes(self) -> tuple[LinearAxis, ...]:
+        """The axes that tables are written for."""
+        return self.machine.linear_axes
+
+    def error_mm(
+        self,
+        position_mm: Float64[np.ndarray, "n a"],
+        direction: float = 0.0,
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return δ = actual − nominal, of a machine of straight axes less rigid motion.
+
+        With rotary axes it is in the gauge of the error motions, in which the places of
+        these are stated: a turn of all straight axes would misplace them.
+
+        direction : 1 or −1 of all axes, 0 for the mean
+        """
+        at = make_standstill(self.machine, position_mm)
+        if self.machine.rotary_axes:
+            error = self.volumetric_map.displacement_mm(at, self.result.theta)
+        else:
+            error = self.volumetric_map.error_mm(at, self.result.theta)
+        error += direction * find_across_mm(self.result, at)
+        for column, axis in enumerate(self.axes):
+            half = self.half_difference_mm(axis.name, position_mm[:, column])
+            error += direction * half[:, None] * find_own_arm(axis, at)
+        return error
+
+    def half_difference_mm(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return half the difference of both directions in an axis' positioning."""
+        if axis not in self.result.half_difference_um:
+            return np.zeros(len(at_mm))
+        position_mm, value_um = self.result.half_difference_um[axis]
+        return np.interp(at_mm, position_mm, value_um / UM_PER_MM)
+
+    def half_difference_sigma_mm(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the standard uncertainty of that half, 0 where none is stated."""
+        if axis not in self.result.half_difference_u_um:
+            return np.zeros(len(at_mm))
+        position_mm, _ = self.result.half_difference_um[axis]
+        sigma_um = self.result.half_difference_u_um[axis]
+        return np.interp(at_mm, position_mm, sigma_um / UM_PER_MM)
+
+    def half_turn_rad(
+        self, axis: str, at_deg: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return half the difference of both directions in a rotary positioning."""
+        if axis not in self.result.half_turn_urad:
+            return np.zeros(len(at_deg))
+        position_deg, value_urad = self.result.half_turn_urad[axis]
+        return np.interp(at_deg, position_deg, value_urad / URAD_PER_RAD)
+
+    def half_turn_sigma_rad(
+        self, axis: str, at_deg: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the standard uncertainty of that half, 0 where none is stated."""
+        if axis not in self.result.half_turn_u_urad:
+            return np.zeros(len(at_deg))
+        position_deg, _ = self.result.half_turn_urad[axis]
+        sigma_urad = self.result.half_turn_u_urad[axis]
+        return np.interp(at_deg, position_deg, sigma_urad / URAD_PER_RAD)
+
+    def rotation_rad(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return ω of an axis, 0 where the result has no angular error motion."""
+        omega = np.zeros((len(at_mm), 3))
+        model = self.result.model
+        for motion in model.identifiable_motions:
+            if motion.symbol[2] == axis and is_turn(motion.symbol):
+                part = model.slices[motion.name]
+                value = motion.rows(at_mm) @ self.result.theta[part]
+                omega[:, DIRECTION[motion.symbol[1]]] = value
+        return omega
+
+    def list_pairs(self) -> list[tuple[str, str]]:
+        """Return the axis pairs of the model's effects, the guide first."""
+        effects = self.result.model.effects
+        return [effect.axis_pair for effect in effects if effect.axis_pair]
+
+    def pair_error_mm(
+        self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the error at the tool point by the effects of a pair of axes."""
+        at = make_standstill(self.machine, position_mm)
+        model, theta = self.result.model, self.result.theta
+        total = np.zeros((len(position_mm), 3))
+        for effect in model.effects:
+            if effect.axis_pair == (axis, by):
+                total += effect.displacement_mm(at, theta[model.slices[effect.name]])
+        return total
+
+    def move_axis(
+        self,
+        axis: LinearAxis,
+        at_mm: Float64[np.ndarray, " n"],
+        others_mm: Float64[np.ndarray, " a"],
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return positions of all axes where one axis moves alone."""
+        place = np.tile(others_mm, (len(at_mm), 1))
+        place[:, self.machine.axis_names.index(axis.name)] = at_mm
+        return place
+
+    @property
+    def reference_mm(self) -> Float64[np.ndarray, " a"]:
+        """Reference position of every axis, where error motions are 0."""
+        return np.array([reference_position_mm(axis) for axis in self.machine.axes])
+
+    @property
+    def middle_mm(self) -> Float64[np.ndarray, " a"]:
+        """Middle of the travel; rotary axes at their zero."""
+        middle = self.reference_mm
+        for column, axis in enumerate(self.machine.axes):
+            if isinstance(axis, LinearAxis):
+                middle[column] = 0.5 * (axis.low + axis.high)
+        return middle
+
+
+def find_own_arm(axis: Axis, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    """Return what a mm or rad of an axis' positioning moves the tool by."""
+    return find_arm(f"E{axis.name}{axis.name}", at)
+
+
+def map_errors(result: CalibrationResult) -> ErrorMap:
+    """Return the error map of a result."""
+    return ErrorMap(complete_across(result), build_volumetric_map(result.model))
+
+
+def tabulate_axis(
+    errors: ErrorMap, measured: MeasuredRange, spacing_mm: float, most_points: int
+) -> AxisTable:
+    """Return the table of an axis, rows at most `spacing_mm` apart where they fit.
+
+    It is 0 where the axis comes to its reference in + direction, as one that is
+    referenced does.
+    """
+    axis = measured.axis
+    travel = axis.high - axis.low
+    wanted = math.ceil(travel / spacing_mm - 1e-9) + 1
+    count = int(np.clip(wanted, 2, most_points))
+    at_mm = np.linspace(axis.low, axis.high, count)
+    reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
+    seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
+    place = errors.move_axis(axis, seen_mm, errors.middle_mm)
+    # Of both directions a table has what the axis itself loses, along itself.
+    mean, half = errors.error_mm(place), np.zeros((count, 3))
+    half[:, DIRECTION[axis.name]] = errors.half_difference_mm(axis.name, seen_mm)
+    forward, backward = mean + half, mean - half
+    zero = forward[reference]
+    translation, rotation = _tabulate_motions(errors, axis, seen_mm)
+    pair = _tabulate_pair(errors, axis, seen_mm, most_points // count)
+    return AxisTable(
+        axis,
+        at_mm,
+        reference,
+        weight * (forward - zero),
+        weight * (backward - zero),
+        weight * translation,
+        weight * rotation,
+        pair and replace(pair, error_mm=weight * pair.error_mm),
+    )
+
+
+def _tabulate_pair(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
+) -> PairTable | None:
+    """Return the error by effects of two axes; None without any.
+
+    most : positions of the other axis that the controller has room for
+    """
+    machine = errors.machine
+    by = next((b for a, b in errors.list_pairs() if a == axis.name), "")
+    if not by or most < _FEWEST:
+        return None
+    other = machine.linear(by)
+    by_mm = np.linspace(other.low, other.high, min(most, _FINEST))
+    grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
+    columns = [machine.axis_names.index(name) for name in (by, axis.name)]
+    total = np.zeros((len(grid), 3))
+    for kept, sign in (((0, 1), 1.0), ((0,), -1.0), ((1,), -1.0), ((), 1.0)):
+        place = np.tile(errors.reference_mm, (len(grid), 1))
+        for k in kept:
+            place[:, columns[k]] = grid[:, k]
+        total += sign * errors.pair_error_mm(place, axis.name, by)
+    return PairTable(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
+
+
+def _tabulate_motions(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Return E and ω of an axis, squareness and the target's offset in E.
+
+    With the others at their reference, where their ω are 0, δ changes along the
+    axis by E + ω × R, R the positions of the later axes there.
+    """
+    machine = errors.machine
+    rest = errors.reference_mm
+    at_and_zero = np.append(at_mm, reference_position_mm(axis))
+    error = errors.error_mm(errors.move_axis(axis, at_and_zero, rest))
+    omega = errors.rotation_rad(axis.name, at_mm)
+    later = machine.order[machine.order.index(axis.name) + 1 :]
+    lever = np.array(
+        [rest[machine.axis_names.index(n)] if n in later else 0.0 for n in LINEAR]
+    )
+    return error[:-1] - error[-1] - np.cross(omega, lever), omega

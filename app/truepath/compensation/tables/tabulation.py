@@ -1,0 +1,136 @@
+"""The tables of a result as a format wants them, and what it makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.compensation.active_files import ActiveFiles
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+    TemperatureTables,
+)
+from truepath.compensation.tables.axis_places import find_places, leave_out_places
+from truepath.compensation.tables.combination import combine_tables
+from truepath.compensation.tables.error_map import ErrorMap, map_errors, tabulate_axis
+from truepath.compensation.tables.rotary import tabulate_rotary
+from truepath.compensation.tables.unmeasured import MeasuredRange, find_measured_ranges
+from truepath.files.earlier.temperature_file import TemperatureModel
+
+
+@dataclass(frozen=True, slots=True)
+class StatedTemperature:
+    """A temperature model, and the temperature that files are asked for."""
+
+    model: TemperatureModel
+    at_degc: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tabulation:
+    """How errors become the tables of a format.
+
+    stem : of the files' names; stamp : lines for their comments
+    spacing_mm : of the rows, or the smallest that the controller's number of rows gives
+    measured : range of each axis, and what its table has beyond
+    temperature : where the errors are of a temperature model
+    active : files that the control had as they were measured, and that these replace
+    """
+
+    kind: CompensationFormat
+    stem: str
+    stamp: tuple[str, ...]
+    spacing_mm: float
+    measured: Mapping[str, MeasuredRange]
+    temperature: StatedTemperature | None = None
+    active: ActiveFiles | None = None
+
+    def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
+        """Return the errors less what the files state as places of rotary axes."""
+        stated = self.kind.list_places(errors.machine, find_places(errors))
+        return leave_out_places(errors, stated)
+
+    def tabulate(self, errors: ErrorMap) -> CompensationTables:
+        """Return the content of the files."""
+        found = self.tabulate_found(errors)
+        return combine_tables(found, errors, self.active) if self.active else found
+
+    def tabulate_found(self, errors: ErrorMap) -> CompensationTables:
+        """Return the errors alone, without what active files have."""
+        active = self.active and self.kind.read_rotary(
+            self.active.texts, errors.machine
+        )
+        return CompensationTables(
+            self.stem,
+            errors.machine,
+            self._tabulate_axes(self.leave_out_places(errors)),
+            self.stamp,
+            self.temperature and self._tabulate_change(self.temperature),
+            tabulate_rotary(errors, self.kind.most_points, active or ())
+            if self.kind.carries_rotary or self.kind.composes_rotary
+            else (),
+            find_places(errors),
+        )
+
+    def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:
+        most = self.kind.limit_rows(errors.axes, self.spacing_mm)
+        return tuple(
+            tabulate_axis(
+                errors, self.measured[axis.name], self.spacing_mm, most[axis.name]
+            )
+            for axis in errors.axes
+        )
+
+    def _tabulate_change(self, stated: StatedTemperature) -> TemperatureTables:
+        change = map_errors(stated.model.coefficients)
+        return TemperatureTables(
+            stated.at_degc,
+            *stated.model.valid_degc,
+            self._tabulate_axes(change),
+            stated.model.grows,
+        )
+
+    def write(self, errors: ErrorMap) -> dict[str, str]:
+        """Return the files by name."""
+        return self.kind.write(self.tabulate(errors))
+
+    def read_back(self, errors: ErrorMap) -> Correction:
+        """Return what the controller adds once it has read the files.
+
+        Less what it added by active files as the errors were measured.
+        """
+        return self.subtract(self.kind.read(self.write(errors), errors.machine))
+
+    def subtract(self, correction: Correction) -> Correction:
+        """Return what is added beside what active files add."""
+        if (active := self.active) is None:
+            return correction
+        return lambda at, side: correction(at, side) - active.correction(at, side)
+
+    def extrapolate(self, errors: ErrorMap) -> Tabulation:
+        """Return the same with what the model says where nothing was measured."""
+        measured = errors.result.measured
+        every = find_measured_ranges(errors.machine, measured, None)
+        return replace(self, measured=every)
+
+
+def find_interpolation_losses_mm(
+    errors: ErrorMap, tables: tuple[AxisTable, ...]
+) -> list[Float64[np.ndarray, "n 3"]]:
+    """Return the error of straight lines between rows, along the middle, by axis."""
+    lost: list[Float64[np.ndarray, "n 3"]] = []
+    for table in tables:
+        at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
+        low, high = errors.result.measured.get(table.axis.name, (-np.inf, np.inf))
+        kept = (table.position_mm[:-1] >= low) & (table.position_mm[1:] <= high)
+        error = errors.error_mm(errors.move_axis(table.axis, at, errors.middle_mm))
+        between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
+        left = (error - between)[kept]
+        lost.append(left - left.mean(axis=0) if len(left) else left.reshape(0, 3))
+    return [left for left in lost if len(left)]

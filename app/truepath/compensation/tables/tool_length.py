@@ -1,0 +1,87 @@
+"""Tables of a tool without length, for a control that adds that of the tool in use.
+
+The ISG kernel computes with tool length 0 unless N0X, N0Y, N0Z give the unit vector
+from the flange to the tip; then it adds what the angles do at the end of the tool in
+use, and displacements are those of a tool without length: only what is across that
+vector stays in them. Source: ISG kernel manual, volumetric compensation, tool length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.compensation.format import AxisTable
+from truepath.kinematics.machine.machine import Machine
+
+TOOL_SYMBOLS = ("N0X", "N0Y", "N0Z")
+LENGTHS = ("fixed", "followed")
+_NOTES: Mapping[str, str] = {
+    "fixed": "tool length 0 (N0X, N0Y, N0Z left out): for the measured tool alone",
+    "followed": "N0X, N0Y, N0Z give the tool's direction, along Z: the control adds "
+    "the length of the tool in use, counted as the offset in the third line is",
+}
+
+
+class ToolLength:
+    """Whether tables are of the measured tool alone, or of any along the same line.
+
+    word : of `LENGTHS`
+    """
+
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"tool_length": LENGTHS}
+
+    def __init__(self, word: str) -> None:
+        self._follows = word == "followed"
+        self.note = _NOTES[word]
+
+    def find_direction(self, machine: Machine) -> tuple[int, int, int] | None:
+        """Return N0X, N0Y, N0Z; None where the file has none."""
+        if not self._follows:
+            return None
+        return (0, 0, -1 if find_tool_mm(machine)[2] < 0.0 else 1)
+
+    def find_tip(self, machine: Machine) -> Float64[np.ndarray, "3"]:
+        """Return P0X, P0Y, P0Z: the tip less the length that the control adds."""
+        offset = np.array(machine.target().offset_mm, float)
+        return offset - find_tool_mm(machine) if self._follows else offset
+
+    def shorten(
+        self, tables: tuple[AxisTable, ...], machine: Machine
+    ) -> tuple[AxisTable, ...]:
+        """Return the tables of a tool without length where the control follows it."""
+        if not self._follows:
+            return tables
+        tool_mm = find_tool_mm(machine)
+        return tuple(
+            replace(
+                table,
+                translation_mm=table.translation_mm
+                - np.cross(table.rotation_rad, tool_mm),
+            )
+            for table in tables
+        )
+
+
+def find_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
+    """Return the part of the target's offset along Z, where a tool's length counts."""
+    return np.array([0.0, 0.0, machine.target().offset_mm[2]])
+
+
+def add_tool(
+    motion: Float64[np.ndarray, "n 6"],
+    direction: Float64[np.ndarray, "3"],
+    machine: Machine,
+) -> Float64[np.ndarray, "n 6"]:
+    """Return motions at the end of the measured tool, as the control adds its length.
+
+    direction : N0X, N0Y, N0Z, 0 where the file has none
+    """
+    tool_mm = abs(find_tool_mm(machine)[2]) * direction
+    reached = motion.copy()
+    reached[:, :3] += np.cross(motion[:, 3:], tool_mm)
+    return reached

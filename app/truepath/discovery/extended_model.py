@@ -1,0 +1,89 @@
+"""The model with what was found: base and effects as one, with joint covariance.
+
+What belongs to the machine becomes part of it. What belongs to the measurement (drift,
+a step, the tracker's own errors) was taken out of the numbers and stays with its Run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.discovery.discover import Discovery, Finding
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel, restore_effect
+
+
+@dataclass(frozen=True)
+class ExtendedModel(EstimatedModel):
+    """A model of the machine with its parameters and their covariance.
+
+    added : the findings that are part of it, with their effects
+    """
+
+    added: tuple[tuple[Finding, Effect], ...]
+
+    def holds(self, finding: Finding) -> bool:
+        """Tell whether a finding is part of the model."""
+        return any(finding is one for one, _ in self.added)
+
+
+def extend_model(found: Discovery) -> ExtendedModel:
+    """Return the model of a discovery with the findings that the machine keeps."""
+    base, fit = found.baseline.model, found.fit
+    covariance = fit.posterior.covariance.copy()
+    added: list[tuple[Finding, Effect]] = []
+    columns = [(effect, base.slices[effect.name]) for effect in base.effects]
+    for number, term in enumerate(fit.terms):
+        finding = next(f for f in found.findings if f.term is term)
+        part = fit.part(number)
+        covariance[part, part] += _spread_beyond(
+            finding.covariance, covariance[part, part]
+        )
+        effect = _make_effect(finding, base)
+        if effect is not None:
+            added.append((finding, effect))
+            columns.append((effect, part))
+    model = _join([effect for effect, _ in columns], base)
+    select = np.zeros((model.size, len(covariance)))
+    for effect, part in columns:
+        rows = np.arange(model.size)[model.slices[effect.name]]
+        select[rows, np.arange(part.start, part.stop)] += 1.0
+    theta = fit.posterior.theta.copy()
+    theta[: base.size] += found.baseline.theta
+    return ExtendedModel(
+        model, select @ theta, select @ covariance @ select.T, tuple(added)
+    )
+
+
+def baseline_model(found: Discovery) -> ExtendedModel:
+    """Return the model of a discovery as it is estimated without the findings."""
+    model, fit = found.baseline.model, found.baseline_fit.posterior
+    part = slice(0, model.size)
+    theta = found.baseline.theta + fit.theta[part]
+    return ExtendedModel(model, theta, fit.covariance[part, part], ())
+
+
+def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
+    """Return the effect as part of a model; None if it ends with its Run."""
+    family, candidate = finding.family, finding.candidate
+    numbers = family.list_numbers(candidate)
+    return restore_effect(family, model.machine, candidate.keys, numbers)
+
+
+def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
+    """Return a model that has an effect once, even if it was found again."""
+    once = {effect.name: effect for effect in reversed(effects)}
+    names = dict.fromkeys(effect.name for effect in effects)
+    return replace(base, effects=tuple(once[name] for name in names))
+
+
+def _spread_beyond(
+    stated: Float64[np.ndarray, "k k"], fitted: Float64[np.ndarray, "k k"]
+) -> Float64[np.ndarray, "k k"]:
+    """Return what scanned values add to a covariance; never less than nothing."""
+    value, vector = np.linalg.eigh(stated - fitted)
+    return (vector * np.maximum(value, 0.0)) @ vector.T

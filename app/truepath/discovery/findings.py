@@ -1,0 +1,196 @@
+"""What is stated of the effects found, and of the gap on held-out lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.discovery.name_trial import TriedNames
+from truepath.discovery.term_fitter import TermFit, TermFitter
+from truepath.discovery.term_search import EQUIVALENT
+from truepath.discovery.terms.line_blocks import RunData
+from truepath.estimation.problem.noise import floor_mm
+from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.catalogue import (
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Why an effect is believed.
+
+    log_bayes : of the effect given the others, less the cost of the search
+    held_out : gain in log score on lines that were held out of the fit
+    share : of the gap above a complete model's that it closes, at most 1
+    """
+
+    log_bayes: float
+    held_out: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect with its parameters, its evidence, and what else it may be.
+
+    rivals : terms that would explain the Runs as well
+    grade : `certain`, `likely`, or `possible` where free forms do as well
+    """
+
+    term: CandidateTerm
+    parameters: dict[str, Quantity]
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+    evidence: Evidence
+    rivals: tuple[CandidateTerm, ...]
+    grade: str
+
+    @property
+    def alternatives(self) -> tuple[Candidate, ...]:
+        """Other effects that explain the Runs as well."""
+        return tuple(rival.candidate for rival in self.rivals)
+
+    @property
+    def family(self) -> Family:
+        """The effect's family."""
+        return self.term.family
+
+    @property
+    def candidate(self) -> Candidate:
+        """The effect."""
+        return self.term.candidate
+
+    @property
+    def structure(self) -> Family | None:
+        """Its family, if it is structure without a catalogued cause."""
+        return None if self.family.names_cause else self.family
+
+
+def state_findings(
+    fitter: TermFitter, baseline: TermFit, tried: TriedNames
+) -> tuple[Finding, ...]:
+    """Return what is stated of the terms that hold, by evidence, greatest first.
+
+    baseline : the fit without terms
+    """
+    count = range(len(tried.fit.terms))
+    found = [_state(fitter, baseline, tried.fit, tried, k) for k in count]
+    return tuple(sorted(found, key=lambda f: -f.evidence.log_bayes))
+
+
+def state_possible(
+    fitter: TermFitter, baseline: TermFit, tried: TriedNames
+) -> tuple[Finding, ...]:
+    """Return what is stated of the names that do not hold."""
+    terms = tried.named.terms
+    return tuple(
+        _state(fitter, baseline, tried.named, tried, k)
+        for k in range(len(terms))
+        if terms[k] in tried.doubtful
+    )
+
+
+def _state(
+    fitter: TermFitter,
+    baseline: TermFit,
+    best: TermFit,
+    tried: TriedNames,
+    number: int,
+) -> Finding:
+    term = best.terms[number]
+    without = fitter.fit(best.other_terms(term), refine=False)
+    log_bayes = fitter.rank(without, [term])[0].evidence
+    theta, covariance = best.parameters_of(number)
+    if term.covariance is not None:
+        covariance = term.covariance
+    lost = without.misfit - best.misfit
+    rivals = _find_rivals(fitter, without, term, log_bayes)
+    return Finding(
+        term,
+        term.family.state(
+            CandidateEstimate(term.candidate, theta, covariance, term.value_sigma)
+        ),
+        theta,
+        covariance,
+        Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
+        rivals,
+        tried.grade(term, log_bayes, len(rivals)),
+    )
+
+
+def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
+    """Return the share of the misfit above a complete model's that a term takes.
+
+    What the search has left open counts: a lone effect closes all of the gap only where
+    nothing but noise is left.
+    """
+    fast = best.has_fast
+    before = baseline.held_out.measure_excess(fast=fast)
+    departure = baseline.misfit - float(baseline.held_out.square.sum())
+    uncertain = float(best.held_out.unknown.sum())
+    gap = max(before + departure - uncertain, lost, 1e-12)
+    return lost / gap
+
+
+def _find_rivals(
+    fitter: TermFitter, without: TermFit, term: CandidateTerm, evidence: float
+) -> tuple[CandidateTerm, ...]:
+    """Return the terms with a cause that would explain the Runs as well."""
+    return tuple(
+        r.term
+        for r in fitter.rank_promising(without)
+        if r.term.label != term.label
+        and r.evidence > evidence - EQUIVALENT
+        and r.term.has_cause
+    )
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Weighted root mean square of measured minus simulated on held-out lines.
+
+    expected_um : what a complete model would leave there: noise, and the uncertainty
+        of a fit to the other lines
+    usual_um : what noise alone would leave if it were as the tracker states it
+    """
+
+    before_um: float
+    after_um: float
+    noise_floor_um: float
+    expected_um: float
+    usual_um: float
+
+
+def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
+    """Return the gap; with a fast effect, of the samples within cells as well."""
+    floor_um, usual_um = _find_noise_floors_um(run_data)
+    fast = any(term.is_fast for term in best.terms)
+    return Gap(
+        floor_um * baseline.held_out.measure_ratio(fast=fast),
+        floor_um * best.held_out.measure_ratio(fast=fast),
+        floor_um,
+        floor_um * best.held_out.expect_ratio(fast=fast),
+        usual_um,
+    )
+
+
+def _find_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
+    """Return the root mean square that noise alone leaves in a cell of all Runs.
+
+    As it was found, and as it is stated.
+    """
+    square, usual, cells = 0.0, 0.0, 0
+    for seen, base in ((run.observations, run.base) for run in run_data):
+        frame = seen.beam_frame @ base.pose.rotation
+        along = np.einsum("nij,nj->ni", frame, seen.direction)
+        square += len(seen) * floor_mm(seen, base.noise, along) ** 2
+        usual += len(seen) * floor_mm(seen, base.noise.usual, along) ** 2
+        cells += len(seen)
+    return 1e3 * float(np.sqrt(square / cells)), 1e3 * float(np.sqrt(usual / cells))

@@ -1,0 +1,170 @@
+"""Whether names hold against free forms: shapes that fit anything of the same kind.
+
+A name claims a shape: even in time, the same at every place, of one axis, one harmonic.
+An unlisted cause may look like it, or like two names at once. So each name, and all of
+them together, are tried against structure without a cause in their place: free
+functions of time, place, side of approach, speed and direction of the beam.
+
+    lead    the log evidence of the names less that of the free forms: a true shape
+            needs fewer numbers for the same lines
+    purity  where free forms of its kind stay beside a name, the share of the evidence
+            of both that the name brings alone: a cause has hardly a remainder
+    gap     what names alone leave on held-out lines above what a complete model leaves,
+            of what there was, where the whole explanation leaves some
+
+A name that fails stays possible, and the structure is described instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truepath.discovery.evidence import HeldOutMisfit
+from truepath.discovery.term_fitter import TermFit, TermFitter
+from truepath.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
+from truepath.kinematics.effects.candidate_term import CandidateTerm
+
+CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
+_LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
+_CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
+_OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
+_SIGMAS = 4.0  # of what chance makes of the squared gap
+_MOST_FREE = 4  # free forms in the place of a name
+
+
+@dataclass(frozen=True)
+class TriedNames:
+    """What is left of an explanation once its names have been tried.
+
+    fit : with the names that hold, and structure
+    named : the fit with all names; doubtful : those of its terms that do not hold
+    lead : log evidence of each name that holds over free forms, by label
+    """
+
+    fit: TermFit
+    named: TermFit
+    doubtful: tuple[CandidateTerm, ...]
+    lead: dict[str, float]
+
+    def grade(self, term: CandidateTerm, log_bayes: float, rivals: int) -> str:
+        """Return how sure a name is; rivals : other names that do as well."""
+        if term in self.doubtful:
+            return POSSIBLE
+        alone = all(other.has_cause for other in self.fit.terms)
+        far = self.lead.get(term.label, 0.0) >= _CERTAIN_LEAD
+        clear = log_bayes >= _CERTAIN_EVIDENCE and not rivals
+        closed = not is_open(self.fit)
+        return CERTAIN if alone and far and clear and closed else LIKELY
+
+
+def is_open(fit: TermFit) -> bool:
+    """Tell whether held-out lines are predicted worse than by a complete model."""
+    by_chance = float(np.sqrt(2.0 / fit.held_out.freedom.sum()))
+    return fit.gap_ratio**2 > _OPEN**2 + _SIGMAS * by_chance
+
+
+class NameTrial:
+    """Tries the names of a fit against structure without a cause."""
+
+    def __init__(self, fitter: TermFitter, search: TermSearch) -> None:
+        self._fitter, self._search = fitter, search
+        free = [term for term in fitter.catalogue if not term.has_cause]
+        self._free = fitter.choose_promising(free)
+        self._flexible = [term for term in self._free if term.family.varies_with]
+
+    def judge(self, best: TermFit) -> TriedNames:
+        """Return the names that hold, and those that do not."""
+        names = [term for term in best.terms if term.has_cause]
+        if not names or self._need_more(best, names):
+            return self._doubt(best, names, {})
+        lead = {n.label: self._measure_lead(best, [n]) for n in names}
+        doubtful = [n for n in names if self._fails(best, n, lead[n.label])]
+        if len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD:
+            doubtful = names
+        tried = self._doubt(best, doubtful, lead)
+        kept = [term for term in names if term not in doubtful]
+        if doubtful and kept and self._need_more(tried.fit, kept):
+            return self._doubt(best, names, {})
+        return tried
+
+    def _doubt(
+        self, best: TermFit, names: Sequence[CandidateTerm], lead: dict[str, float]
+    ) -> TriedNames:
+        fit = self._replace(best, names, self._free) if names else best
+        return TriedNames(fit, best, tuple(names), lead)
+
+    def _replace(
+        self,
+        best: TermFit,
+        out: Sequence[CandidateTerm],
+        among: Sequence[CandidateTerm],
+    ) -> TermFit:
+        """Return the fit with free forms in the place of names."""
+        kept = [term for term in best.terms if term not in out]
+        most = len(kept) + max(_MOST_FREE, len(out))
+        return self._search.add_among(kept, among, most)
+
+    def _measure_lead(self, best: TermFit, names: Sequence[CandidateTerm]) -> float:
+        """Return the log evidence of names over that of free forms in their place.
+
+        Where the best free form alone brings so little that several of them could not
+        reach the names, they are not fitted.
+        """
+        kept = [term for term in best.terms if term not in names]
+        without = self._fitter.fit(kept, refine=False)
+        own = self._fitter.compare_fits(best, without)
+        ranked = self._fitter.rank_promising(without, self._flexible)
+        most = _MOST_FREE * max([0.0, *(r.evidence for r in ranked[:1])])
+        if own - most >= _CERTAIN_LEAD:
+            return own - most
+        instead = self._replace(best, names, self._flexible)
+        return self._fitter.compare_fits(best, instead)
+
+    def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:
+        """Tell whether a name does not hold.
+
+        With structure left beside it, it has to be clearly better than a free form.
+        """
+        is_alone = all(term.has_cause for term in best.terms)
+        if lead < (_LEAST_LEAD if is_alone else _CERTAIN_LEAD):
+            return True
+        beside = [term for term in best.terms if _is_free_beside(term, name)]
+        return bool(beside) and self._find_purity(best, name, beside) < LEAST_PURITY
+
+    def _find_purity(
+        self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
+    ) -> float:
+        """Return the share of the evidence of both that a name brings alone."""
+        kept = [t for t in best.terms if t is not name and t not in beside]
+        nothing = self._fitter.fit(kept, refine=False)
+        alone = self._fitter.fit([*kept, name])
+        both = self._fitter.compare_fits(best, nothing)
+        return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
+
+    def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
+        """Tell whether names explain the lines only with structure, or too little."""
+        beside = [t for t in fit.terms if t not in names and not t.has_cause]
+        if not beside and not is_open(fit):
+            return False
+        nothing = self._fitter.fit([])
+        alone = self._fitter.fit(names, refine=False) if beside else fit
+        whole = self._fitter.compare_fits(fit, nothing)
+        if self._fitter.compare_fits(alone, nothing) < LEAST_PURITY * whole:
+            return True
+        fast, least = fit.has_fast, 1.0 - LEAST_PURITY
+        left, before = (_excess(f.held_out, fast=fast) for f in (alone, nothing))
+        return is_open(fit) and left > least * before
+
+
+def _excess(left: HeldOutMisfit, *, fast: bool) -> float:
+    """Return the mean squared misfit above that of a complete model."""
+    return left.measure_ratio(fast=fast) ** 2 - left.expect_ratio(fast=fast) ** 2
+
+
+def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
+    """Tell whether a term is a free form of what a name depends on."""
+    kind = name.family.varies_with
+    return not term.has_cause and bool(kind) and term.family.varies_with == kind

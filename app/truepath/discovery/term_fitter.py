@@ -1,0 +1,263 @@
+"""Fit terms to Runs beside machine and poses, and rank the terms not yet in a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.discovery.event_time import locate_event
+from truepath.discovery.evidence import (
+    HeldOutMisfit,
+    TermData,
+    predict_held_out,
+    prior_precision,
+)
+from truepath.discovery.scan import scan_term
+from truepath.discovery.terms.folded_lines import FoldedLines
+from truepath.discovery.terms.line_blocks import Residual, weight_residual
+from truepath.discovery.terms.term_equations import TermEquations
+from truepath.discovery.value_refinement import refine_values
+from truepath.estimation.noise.baseline import MachinePrior
+from truepath.estimation.problem.information import Posterior, compute_posterior
+from truepath.kinematics.effects.candidate_term import CandidateTerm
+
+_MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
+_REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
+_HOPELESS = -4.0  # evidence that no finer scan raises enough
+_MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
+
+
+@dataclass(frozen=True, eq=False)
+class TermFit:
+    """Machine, poses and terms fitted to the Runs.
+
+    base_size : number of parameters of machine and poses, which come first
+    """
+
+    terms: tuple[CandidateTerm, ...]
+    base_size: int
+    prior: MachinePrior
+    posterior: Posterior
+    held_out: HeldOutMisfit
+
+    @property
+    def misfit(self) -> float:
+        """Squared misfit of held-out lines and of earlier Runs, in units of the noise.
+
+        A machine that was measured before may bend towards an effect that it lacks:
+        held-out lines then fit as well, and only what was known of it does not.
+        """
+        departure = self.prior.measure_departure(self.posterior.theta)
+        return float(self.held_out.square.sum()) + departure
+
+    @property
+    def has_fast(self) -> bool:
+        """Whether a term changes within cells."""
+        return any(term.is_fast for term in self.terms)
+
+    @property
+    def gap_ratio(self) -> float:
+        """Misfit of held-out lines over that of a complete model."""
+        left, fast = self.held_out, self.has_fast
+        return left.measure_ratio(fast=fast) / left.expect_ratio(fast=fast)
+
+    def other_terms(self, term: CandidateTerm) -> list[CandidateTerm]:
+        """Return the terms without one of them."""
+        return [other for other in self.terms if other is not term]
+
+    def part(self, number: int) -> slice:
+        """Return where the parameters of a term lie."""
+        begin = self.base_size + sum(term.size for term in self.terms[:number])
+        return slice(begin, begin + self.terms[number].size)
+
+    def parameters_of(
+        self, number: int
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+        """Return parameters and covariance of a term."""
+        part = self.part(number)
+        return self.posterior.theta[part], self.posterior.covariance[part, part]
+
+
+@dataclass(frozen=True)
+class RankedTerm:
+    """A term and its evidence beyond a fit: log Bayes factor less the search's cost."""
+
+    term: CandidateTerm
+    evidence: float
+
+
+class TermFitter:
+    """Fits terms to Runs of one machine, and ranks a catalogue of terms."""
+
+    def __init__(
+        self,
+        lines: FoldedLines,
+        prior: MachinePrior,
+        catalogue: Sequence[CandidateTerm],
+    ) -> None:
+        self._lines, self._equations = lines, TermEquations(lines)
+        self._prior, self.catalogue = prior, tuple(catalogue)
+        self.run_data = lines.runs
+        self._poses = lines.pose_precision
+        self._fits: dict[tuple[tuple[CandidateTerm, ...], bool], TermFit] = {}
+        self._promising: set[str] = set()
+        self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
+        self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
+
+    def use_lines(self, lines: FoldedLines, prior: MachinePrior) -> TermFitter:
+        """Return a fitter of the same catalogue to lines with another noise."""
+        fitter = TermFitter(lines, prior, self.catalogue)
+        fitter._promising |= self._promising
+        return fitter
+
+    def fit(self, terms: Sequence[CandidateTerm], *, refine: bool = True) -> TermFit:
+        """Return the fit of terms.
+
+        refine : scanned values as well; else they stay as they are
+        """
+        is_scanned = any(term.candidate.value is not None for term in terms)
+        key = tuple(terms), refine and is_scanned
+        if key not in self._fits:
+            self._fits[key] = self._fit(*key)
+        return self._fits[key]
+
+    def _fit(self, terms: tuple[CandidateTerm, ...], refine: bool) -> TermFit:
+        if refine:
+            terms = refine_values(self._data(self._prior), terms)
+        sums = self._equations.sums([term.effect for term in terms])
+        more = prior_precision(self._poses, terms)
+        data = sums.information(np.arange(len(more)))
+        data = replace(data, matrix=data.matrix + more)
+        # The next fit begins with this one's prior.
+        self._prior, posterior = self._prior.fit(data)
+        precision = prior_precision(self._data(self._prior).precision, terms)
+        held_out = predict_held_out(sums, precision)
+        return TermFit(terms, self._lines.size, self._prior, posterior, held_out)
+
+    def _data(self, prior: MachinePrior) -> TermData:
+        precision = prior.precision_matrix(self._lines.size) + self._poses
+        return TermData(self._equations, precision)
+
+    def rank(
+        self, fit: TermFit, terms: Sequence[CandidateTerm], *, keep: bool = True
+    ) -> list[RankedTerm]:
+        """Return terms by their evidence beyond a fit, greatest first.
+
+        terms : at their present values; keep : their columns, to be asked for again
+        """
+        data = self._data(fit.prior)
+        log_bayes = data.compare(fit.terms, terms, keep=keep).log_bayes()
+        listed = float(np.log(len(self.catalogue)))
+        ranked = [
+            RankedTerm(term, float(gain) - term.price - listed)
+            for term, gain in zip(terms, log_bayes, strict=True)
+        ]
+        return sorted(ranked, key=_by_evidence)
+
+    def rank_catalogue(
+        self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
+    ) -> list[RankedTerm]:
+        """Return scanned terms by their evidence beyond a fit, greatest first.
+
+        among : terms to scan; the whole catalogue if None
+        The quick scan leaves the machine aside: the best terms are scanned again with
+        the machine integrated out.
+        """
+        among = self.catalogue if among is None else among
+        ranked = self.rank(fit, self._scan(fit, among))
+        best_one = ranked[0].evidence if ranked else 0.0
+        least = max(_REACH * best_one - _SLACK, _HOPELESS)
+        near = sum(r.evidence > least for r in ranked[:_MOST_SCANNED])
+        best = [self._sharpen(fit, r.term) for r in ranked[:near]]
+        again = self.rank(fit, best) if best else []
+        ranked = sorted([*again, *ranked[near:]], key=_by_evidence)
+        free = [r for r in ranked if not r.term.has_cause]
+        first = [*ranked[:_MOST_PROMISING], *free[: _MOST_PROMISING // 2]]
+        self._promising |= {r.term.label for r in first}
+        return ranked
+
+    def rank_promising(
+        self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
+    ) -> list[RankedTerm]:
+        """Return those terms alone that ever were among the best of a ranking."""
+        among = self.catalogue if among is None else among
+        return self.rank_catalogue(fit, self.choose_promising(among))
+
+    def choose_promising(self, among: Sequence[CandidateTerm]) -> list[CandidateTerm]:
+        """Return those terms that ever were among the best of a ranking."""
+        return [term for term in among if term.label in self._promising]
+
+    def compare_fits(self, one: TermFit, other: TermFit) -> float:
+        """Return how much greater the log evidence of one fit is than of another.
+
+        The mean with the machine as smooth as suits the one, and the other.
+        """
+        gains = [
+            self._measure_evidence(one, prior) - self._measure_evidence(other, prior)
+            for prior in (one.prior, other.prior)
+        ]
+        return 0.5 * (gains[0] + gains[1])
+
+    def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
+        """Return the log evidence of all terms of a fit, less the search's cost."""
+        known = self._data(prior).precision
+        usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
+        own = np.arange(len(known), len(known) + len(usual))
+        precision = np.pad(known, (0, len(usual)))
+        precision[own, own] = usual**-2
+        sums = self._equations.sums([term.effect for term in fit.terms])
+        found = compute_posterior(
+            sums.information(np.arange(len(precision))), precision
+        )
+        cost = len(fit.terms) * float(np.log(len(self.catalogue)))
+        cost += sum(term.price for term in fit.terms) + float(np.log(usual).sum())
+        return -0.5 * (found.misfit + found.log_determinant) - cost
+
+    def _scan(
+        self, fit: TermFit, among: Sequence[CandidateTerm]
+    ) -> list[CandidateTerm]:
+        """Return terms that are not in a fit, at the best values of a quick scan."""
+        known = self._scanned.setdefault(fit, {})
+        present = {term.label for term in fit.terms}
+        wanted = [term for term in among if term.label not in present]
+        new = [term for term in wanted if term.label not in known]
+        if new:
+            residuals = self.residuals(fit)
+            known |= {term.label: scan_term(term, residuals) for term in new}
+        return [known[term.label] for term in wanted]
+
+    def _sharpen(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
+        """Return a term at its best value with the machine integrated out."""
+        if (fit, term) not in self._sharpened:
+            best = self._sharpen_value(fit, term)
+            self._sharpened |= {(fit, term): best, (fit, best): best}
+        return self._sharpened[fit, term]
+
+    def _sharpen_value(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
+        at = self.run_data[term.run or 0].observations.at
+        scan = term.scan(at)
+        if scan is None or term.wave(at) is not None:
+            return term
+        if term.family.happens_once:
+            data = self._data(fit.prior)
+            moment_s = np.union1d(scan.values, term.candidate.value or 0.0)
+            found = data.compare_moments(fit.terms, term, moment_s)
+            best = found.terms[int(np.argmax(found.log_bayes()))]
+            return locate_event(data, fit.terms, best)
+        terms = [term.with_value(float(value)) for value in scan.values]
+        return self.rank(fit, [term, *terms], keep=False)[0].term
+
+    def residuals(self, fit: TermFit) -> list[Residual]:
+        """Return what a fit leaves in every cell of each Run."""
+        effects, theta = [t.effect for t in fit.terms], fit.posterior.theta
+        return [
+            weight_residual(data, self._lines.of(run), effects, theta)
+            for run, data in enumerate(self.run_data)
+        ]
+
+
+def _by_evidence(ranked: RankedTerm) -> float:
+    return -ranked.evidence

@@ -1,0 +1,1 @@
+"""Sums over lines by which thousands of candidate terms are compared quickly."""

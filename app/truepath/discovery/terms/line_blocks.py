@@ -1,0 +1,252 @@
+"""The data that terms are fitted to, line by line: whitened, timing eliminated.
+
+With V the covariance of white and Ornstein–Uhlenbeck noise, aᵀ V⁻¹ b is a product of
+two whitened columns, each less what the eliminated parameters take away. They are
+computed once and then give products with any other column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.noise.baseline import Baseline, replace_pose
+from truepath.estimation.noise.within_cells import (
+    CellDeviations,
+    compute_cell_deviations,
+)
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
+from truepath.estimation.problem.information import find_informative
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.files.bundle.run import Run
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect
+from truepath.numerics.correlated_noise import Whitener
+
+
+@dataclass(frozen=True)
+class WhitenedBlocks:
+    """Columns on lines, one line after another: aᵀ V⁻¹ b is the product of two.
+
+    rows : (m, p); begin : (l + 1,) first row of each line, and one past the last
+    """
+
+    rows: Float64[np.ndarray, "m p"]
+    begin: Int64[np.ndarray, " l"]
+
+    @staticmethod
+    def of_line(rows: Float64[np.ndarray, "m p"]) -> WhitenedBlocks:
+        """Return the blocks of one line."""
+        return WhitenedBlocks(rows, np.array([0, len(rows)]))
+
+    @staticmethod
+    def join(lines: Sequence[WhitenedBlocks]) -> WhitenedBlocks:
+        """Return the blocks of all lines, in their order."""
+        rows = [line.rows for line in lines]
+        begin = np.cumsum([0, *(len(each) for each in rows)])
+        return WhitenedBlocks(np.concatenate(rows), begin)
+
+    @staticmethod
+    def stack(columns: Sequence[WhitenedBlocks]) -> WhitenedBlocks | None:
+        """Return columns on the same lines side by side; None of no columns."""
+        if not columns:
+            return None
+        rows = np.concatenate([one.rows for one in columns], axis=1)
+        return WhitenedBlocks(rows, columns[0].begin)
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.rows.shape[1]
+
+    def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
+        """Return some of the columns."""
+        return WhitenedBlocks(np.asfortranarray(self.rows[:, own]), self.begin)
+
+    def between(self, first: int, last: int) -> WhitenedBlocks:
+        """Return the blocks of some lines that follow one another."""
+        begin = self.begin[first : last + 1]
+        return WhitenedBlocks(self.rows[begin[0] : begin[-1]], begin - begin[0])
+
+    def multiply(self, other: WhitenedBlocks) -> Float64[np.ndarray, "p q"]:
+        """Return the products of these columns with others, on the same lines."""
+        return self.rows.T @ other.rows
+
+    def squares(self) -> Float64[np.ndarray, " p"]:
+        """Return the product of each column with itself."""
+        return np.einsum("mp,mp->p", self.rows, self.rows)
+
+
+@dataclass(frozen=True)
+class RunData:
+    """Cells of a Run where the baseline places its tracker.
+
+    base : machine, poses and noise that all fits share
+    within : samples within the cells, where fast effects show
+    """
+
+    observations: Observations
+    base: Linearisation
+    within: CellDeviations | None = None
+
+
+def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunData:
+    """Return the data of a Run with its pose and noise in the baseline."""
+    base = baseline.linearise(observations.at.run)
+    placed = replace_pose(observations, base.pose)
+    return RunData(placed, base, compute_cell_deviations(run, placed, base))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line or standstill, and what whitens its columns.
+
+    run, cells : where its cells are
+    timing : phase and speed, orthonormal, as far as the data determine them
+    freedom : observations less phase and speed
+    log_determinant : of its noise, and of its timing
+    """
+
+    run: int
+    cells: slice
+    design: DesignMatrix
+    whitener: Whitener
+    timing: WhitenedBlocks
+    freedom: float
+    log_determinant: float
+
+    def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
+        """Return columns of this line's cells as they count."""
+        own = np.matmul(self.design.frame, columns)
+        blocks = WhitenedBlocks.of_line(self.whitener.whiten(own))
+        return _project_out(blocks, self.timing)
+
+
+PlacedLine = tuple[Line, WhitenedBlocks]
+"""A line with its machine, poses and data."""
+
+
+def build_line(data: RunData, run: int, first: int, last: int) -> PlacedLine:
+    """Return one line or standstill of a Run, and its machine, poses and data.
+
+    run : which of the Runs; first, last : its first cell, and one past its last
+    """
+    design = data.base.build(data.observations.select(np.arange(first, last)))
+    whitener = design.whiten(data.base.noise)
+    blocks = WhitenedBlocks.of_line(whitener.whiten(design.rows))
+    base = slice(design.fixed + 1)
+    timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
+    moves = design.observations.at.line >= 0
+    is_across = design.observations.is_ramp | (moves & (not data.base.has_timing))
+    line = Line(
+        run,
+        slice(first, last),
+        design,
+        whitener,
+        timing,
+        3.0 * (last - first) - float(is_across.sum()) - timing.width,
+        whitener.log_determinant + log_timing,
+    )
+    return line, _project_out(blocks.select(base), timing)
+
+
+def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:
+    """Return the timing of a line with products 0 and 1, and the log determinant.
+
+    What the data say nothing of is left out.
+    """
+    timing = timing.select(find_informative(timing.squares()))
+    factor = np.linalg.cholesky(timing.multiply(timing))
+    inverse = np.linalg.inv(factor).T
+    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+    return WhitenedBlocks.of_line(timing.rows @ inverse), log_determinant
+
+
+def _project_out(columns: WhitenedBlocks, timing: WhitenedBlocks) -> WhitenedBlocks:
+    """Return the columns of a line less what its orthonormal timing takes away."""
+    taken = timing.rows @ timing.multiply(columns)
+    return WhitenedBlocks.of_line(columns.rows - taken)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Residual of a Run, mm, in the frame that the tracker stands on.
+
+    residual_mm, weighted : (n, 3) r and V⁻¹ r, phase and speed of each line taken out
+    precision : (n, 3, 3) of the white noise
+    ou, ou_time_s : density of the Ornstein–Uhlenbeck noise over that of the white
+        noise at frequency 0, and its correlation time
+    within : samples within their cells, where fast effects show as well
+    """
+
+    at: Conditions
+    residual_mm: Float64[np.ndarray, "n 3"]
+    weighted: Float64[np.ndarray, "n 3"]
+    precision: Float64[np.ndarray, "n 3 3"]
+    ou: float
+    ou_time_s: float
+    within: CellDeviations | None = None
+
+    def ou_density(
+        self, frequency_hz: Float64[np.ndarray, " f"]
+    ) -> Float64[np.ndarray, " f"]:
+        """Return the density of the Ornstein–Uhlenbeck noise over the white noise's."""
+        angle = 2.0 * np.pi * frequency_hz * self.ou_time_s
+        return self.ou / (1.0 + angle**2)
+
+
+def weight_residual(
+    data: RunData,
+    lines: Sequence[Line],
+    effects: Sequence[Effect],
+    theta: Float64[np.ndarray, " p"],
+) -> Residual:
+    """Return what machine, pose and effects leave of a Run.
+
+    lines : of this Run; theta : of machine and poses, then of the effects
+    """
+    seen, base = data.observations, data.base
+    residual_mm, weighted = np.zeros((2, len(seen), 3))
+    precision = np.zeros((len(seen), 3, 3))
+    moved = _displacement_mm(seen.at, effects, theta[base.size :])
+    for line in lines:
+        design, frame = line.design, line.design.frame
+        rest = design.residual - design.columns @ theta[: base.size]
+        rest = (rest - np.einsum("nij,nj->ni", frame, moved[line.cells]))[:, :, None]
+        late, timing = design.fit_timing(line.whitener, rest)
+        solved = line.whitener.apply(rest) - timing @ late
+        rest = rest - design.timing @ late
+        weighted[line.cells] = np.einsum("nij,nik->nj", frame, solved)
+        residual_mm[line.cells] = np.einsum("nij,nik->nj", frame, rest)
+        root = np.matmul(line.whitener.root, frame)
+        precision[line.cells] = np.matmul(np.swapaxes(root, 1, 2), root)
+    noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
+    return Residual(
+        seen.at,
+        residual_mm,
+        weighted,
+        precision,
+        _ou_over_white(noise, rate_hz),
+        noise.ou_time_s,
+        data.within,
+    )
+
+
+def _displacement_mm(
+    at: Conditions, effects: Sequence[Effect], theta: Float64[np.ndarray, " q"]
+) -> Float64[np.ndarray, "n 3"]:
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+    moved = np.zeros((len(at), 3))
+    for effect, (first, last) in zip(effects, pairwise(ends), strict=True):
+        moved += effect.jacobian(at) @ theta[first:last]
+    return moved
+
+
+def _ou_over_white(noise: NoiseModel, rate_hz: float) -> float:
+    ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
+    return float(ratio) * 2.0 * noise.ou_time_s * rate_hz

@@ -1,0 +1,1 @@
+"""What contradicts the model: misfits, steps, disturbances, a wrong chain."""

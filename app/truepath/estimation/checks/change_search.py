@@ -1,0 +1,238 @@
+"""What has changed during a measurement under way, and since which line.
+
+Each kind of change has a course over the lines: a step from one line on, a growth with
+time, a shift of one line. What a fit would gain by it is a score test (`score`), given
+all that is not known of the machine: where few lines have told of its errors, these can
+explain a change as well, and it is not seen yet. The likelihood ratio over all moments
+is that of Willsky and Jones (1976). The changes found are taken one after the other,
+each beside those before it, which may have come somewhat earlier or later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.special import chdtri
+
+from truepath.estimation.checks.score import ScoredColumns
+from truepath.estimation.checks.watch_sums import WatchSums
+from truepath.estimation.problem.information import Information
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
+LOST_MOTION = "lost-motion-changed"
+LASTING = (DRIFT, GROWTH)
+_RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
+_MOST = 3  # changes that are told apart
+_OF_LARGEST = 0.03  # of its gain: a smaller change may be its doing, and waits
+_NEAR = 3  # lines and standstills: changes as near as that are one
+_NEWEST, _OLDER = 60, 60  # lines since which a change is looked for: all, and some
+_DRIFT_ONSETS = 4
+_SETTLES = 3.0  # times that a drift which settles falls by e
+_FEW = 2  # lines before a change or after it
+
+
+@dataclass(frozen=True)
+class Course:
+    """Changes of one kind, at several moments.
+
+    kind : its name; axis : of which, if of one
+    columns : of those that are watched
+    onset : first line of each; factor : (m, l) of each line
+    """
+
+    kind: str
+    axis: str
+    columns: slice
+    onset: tuple[int, ...]
+    factor: Float64[np.ndarray, "m l"]
+
+    def __getitem__(self, part: slice) -> Course:
+        return replace(self, onset=self.onset[part], factor=self.factor[part])
+
+
+@dataclass(frozen=True)
+class Trial(ScoredColumns):
+    """Courses beside a fit, and beside changes that are given."""
+
+    course: Course
+
+    def leave_out(self, onset: int) -> Trial:
+        """Return it without what a change within a line leaves near it."""
+        near = np.abs(np.array(self.course.onset) - onset) <= _NEAR
+        if self.course.kind in LASTING:
+            return self
+        return replace(self, pulled=np.where(near[:, None], 0.0, self.pulled))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change that the lines ask for.
+
+    kind, axis : what explains it best; onset : number of its first line
+    gain : by it; limit : that chance seldom makes
+    margin : by how much the next best kind explains less, each by what chance makes
+    size_mm : root mean square over the lines since, at its largest; sigma_mm : of it
+    """
+
+    kind: str
+    axis: str
+    onset: int
+    gain: float
+    limit: float
+    margin: float
+    size_mm: float
+    sigma_mm: float
+
+
+class ChangeSearch:
+    """Looks for changes in the sums of lines, given all else that is known.
+
+    known : of the machine and the pose, beside these lines
+    before : since which lines changes were found before
+    """
+
+    def __init__(
+        self, sums: WatchSums, known: Information, before: Sequence[int] = ()
+    ) -> None:
+        self._sums = sums
+        self._before = np.array(before, np.int64)
+        self._factor = ScaledCholesky.of(sums.data.matrix + known.matrix)
+        vector = sums.data.vector + known.vector
+        self._theta = self._factor.solve(vector)
+        self._square = sums.data.square + known.square - float(vector @ self._theta)
+        self._rest = sums.pulled - np.einsum("lpc,p->lc", sums.coupling, self._theta)
+
+    def find(self) -> list[Change]:
+        """Return the changes that the lines ask for, the plainest first."""
+        trials = [self._prepare(course) for course in self._list_courses()]
+        found: list[Change] = []
+        explained = largest = 0.0
+        while trials and len(found) < _MOST:
+            which, k, change = self._find_best(trials, explained)
+            largest = max(largest, change.gain)
+            if change.gain < max(change.limit, _OF_LARGEST * largest):
+                break
+            found.append(change)
+            for number in (k, k - 1, k + 1):  # it came somewhere between
+                if 0 <= number < len(trials[which].course.onset):
+                    given = trials[which].select_one(number)
+                    explained += float(given.gain[0])
+                    trials = [self._give(given, each) for each in trials]
+            near = change.onset if change.kind not in LASTING else -_NEAR - 1
+            trials = [each.leave_out(near) for each in trials]
+        return found
+
+    def _list_courses(self) -> list[Course]:
+        sums, lines = self._sums, len(self._sums.row)
+        if lines <= _FEW:
+            return []
+        columns, machine = sums.columns, sums.columns.machine
+        onset = self._choose_onsets(lines)
+        number = np.arange(lines)
+        step = (number >= onset[:, None]).astype(np.float64)
+        time_s = sums.time_s - sums.time_s[0]
+        began = np.unique(np.linspace(0, lines - _FEW - 1, _DRIFT_ONSETS).astype(int))
+        since_s = np.maximum(time_s - time_s[began][:, None], 0.0)
+        share = since_s / since_s.max(axis=1, keepdims=True)
+        settled = -np.expm1(-_SETTLES * share) / -np.expm1(-_SETTLES)
+        grown = np.concatenate([share, settled])
+        whole = slice(columns.pose.start, columns.growth.stop)
+        begins = tuple(began.tolist()) * 2
+        one = (number == onset[:, None]).astype(np.float64)
+        steps = tuple(onset.tolist())
+        return [
+            Course(KNOCK, "", columns.pose, steps, step),
+            Course(LINE, "", slice(0, 3), steps, one),
+            Course(DRIFT, "", columns.pose, begins, grown),
+            Course(GROWTH, "", whole, begins, grown),
+            *(
+                Course(LOST_MOTION, axis.name, columns.lost_motion(k), steps, step)
+                for k, axis in enumerate(machine.axes)
+            ),
+        ]
+
+    def _choose_onsets(self, lines: int) -> Int64[np.ndarray, " m"]:
+        """Return the lines since which a step is looked for, never the first."""
+        first_of_newest = max(1, lines - _NEWEST)
+        older = np.linspace(1, first_of_newest, _OLDER).round().astype(np.int64)
+        stride = 1 + first_of_newest // _OLDER
+        near = np.add.outer(self._before, np.arange(-stride, stride + 1)).ravel()
+        newest = np.arange(first_of_newest, lines)
+        onset = np.unique(np.concatenate([older, near, newest]))
+        return onset[(onset >= 1) & (onset < lines)]
+
+    def _prepare(self, course: Course) -> Trial:
+        sums, own, factor = self._sums, course.columns, course.factor
+        coupling = np.tensordot(factor, sums.coupling[:, :, own], axes=1)
+        m, p, k = coupling.shape
+        half = self._factor.solve_half(coupling.transpose(1, 0, 2).reshape(p, m * k))
+        half = half.reshape(p, m, k).transpose(1, 0, 2)
+        raw = np.tensordot(factor**2, sums.own[:, own, own], axes=1)
+        left = raw - np.swapaxes(half, 1, 2) @ half
+        return Trial(half, raw, left, factor @ self._rest[:, own], course)
+
+    def _give(self, given: Trial, trial: Trial) -> Trial:
+        """Return a trial beside a change that is given."""
+        factor = given.course.factor * trial.course.factor
+        shared = self._sums.own[:, given.course.columns, trial.course.columns]
+        return trial.give(given, np.tensordot(factor, shared, axes=1))
+
+    def _find_best(
+        self, trials: Sequence[Trial], explained: float
+    ) -> tuple[int, int, Change]:
+        """Return what explains most, less chance: trial, its number, the change."""
+        excess: list[float] = []
+        best: list[int] = []
+        for trial in trials:
+            gain = trial.gain
+            best.append(int(np.argmax(gain)))
+            excess.append(float(gain.max()) - self._limit(trial))
+        first = int(np.argmax(excess))
+        kind = trials[first].course.kind
+        # A drift is growth of size 0: it holds where that of the axes is not asked for.
+        rival = max(
+            value
+            for k, (value, trial) in enumerate(zip(excess, trials, strict=True))
+            if k != first and (kind, trial.course.kind) != (DRIFT, GROWTH)
+        )
+        chosen = trials[first].select_one(best[first])
+        gain = float(chosen.gain[0])
+        rest = (self._square - explained - gain) / max(self._sums.freedom, 1.0)
+        scale = max(1.0, rest)
+        size_mm, sigma_mm = self._measure(chosen)
+        course = chosen.course
+        change = Change(
+            course.kind,
+            course.axis,
+            course.onset[0],
+            gain / scale,
+            _MARGIN * self._limit(chosen),
+            (excess[first] - rival) / scale,
+            size_mm,
+            sigma_mm,
+        )
+        return first, best[first], change
+
+    def _limit(self, trial: Trial) -> float:
+        """Return what chance seldom gains; growth has to pay for a drift and itself."""
+        columns, drift = trial.pulled.shape[1], self._sums.columns.growth.start
+        parts = [columns]
+        if trial.course.kind == GROWTH:
+            parts = [drift, columns - drift]
+        risk = _RISK / max(len(self._sums.row), 1)
+        return float(np.sum(chdtri(np.array(parts, np.float64), risk)))
+
+    def _measure(self, chosen: Trial) -> tuple[float, float]:
+        course, sums = chosen.course, self._sums
+        root, value = chosen.score[0][0], chosen.value[0]
+        moved = course.factor[0] > 0.0
+        gram = sums.gram[moved][:, course.columns, course.columns].sum(axis=0)
+        gram = gram / sums.cells[moved].sum()
+        size_mm = float(np.sqrt(value @ gram @ value))
+        slope = root.T @ gram @ value / max(size_mm, 1e-12)
+        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # it is half a width to each
+        return ways * size_mm, ways * float(np.linalg.norm(slope))

@@ -1,0 +1,290 @@
+"""Estimate although the measurement was disturbed: leave out, or split at a step.
+
+Solve, look at what is left (`misfit`), act on the plainest contradiction, solve again.
+A step of the tracker's or reflector's place makes two Runs of one, each with a pose of
+its own. Cells and whole lines that the rest of the measurement contradicts are left
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from jaxtyping import Bool
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.contradictions import (
+    LEAST_KNOCK_MM,
+    find_knocks,
+    remove_plainest,
+    spread_over_cells,
+)
+from truepath.estimation.checks.misfit import Misfit, assess_misfit
+from truepath.estimation.checks.run_parts import (
+    Knock,
+    RunPart,
+    join_empty,
+    leave_out,
+    measure_knock,
+    split_at_all,
+)
+from truepath.estimation.checks.usual_machine import (
+    bends_freely,
+    find_shifted_stops,
+    fit_as_learnt,
+    fit_usual_machine,
+    is_doubtful,
+)
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.solve.batch import Estimate, estimate
+from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.kinematics.coarse_model import RunModels
+from truepath.progress import ShareProgress, ignore_progress
+
+_OF_SHIFT = 2.0  # of the gain of the worst line
+_ROUNDS, _HIDDEN_ROUNDS = 8, 3
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedEstimate:
+    """An estimate, what was left out for it, and what contradicts it still.
+
+    given : of each Run of the estimate, the Run given that it is of
+    left_out : of each Run given; misfits : of each Run of the estimate
+    """
+
+    estimate: Estimate
+    given: tuple[int, ...]
+    left_out: tuple[tuple[LeftOut, ...], ...]
+    knocks: tuple[Knock, ...]
+    misfits: tuple[Misfit, ...]
+
+    @property
+    def first_parts(self) -> list[RunEstimate]:
+        """What is estimated of each Run given, before its first knock."""
+        firsts = [self.given.index(number) for number in range(len(self.left_out))]
+        return [self.estimate.runs[k] for k in firsts]
+
+
+def estimate_checked(
+    models: RunModels,
+    observed: Sequence[Observations],
+    *,
+    known: KnownEffects | None = None,
+    perpendicular_only: bool = False,
+    on_progress: ShareProgress = ignore_progress,
+) -> CheckedEstimate:
+    """Estimate, and again without what the rest of the measurement contradicts.
+
+    The estimate keeps what it was solved from. Arguments are those of `estimate`.
+    Raises Unidentifiable if the lines do not determine the error motions.
+    """
+    parts = [RunPart(number, seen) for number, seen in enumerate(observed)]
+
+    def solve(parts: Sequence[RunPart], begin: float, end: float) -> Estimate:
+        return estimate(
+            models,
+            [part.seen for part in parts],
+            known=known,
+            perpendicular_only=perpendicular_only,
+            keep_fit=True,
+            given=[part.given for part in parts],
+            on_progress=lambda share: on_progress(begin + share * (end - begin)),
+        )
+
+    solved = _Solved.of(parts, solve(parts, 0.0, 0.7))
+    solved = _split_at_hidden_steps(solved, models, solve)
+    solved = _remove_shifted(solved, models, solve)
+    solved = _remove_in_turn(solved, solve)
+    on_progress(1.0)
+    return solved.state(len(observed))
+
+
+# Parts of Runs, and the shares of progress from which and to which it goes.
+_Solve = Callable[[Sequence[RunPart], float, float], Estimate]
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """Parts of Runs, their estimate, and what it leaves of each."""
+
+    parts: list[RunPart]
+    found: Estimate
+    misfits: tuple[Misfit, ...]
+
+    @classmethod
+    def of(cls, parts: list[RunPart], found: Estimate) -> Self:
+        """Return them with what the estimate leaves."""
+        fit = _fit_of(found)
+        misfits = tuple(assess_misfit(fit, k) for k in range(len(found.runs)))
+        return cls(parts, found, misfits)
+
+    def state(self, runs: int) -> CheckedEstimate:
+        """Return what is told of so many Runs given."""
+        left_out = [
+            [x for part in self.parts if part.given == k for x in part.seen.left_out]
+            for k in range(runs)
+        ]
+        return CheckedEstimate(
+            self.found,
+            tuple(part.given for part in self.parts),
+            tuple(map(tuple, left_out)),
+            tuple(_list_knocks(self.parts, self.found)),
+            self.misfits,
+        )
+
+
+def _split_at_hidden_steps(
+    solved: _Solved, models: RunModels, solve: _Solve
+) -> _Solved:
+    """Return the estimate split at steps that only an unusual machine could follow.
+
+    Where points are few, error motions that bend by millimetres follow a step of the
+    set-up, and then nothing contradicts it. A usual machine does not; which of both it
+    was, the evidence says.
+    """
+    for turn in range(_HIDDEN_ROUNDS):
+        fit = _fit_of(solved.found)
+        if not bends_freely(fit):
+            break
+        usual = fit_usual_machine(fit, _list_names(models))
+        misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+        if not _has_plain_step(misfits):
+            break
+        parts = _split(solved, misfits)
+        try:
+            found = solve(parts, 0.7 + 0.01 * turn, 0.71 + 0.01 * turn)
+        except Unidentifiable:
+            break
+        if _fit_of(found).cost >= fit.cost:
+            break
+        solved = _Solved.of(parts, found)
+    return solved
+
+
+def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
+    parts: list[RunPart] = []
+    for part, joined, misfit in zip(
+        solved.parts, _list_fitted(solved.found), misfits, strict=True
+    ):
+        edges = part.seen.find_edges(joined)
+        parts += split_at_all(part, find_knocks(misfit), edges, misfit.off_mm)
+    return join_empty(parts)
+
+
+def _list_names(models: RunModels) -> set[str]:
+    """Return the effects of a machine whose direction of approach does not matter."""
+    return {effect.name for effect in models.nested.alone.effects}
+
+
+def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solved:
+    """Return the estimate without stops that a usual machine cannot follow."""
+    suspects = _find_shifted(solved.found, models)
+    if not suspects:
+        return solved
+    without = solve(_leave_out_lines(solved, suspects), 0.7, 0.75)
+    confirmed = _confirm(suspects, without, solved.found)
+    if not any(each.any() for each in confirmed):
+        return solved
+    parts = _leave_out_lines(solved, confirmed)
+    return _Solved.of(parts, solve(parts, 0.75, 0.8))
+
+
+def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
+    """Return the estimate without one contradiction after the other."""
+    for turn in range(_ROUNDS):
+        fitted = _list_fitted(solved.found)
+        fewer = remove_plainest(solved.parts, fitted, solved.misfits)
+        if fewer is None:
+            break
+        try:
+            found = solve(fewer, 0.8 + 0.02 * turn, 0.82 + 0.02 * turn)
+        except Unidentifiable:
+            break  # too little is left: the verdict says what contradicts
+        solved = _Solved.of(fewer, found)
+    return solved
+
+
+def _fit_of(found: Estimate) -> Fit:
+    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
+    return found.fit
+
+
+def _list_fitted(found: Estimate) -> list[Observations]:
+    return [run.observations for run in _fit_of(found).runs]
+
+
+def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
+    """Tell whether a step of the set-up explains much more than a shift of any line.
+
+    A line alone can pull the fit with it, which leaves less of it to a shift.
+    """
+    return any(
+        step.alone > _OF_SHIFT * float(misfit.line.max(initial=0.0))
+        for misfit in misfits
+        for step in find_knocks(misfit)
+    )
+
+
+def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
+    """Return the stops of each Run that a usual machine cannot follow; or nothing.
+
+    The last points of a target look so after a step of the set-up, if the seats of
+    later targets can follow it: then the step is to be found.
+    """
+    fit = _fit_of(found)
+    if not is_doubtful(fit):
+        return []
+    usual = fit_usual_machine(fit, _list_names(models))
+    lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
+    if not any(each.any() for each in lines):
+        return []
+    misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+    return [] if _has_plain_step(misfits) else lines
+
+
+def _confirm(
+    suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
+) -> list[Bool[np.ndarray, " l"]]:
+    """Return the suspects that contradict what is learnt without them."""
+    fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
+    return [
+        lines & find_shifted_stops(fit, k) if lines.any() else lines
+        for k, lines in enumerate(suspects)
+    ]
+
+
+def _leave_out_lines(
+    solved: _Solved, lines: list[Bool[np.ndarray, " l"]]
+) -> list[RunPart]:
+    fewer: list[RunPart] = []
+    for part, fitted, misfit, chosen in zip(
+        solved.parts, _list_fitted(solved.found), solved.misfits, lines, strict=True
+    ):
+        bad = spread_over_cells(misfit, chosen)
+        edges = part.seen.find_edges(fitted)
+        seen = leave_out(part.seen, bad, misfit.off_mm, edges)
+        fewer.append(RunPart(part.given, seen) if bad.any() else part)
+    return fewer
+
+
+def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
+    """Return the steps between parts of one Run, as large as the solve finds them."""
+    knocks: list[Knock] = []
+    for k in range(1, len(parts)):
+        before, after = parts[k - 1], parts[k]
+        if before.given != after.given:
+            continue
+        poses = found.runs[k - 1].pose, found.runs[k].pose
+        middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
+        knock = measure_knock((before, after), poses, middle)
+        reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
+        if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
+            knocks.append(knock)  # else what was between is left out, and all as before
+    return knocks

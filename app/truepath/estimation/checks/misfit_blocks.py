@@ -1,0 +1,165 @@
+"""Whole lines of a Run, with the columns of a fit and of what may be added to it.
+
+What the fit leaves of a block is told by sums that add up over the Run, and by squares
+of its cells and lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.estimation.checks.score import compute_score
+from truepath.estimation.checks.step_candidates import StepSums
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
+from truepath.estimation.problem.noise import NoiseModel, total_precision
+from truepath.numerics.correlated_noise import Whitener
+
+
+@dataclass(frozen=True, slots=True)
+class BlockMisfit:
+    """What the fit leaves of a block.
+
+    cell : squares of the cells' residuals, whitened; off_mm : their size
+    line : gain of a shift of each line
+    square : of all residuals, whitened; freedom : what noise alone would make of it
+    drift : products of all columns with the drift's
+    drift_square : of the drift's columns alone, mm
+    """
+
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    line: list[float]
+    square: float
+    freedom: int
+    drift: Float64[np.ndarray, "q s"]
+    drift_square: Float64[np.ndarray, "s s"]
+
+
+@dataclass(frozen=True)
+class MisfitBlock:
+    """Some whole lines of a Run, with the columns of fit, drift and residual."""
+
+    cells: slice
+    about: Linearisation
+    design: DesignMatrix
+    whitener: Whitener
+    columns: Float64[np.ndarray, "n 3 q"]
+
+    @property
+    def pose(self) -> slice:
+        """Where the columns of the pose are."""
+        return slice(self.about.machine_model.size, self.about.size)
+
+    @property
+    def rest(self) -> Float64[np.ndarray, "n 3"]:
+        """What the fit leaves, phase and speed of the lines still in it."""
+        return self.columns[:, :, -1]
+
+    @property
+    def drift(self) -> Float64[np.ndarray, "n 3 s"]:
+        """Columns of the drift."""
+        return self.columns[:, :, self.pose.stop : -1]
+
+    def assess(self) -> BlockMisfit:
+        """Return what the fit leaves."""
+        design, rest, drift = self.design, self.rest, self.drift
+        products = self.multiply(self.columns[:, :, self.pose.stop :])
+        untimed = rest - explain_timing(design, self.whitener, rest)
+        timed = design.timing.shape[2] + count_untimed(design, self.about)
+        lines = design.observations.lines
+        return BlockMisfit(
+            square_cells(design, untimed, self.about.noise),
+            np.linalg.norm(untimed, axis=1),
+            [self.measure_shift(slice(*line)) for line in lines],
+            float(products[-1, -1]),
+            3 * len(rest) - timed,
+            products[:, :-1],
+            np.einsum("nip,niq->pq", drift, drift),
+        )
+
+    def measure_shift(self, cells: slice) -> float:
+        """Return the gain of a shift of one line, by itself."""
+        design = self.design
+        own = replace(
+            design,
+            observations=design.observations.select(np.r_[cells]),
+            frame=design.frame[cells],
+            rows=design.rows[cells],
+        )
+        timing = own.timing.any(axis=(0, 1))
+        kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
+        own = replace(own, rows=own.rows[:, :, kept])
+        first = self.pose.start
+        P = own.columns[:, :, first : first + 3]
+        weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
+        F = P.reshape(-1, 3).T @ weighted
+        pulled = self.rest[cells].reshape(-1) @ weighted
+        return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
+
+    def multiply(
+        self, columns: Float64[np.ndarray, "n 3 k"]
+    ) -> Float64[np.ndarray, "q k"]:
+        """Return the products of all columns with others."""
+        weighted = weigh(self.design, self.whitener, columns)
+        flat = self.columns.reshape(-1, self.columns.shape[2])
+        return flat.T @ weighted.reshape(len(flat), -1)
+
+    def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
+        """Return the sums of steps of the pose before some cells of the Run."""
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
+        after = (inside[:, None] >= cell)[:, None, :, None]
+        steps: Float64[np.ndarray, "n 3 l 6"] = (
+            self.columns[:, :, None, self.pose] * after
+        )
+        flat = steps.reshape(len(inside), 3, -1)
+        weighted = weigh(self.design, self.whitener, flat)
+        rows = self.columns.reshape(-1, self.columns.shape[2])
+        sums = (rows.T @ weighted.reshape(len(rows), -1)).reshape(-1, len(cell), 6)
+        each, own = (
+            c.reshape(len(rows), len(cell), 6).transpose(1, 2, 0)
+            for c in (flat, weighted)
+        )
+        return StepSums(cell, sums.transpose(1, 0, 2), each @ np.swapaxes(own, 1, 2))
+
+    def share_step(self, cell: int) -> Float64[np.ndarray, "n 6 6"]:
+        """Return products of a step with steps before each of the block's cells."""
+        pose = self.columns[:, :, self.pose]
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
+        after = inside >= cell
+        weighted = weigh(self.design, self.whitener, pose * after[:, None, None])
+        each = np.swapaxes(weighted, 1, 2) @ pose
+        return np.cumsum(each[::-1], axis=0)[::-1]
+
+
+def count_untimed(design: DesignMatrix, about: Linearisation) -> int:
+    """Return of how many cells only what is across the travel counts."""
+    seen = design.observations
+    moves = seen.direction.any(axis=1)
+    return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
+
+
+def weigh(
+    design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+) -> Float64[np.ndarray, "n 3 p"]:
+    """Return V⁻¹ columns, the timing of the lines taken out."""
+    timing, weighted = design.fit_timing(whitener, columns)
+    return whitener.apply(columns) - weighted @ timing
+
+
+def explain_timing(
+    design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what the timing of the lines explains."""
+    timing, _ = design.fit_timing(whitener, rest[:, :, None])
+    return (design.timing @ timing)[:, :, 0]
+
+
+def square_cells(
+    design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
+) -> Float64[np.ndarray, " n"]:
+    """Return the square of each cell by itself, in units of its noise."""
+    precision = total_precision(design.observations, noise, design.travel)
+    return np.einsum("ni,nij,nj->n", rest, precision, rest)

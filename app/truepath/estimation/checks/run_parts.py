@@ -1,0 +1,227 @@
+"""Parts of a Run: without some cells, or before and after steps of the set-up's place.
+
+What goes is said, by line and time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from truepath.alignment.observations.cell_gate import describe_cells
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.estimation.checks.setup_steps import Step
+from truepath.numerics.rigid import RigidTransform
+
+_FEWEST_CELLS = 4  # of a line that was cut
+_LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
+
+
+@dataclass(frozen=True, slots=True)
+class RunPart:
+    """Observations of a Run given, or of its part between two knocks."""
+
+    given: int
+    seen: Observations
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A step of the place of tracker or reflector, both sides of which were solved.
+
+    run : of those given; row : on the way to which, or at which, it happened
+    between_s : times of the last cell before it and the first after it
+    moved_mm : of the pose, at the middle of the measured points; turned_rad : likewise
+    """
+
+    run: int
+    row: int
+    between_s: tuple[float, float]
+    moved_mm: float
+    turned_rad: float
+
+    @property
+    def time_s(self) -> float:
+        """The middle of the time in which it happened."""
+        return 0.5 * sum(self.between_s)
+
+
+def leave_out(
+    seen: Observations,
+    bad: Bool[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, " n"],
+    edges: Int64[np.ndarray, " e"],
+) -> Observations:
+    """Return observations without some cells, and with what is said of these.
+
+    bad : of those that were fitted; edges : where they begin among those seen
+    """
+    said: list[LeftOut] = []
+    sizes = np.diff(edges)
+    bad, off_mm = np.repeat(bad, sizes), np.repeat(off_mm, sizes)
+    for first, last in seen.lines:
+        part = slice(first, last)
+        if bad[part].any():
+            said += describe_cells(
+                bad[part],
+                seen.at.time_s[part],
+                seen.count[part],
+                off_mm[part],
+                int(seen.row[first]),
+            )
+    kept = _drop_remnants(seen, np.flatnonzero(~bad))
+    left_out = tuple(sorted([*seen.left_out, *said], key=_order))
+    return replace(kept, used=int(kept.count.sum()), left_out=left_out)
+
+
+def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observations:
+    """Return some of the cells, without lines of which too little is left.
+
+    Phase and speed of a line take two cells; what they leave of few tells nothing.
+    Cells on ramps are not timed.
+    """
+    line, timed = seen.at.line[cells], np.where(seen.is_ramp, -1, seen.at.line)
+    count = int(seen.at.line.max(initial=0)) + 2
+    own = np.bincount(timed[cells] + 1, minlength=count)
+    before = np.bincount(timed + 1, minlength=count)
+    whole = (line < 0) | (own == before)[line + 1] | (own >= _FEWEST_CELLS)[line + 1]
+    return seen.select(cells[whole])
+
+
+def _order(each: LeftOut) -> tuple[float, int]:
+    return float(np.nan_to_num(each.begin_s)), each.row
+
+
+def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunPart]:
+    """Return what is before a step at a cell, and what is after it, as two Runs.
+
+    Where it is within a line, the cell that it may be in belongs to neither.
+    edges : where the cells that were fitted begin among those of the part
+    """
+    seen, joined, cell = part.seen, cell, int(edges[cell])
+    within = seen.row[cell] == seen.row[cell - 1] and bool(
+        seen.at.line[cell] == seen.at.line[cell - 1]
+    )
+    before, after = (cell, cell)
+    if within:
+        before, after = int(edges[joined - 1]), int(edges[joined + 1])
+    time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
+    return divide(part, before, after, time_s)
+
+
+def divide(part: RunPart, before: int, after: int, time_s: float) -> list[RunPart]:
+    """Return so many cells before a step, and those after it, as two Runs.
+
+    after : the first of them; time_s : what is left out since then is the second's
+    """
+    seen = part.seen
+    halves = [np.arange(before), np.arange(after, len(seen))]
+    found: list[RunPart] = []
+    used = 0
+    for number, cells in enumerate(halves):
+        some = _drop_remnants(seen, cells)
+        count = int(some.count.sum())
+        offered = seen.offered - used if number else count
+        used += count
+        late = (each.begin_s >= time_s for each in seen.left_out)
+        said = tuple(
+            each
+            for each, is_late in zip(seen.left_out, late, strict=True)
+            if is_late == bool(number)
+        )
+        own = replace(some, used=count, offered=offered, left_out=said)
+        found.append(RunPart(part.given, own))
+    return found
+
+
+def split_at_all(
+    part: RunPart,
+    knocks: Sequence[Step],
+    edges: Int64[np.ndarray, " e"],
+    off_mm: Float64[np.ndarray, " n"],
+) -> list[RunPart]:
+    """Return what is before, between and after knocks, as Runs of their own.
+
+    Of what tells no pose no cell is left, and that is said.
+
+    off_mm : how far the cells that were fitted lie aside
+    """
+    found = [part]
+    for step in reversed(knocks):  # the cells before it keep their numbers
+        if edges[step.cell + 1] <= len(found[0].seen):
+            found[:1] = split(found[0], step.cell, edges)
+    off_mm = np.repeat(off_mm, np.diff(edges))
+    time_s = part.seen.at.time_s
+    return [
+        each if _tells_pose(each.seen) else _leave_out_all(each, time_s, off_mm)
+        for each in found
+    ]
+
+
+def _leave_out_all(
+    part: RunPart,
+    time_s: Float64[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, " n"],
+) -> RunPart:
+    """Return a part without its cells.
+
+    time_s, off_mm : of these cells and more, how far they lie aside
+    """
+    seen = part.seen
+    off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
+    edges = np.arange(len(seen) + 1, dtype=np.int64)
+    return RunPart(part.given, leave_out(seen, np.ones(len(seen), bool), off_mm, edges))
+
+
+def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
+    """Return the parts that have cells; what is said of others goes with the next.
+
+    A Run given without any cell stays as one part.
+    """
+    found: list[RunPart] = []
+    for part in parts:
+        last = found[-1] if found and found[-1].given == part.given else None
+        if last is None or (len(last.seen) and len(part.seen)):
+            found.append(part)
+        else:
+            found[-1] = _join(last, part)
+    return found
+
+
+def _join(first: RunPart, second: RunPart) -> RunPart:
+    """Return two parts as one, of which one at most has cells."""
+    kept = max(first.seen, second.seen, key=len)
+    left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
+    offered = first.seen.offered + second.seen.offered
+    seen = replace(kept, offered=offered, left_out=tuple(left_out))
+    return RunPart(first.given, seen)
+
+
+def _tells_pose(seen: Observations) -> bool:
+    if len(seen) < _FEWEST_CELLS:
+        return False
+    away = seen.at.point_mm - seen.at.point_mm.mean(axis=0)
+    spread = np.linalg.svd(away, compute_uv=False) / np.sqrt(len(seen))
+    return bool(spread[1] > _LEAST_SPREAD_MM)
+
+
+def measure_knock(
+    parts: tuple[RunPart, RunPart],
+    poses: tuple[RigidTransform, RigidTransform],
+    middle_mm: Float64[np.ndarray, "3"],
+) -> Knock:
+    """Return the step between the poses before and after it."""
+    (before, after), (a, b) = parts, poses
+    moved = b.apply(middle_mm[None]) - a.apply(middle_mm[None])
+    turned = 0.5 * float(np.linalg.norm(b.rotation @ a.rotation.T - np.eye(3)))
+    return Knock(
+        after.given,
+        int(after.seen.row[0]),
+        (float(before.seen.at.time_s[-1]), float(after.seen.at.time_s[0])),
+        float(np.linalg.norm(moved)),
+        turned * float(np.sqrt(2.0)),
+    )

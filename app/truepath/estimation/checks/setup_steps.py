@@ -1,0 +1,189 @@
+"""Steps of the set-up's place that a fit asks for, one beside the other.
+
+The best step is taken and placed within its line; each is placed again where the others
+are given, so that no step between two knocks passes for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.estimation.checks.step_candidates import Prospects, Shared
+
+_SWEEPS = 1
+_OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
+_COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to pay for
+_NO_DRIFT = 1.5  # of the least gain of a step, in 36 parameters
+_APART_S = 5.0  # nearer steps have more in common than is counted
+_ABOUT = 6  # lines and standstills on which each cell is tried
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the pose before one cell.
+
+    cell : the first after it; gain : of −2 log likelihood, beside other steps
+    alone : gain where there is nothing else; moved_mm : by how far, at the middle
+    """
+
+    cell: int
+    gain: float
+    alone: float
+    moved_mm: float
+
+
+@dataclass(frozen=True)
+class StepSearch:
+    """Where steps may be, and what a further one has to gain.
+
+    all_ : steps all over the Run; near : those from one to the next, by number
+    share : what a step before some cell has in common with others
+    line, time_s : of each cell; steps on one line or in one moment are one
+    least_gain : of the next step, where all so far explains so much
+    drift : gain of a drift
+    """
+
+    all_: Prospects
+    near: Callable[[int], Prospects]
+    share: Callable[[int], Shared]
+    line: Int64[np.ndarray, " n"]
+    time_s: Float64[np.ndarray, " n"]
+    least_gain: Callable[[float], float]
+    drift: float
+
+    def find_best(
+        self, others: Sequence[Prospects], *, drifts: bool
+    ) -> tuple[Prospects, float]:
+        """Return the best step beside others, and its gain.
+
+        A large step a few cells from its place explains little: each cell is tried on
+        the lines that look best, with a drift and without.
+        """
+        line = self.line[self.all_.cell]
+        about: set[int] = set()
+        for each in (True, False) if drifts else (False,):
+            best = line[np.argsort(-self._gain(self.all_, others, drifts=each))]
+            first = np.sort(np.unique(best, return_index=True)[1])[:_ABOUT]
+            about |= set(np.flatnonzero(np.isin(line, best[first])).tolist())
+        best, most = self.all_.select_one(0), -np.inf
+        for k in sorted(about):
+            steps = self.near(k)
+            gain = self._gain(steps, others, drifts=drifts)
+            j = int(np.argmax(gain))
+            if gain[j] > most:
+                best, most = steps.select_one(j), float(gain[j])
+        return best, most
+
+    def find(self, most: int, *, drifts: bool) -> list[Prospects]:
+        """Return the steps that there must be, at least the best.
+
+        drifts : whether a drift may be beside them
+        """
+        found: list[Prospects] = []
+        total, gain = self.drift if drifts else 0.0, np.inf
+        while len(found) < most and gain >= self.least_gain(total):
+            best, gain = self.find_best(found, drifts=drifts)
+            found.append(best)
+            total += gain
+        while len(found) > 1:
+            found = self._place_again(found, drifts=drifts)
+            gains = [step.gain for step in self.describe(found, drifts=drifts)]
+            if min(gains) >= max(self.least_gain(total), _OF_LARGEST * max(gains)):
+                break
+            del found[int(np.argmin(gains))]
+        if len(found) == 1:
+            found = [self.find_best([], drifts=drifts)[0]]
+        return sorted(found, key=lambda one: int(one.cell[0]))
+
+    def describe(self, found: Sequence[Prospects], *, drifts: bool) -> list[Step]:
+        """Return steps, each with its gain beside the others."""
+        steps: list[Step] = []
+        for k, one in enumerate(found):
+            others = [*found[:k], *found[k + 1 :]]
+            gain = self.sum_gains([one], others, drifts=drifts)
+            alone, moved_mm = float(one.bare.gain[0]), float(one.bare.moved_mm[0])
+            steps.append(Step(int(one.cell[0]), gain, alone, moved_mm))
+        return steps
+
+    def sum_gains(
+        self,
+        found: Sequence[Prospects],
+        beside: Sequence[Prospects] = (),
+        *,
+        drifts: bool,
+    ) -> float:
+        """Return the gain of steps together, beside others."""
+        given = [step.choose(drifts=drifts) for step in beside]
+        total = 0.0
+        for step in found:
+            one = step.choose(drifts=drifts)
+            total += float(one.condition(given, self.share).gain[0])
+            given.append(one)
+        return total
+
+    def _place_again(
+        self, found: Sequence[Prospects], *, drifts: bool
+    ) -> list[Prospects]:
+        placed = list(found)
+        for k in list(range(len(placed))) * _SWEEPS:
+            others = placed[:k] + placed[k + 1 :]
+            placed[k], _ = self.find_best(others, drifts=drifts)
+        return placed
+
+    def _gain(
+        self, steps: Prospects, others: Sequence[Prospects], *, drifts: bool
+    ) -> Float64[np.ndarray, " l"]:
+        """Return the gain of each step beside others; of what is one with them, 0."""
+        given = [other.choose(drifts=drifts) for other in others]
+        parts = steps.choose(drifts=drifts).cut()
+        gain = np.concatenate([p.condition(given, self.share).gain for p in parts])
+        for other in others:
+            cell = int(other.cell[0])
+            near = np.abs(self.line[steps.cell] - self.line[cell]) <= 1
+            near |= np.abs(self.time_s[steps.cell] - self.time_s[cell]) < _APART_S
+            gain[near] = 0.0
+        return gain
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps that a fit asks for, in the order of time; at least the best.
+
+    explained : gain of them and of a drift
+    drift_left : what of it is the drift's, beside them
+    """
+
+    steps: tuple[Step, ...]
+    explained: float
+    drift_left: float
+
+
+def find_steps(search: StepSearch, most: int) -> Steps:
+    """Return the steps that a fit asks for, without a drift where they say it all.
+
+    Many steps make up for a drift as well: what explains more for its price counts.
+
+    most : how many; 0 for the best alone, roughly where it is
+    """
+    if not len(search.all_.cell):
+        return Steps((), search.drift, search.drift)
+    if not most:
+        best = int(np.argmax(search.all_.bare.gain))
+        return _gather(search, [search.all_.select_one(best)], drifts=False)
+    alone = _gather(search, search.find(most, drifts=False), drifts=False)
+    paid = alone.explained - alone.drift_left - _COST_STEP * len(alone.steps)
+    least = search.least_gain(alone.explained)
+    if alone.drift_left < _NO_DRIFT * least and paid > search.drift - _COST_DRIFT:
+        return alone
+    return _gather(search, search.find(most, drifts=True), drifts=True)
+
+
+def _gather(search: StepSearch, found: Sequence[Prospects], *, drifts: bool) -> Steps:
+    explained, alone = (search.sum_gains(found, drifts=d) for d in (True, False))
+    explained += search.drift
+    steps = search.describe(found, drifts=drifts)
+    return Steps(tuple(steps), explained, explained - alone)

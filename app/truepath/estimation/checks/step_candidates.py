@@ -1,0 +1,176 @@
+"""Steps of the set-up's place before some cells, beside a fit, a drift and each other.
+
+A step has the columns of the pose for all that comes after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.estimation.checks.score import ScoredColumns
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+_AT_ONCE = 256  # steps
+
+
+@dataclass(frozen=True)
+class StepSums:
+    """Products of the columns of steps of the pose before some cells.
+
+    value : with all columns: of the fit, pose last, the drift, the residual
+    own : with the columns of the same step
+    """
+
+    cell: Int64[np.ndarray, " l"]
+    value: Float64[np.ndarray, "l q 6"]
+    own: Float64[np.ndarray, "l 6 6"]
+
+    def select(self, part: slice) -> StepSums:
+        """Return some of the steps."""
+        return StepSums(self.cell[part], self.value[part], self.own[part])
+
+    def put(self, part: slice, steps: StepSums) -> None:
+        """Write what some of the steps are."""
+        self.value[part], self.own[part] = steps.value, steps.own
+
+    def go_on(self, later: StepSums) -> StepSums:
+        """Return the sums of steps that go on: with a step before all that is later."""
+        return StepSums(self.cell, self.value + later.value, self.own + later.own)
+
+    @staticmethod
+    def of_none(cell: Int64[np.ndarray, " l"], width: int) -> StepSums:
+        """Return steps before some cells, with nothing after them yet."""
+        count = len(cell)
+        return StepSums(cell, np.zeros((count, width, 6)), np.zeros((count, 6, 6)))
+
+    @staticmethod
+    def join(parts: Sequence[StepSums]) -> StepSums:
+        """Return the steps of several blocks."""
+        return StepSums(
+            np.concatenate([part.cell for part in parts]),
+            np.concatenate([part.value for part in parts]),
+            np.concatenate([part.own for part in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class Candidates(ScoredColumns):
+    """Steps before some cells.
+
+    whole : products with a step before all cells
+    """
+
+    cell: Int64[np.ndarray, " l"]
+    whole: Float64[np.ndarray, "l 6 6"]
+
+    def cut(self) -> Iterator[Candidates]:
+        """Yield them in parts."""
+        return map(self.select, _cut(len(self.cell)))
+
+    @property
+    def moved_mm(self) -> Float64[np.ndarray, " l"]:
+        """Size of each, at the middle."""
+        return np.linalg.norm(self.value[:, :3], axis=1)
+
+    def condition(
+        self, steps: Sequence[Candidates], share: Callable[[int], Shared]
+    ) -> Candidates:
+        """Return the candidates beside steps, one each."""
+        given: list[tuple[Candidates, Shared]] = []
+        for step in steps:
+            shared = share(int(step.cell[0]))
+            given.append((step.give_all(given), shared))
+        return self.give_all(given)
+
+    def give_all(self, given: Sequence[tuple[Candidates, Shared]]) -> Candidates:
+        """Return the candidates beside steps, each beside those before it."""
+        candidates = self
+        for step, shared in given:
+            candidates = candidates.give(step, shared.look_up(candidates))
+        return candidates
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Products of a step's columns with those of steps before the cells of its block.
+
+    first : cell of the block; value : (n, 6, 6)
+    """
+
+    first: int
+    value: Float64[np.ndarray, "n 6 6"]
+
+    def look_up(self, candidates: Candidates) -> Float64[np.ndarray, "l 6 6"]:
+        """Return the products with candidates: those before the block cover it all."""
+        inside = candidates.cell - self.first
+        near = self.value[np.clip(inside, 0, len(self.value) - 1)]
+        later = (inside >= len(self.value))[:, None, None]
+        return np.where(later, candidates.whole, near)
+
+
+@dataclass(frozen=True)
+class Prospects:
+    """The same steps beside a drift and without it."""
+
+    beside: Candidates
+    bare: Candidates
+
+    @property
+    def cell(self) -> Int64[np.ndarray, " l"]:
+        """The first cell after each."""
+        return self.beside.cell
+
+    def choose(self, *, drifts: bool) -> Candidates:
+        """Return them beside a drift or without one."""
+        return self.beside if drifts else self.bare
+
+    def select_one(self, k: int) -> Prospects:
+        """Return one of them."""
+        return Prospects(self.beside.select_one(k), self.bare.select_one(k))
+
+
+class Drift:
+    """A drift of the set-up, given the fit.
+
+    sums : products of its columns with those of the fit, the residual and its own
+    gain : of −2 log likelihood; size : of its parameters
+    """
+
+    def __init__(
+        self, factor: ScaledCholesky, sums: Float64[np.ndarray, "q s"]
+    ) -> None:
+        self._factor, self._fit = factor, slice(len(factor.scale))
+        half, raw = factor.solve_half(sums[self._fit]), sums[self._fit.stop : -1]
+        left, pulled = raw - half.T @ half, sums[None, -1]
+        self._columns = ScoredColumns(half[None], raw[None], left[None], pulled)
+        self.size = self._columns.value[0]
+        self.gain = float(self._columns.gain[0])
+
+    def prepare(self, steps: StepSums) -> Prospects:
+        """Return steps, beside the drift and without it, in the place of their sums."""
+        fit, known = self._fit, steps.value[:, :-1]
+        whole = known[:, fit.stop - 6 : fit.stop].copy()
+        for part in _cut(len(known)):
+            self._eliminate(known[part])
+        raw, half, own = steps.own, known[:, fit], known[:, fit.stop :]
+        left, pulled = raw - np.swapaxes(half, 1, 2) @ half, steps.value[:, -1]
+        bare = Candidates(half, raw, left, pulled, steps.cell, whole)
+        return Prospects(bare.put_beside(known, own, self._columns.score[1][0]), bare)
+
+    def _eliminate(self, sums: Float64[np.ndarray, "l m 6"]) -> None:
+        """Turn products with fit and drift into what is shared with these."""
+        columns = sums.transpose(1, 0, 2).reshape(sums.shape[1], -1)
+        half = self._factor.solve_half(columns[self._fit])
+        rest = columns[self._fit.stop :] - self._columns.known[0].T @ half
+        own = self._columns.score[0][0].T @ rest
+        shared = np.concatenate([half, own]).reshape(-1, len(sums), 6)
+        sums[...] = shared.transpose(1, 0, 2)
+
+
+def _cut(count: int) -> list[slice]:
+    """Return parts of so many steps, each of few enough to be held several times."""
+    return [slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)]

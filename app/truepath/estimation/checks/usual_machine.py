@@ -1,0 +1,179 @@
+"""Standstills that a machine of usual errors cannot follow: one wrong point is found.
+
+Precisions of the prior, noise and the direction of approach are learnt from all data,
+those that are wrong among them. One standstill that is 20 µm off lets error motions
+bend until it fits, and then nothing contradicts it. A machine that bends as usual, and
+whose direction of approach does not matter, cannot follow it: there the standstill asks
+for a shift of its own (score test, Rao 1948), beside those of others.
+
+Whether the machine is usual nobody knows: standstills are left out only if they
+contradict what is learnt without them as well. Lines have many cells, which tell
+themselves where one of them is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.special import chdtri
+
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.checks.misfit import collect_known
+from truepath.estimation.checks.score import compute_score
+from truepath.estimation.problem.design_matrix import DesignMatrix
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.noise import NoiseModel, limit_noise
+from truepath.estimation.problem.prior import guess_prior
+from truepath.estimation.problem.runs import (
+    RunInformation,
+    RunInput,
+    collect_information,
+)
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+_UNUSUAL = 0.1  # of the usual precision of bending
+_FEW_CELLS = 1000  # that a few wrong ones may lead astray
+_RISK, _MARGIN = 0.003, 2.0  # of a clean measurement; noise has longer tails than χ²
+_MOST = 0.1  # of the lines
+_MEDIAN = 2.366  # of χ² of three
+
+
+def is_doubtful(fit: Fit) -> bool:
+    """Tell whether wrong points may have made motions bend, or are too few to show."""
+    return bends_freely(fit) or fit.direction != "none"
+
+
+def bends_freely(fit: Fit) -> bool:
+    """Tell whether error motions bend more than usual, or little data holds them."""
+    usual, found = guess_prior(fit.model).precision, fit.prior.precision
+    is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
+    return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
+
+
+def fit_usual_machine(fit: Fit, effects: Collection[str]) -> Fit:
+    """Return what a usual machine makes of the data of a fit.
+
+    effects : names of those kept, the direction of approach not among them
+    """
+    kept = tuple(effect for effect in fit.model.effects if effect.name in effects)
+    model = replace(fit.model, effects=kept)
+    runs = tuple(run.restrict(kept) for run in fit.found)
+    return _solve(replace(fit, model=model, runs=runs, prior=guess_prior(model)))
+
+
+def fit_as_learnt(fit: Fit, observed: Sequence[Observations]) -> Fit:
+    """Return the fit to more data: prior, noise and model as without these."""
+    inputs = [
+        RunInput(each, run.linearisation.pose, run.noise)
+        for each, run in zip(observed, fit.runs, strict=True)
+    ]
+    return _solve(replace(fit, runs=collect_information(inputs, fit.model)))
+
+
+def _solve(fit: Fit) -> Fit:
+    precision = fit.prior.precision_matrix(fit.model.size)
+    return replace(fit, result=compute_posterior(fit.data, precision))
+
+
+def find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
+    """Tell which standstills of a Run, of all its lines, ask for a shift of their own.
+
+    The plainest first, the others beside it; measured by what most lines ask for.
+    """
+    seen = fit.runs[number].observations
+    moves = np.array([seen.at.line[first] >= 0 for first, _ in seen.lines])
+    lines = len(moves)
+    if moves.all():
+        return np.zeros(lines, bool)
+    left, raw, pulled = _list_shifts(fit, number)
+    limit = _MARGIN * float(chdtri(3, _RISK / max(lines, 1)))
+    found = np.zeros(lines, bool)
+    own = np.arange(lines)
+    for _ in range(int(_MOST * lines)):
+        gain = np.sum(compute_score(left[own, :, own], raw, pulled)[1] ** 2, axis=1)
+        scale = max(1.0, float(np.median(gain)) / _MEDIAN)
+        gain[found | moves] = 0.0
+        best = int(np.argmax(gain))
+        if gain[best] < limit * scale:
+            return found
+        found[best] = True
+        left, pulled = _give(left, pulled, best)
+    return np.zeros(lines, bool)  # more than a few: no wrong points
+
+
+def _give(
+    left: Float64[np.ndarray, "l 3 l 3"], pulled: Float64[np.ndarray, "l 3"], one: int
+) -> tuple[Float64[np.ndarray, "l 3 l 3"], Float64[np.ndarray, "l 3"]]:
+    """Return information and pull of the shifts beside that of one line."""
+    shared = left[:, :, one]
+    share = shared @ np.linalg.pinv(left[one, :, one], hermitian=True)
+    return (
+        left - np.einsum("iab,jcb->iajc", share, shared),
+        pulled - share @ pulled[one],
+    )
+
+
+def _list_shifts(
+    fit: Fit, number: int
+) -> tuple[
+    Float64[np.ndarray, "l 3 l 3"],
+    Float64[np.ndarray, "l 3 3"],
+    Float64[np.ndarray, "l 3"],
+]:
+    """Return what the fit leaves of information on a shift of each line, and its pull.
+
+    raw : information of each before the fit has taken its share
+    Noise is correlated within lines alone.
+    """
+    about, size = fit.runs[number].linearisation, fit.model.size
+    shift = slice(size, size + 3)  # of the pose
+    known = collect_known(fit, number)
+    total = np.zeros((about.size, about.size + 1))
+    total[:size, :size] += known.matrix
+    total[:size, -1] += known.vector
+    shared: list[Float64[np.ndarray, "p 3"]] = []
+    pulled: list[Float64[np.ndarray, "3"]] = []
+    for line in _cut(fit.runs[number]):
+        products = _multiply(line, limit_noise(about.noise))
+        total += products
+        shared.append(products[:, shift])
+        pulled.append(products[shift, -1])
+    factor = ScaledCholesky.of(total[:, :-1])
+    theta = factor.solve(total[:, -1])
+    pull = np.array(pulled) - np.einsum("lps,p->ls", np.array(shared), theta)
+    columns = np.concatenate(shared, axis=1)
+    left = -(columns.T @ factor.solve(columns)).reshape(len(pull), 3, len(pull), 3)
+    own, raw = np.arange(len(pull)), np.array(shared)[:, shift]
+    left[own, :, own] += raw
+    return left, raw, pull
+
+
+def _cut(run: RunInformation) -> Iterator[DesignMatrix]:
+    for design in run.linearisation.split(run.observations):
+        timing = slice(design.fixed + 1, None)
+        for first, last in design.observations.lines:
+            rows = design.rows[first:last]
+            kept = np.ones(rows.shape[2], bool)
+            kept[timing] = rows[:, :, timing].any(axis=(0, 1))
+            yield replace(
+                design,
+                observations=design.observations.select(np.arange(first, last)),
+                frame=design.frame[first:last],
+                rows=rows[:, :, kept],
+            )
+
+
+def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
+    """Return the products of the columns of a line with themselves, and the residual.
+
+    Its timing is taken out.
+    """
+    every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
+    whitener = line.whiten(noise)
+    timing, weighted = line.fit_timing(whitener, every)
+    free = whitener.apply(every) - weighted @ timing
+    return np.tensordot(line.columns, free, axes=((0, 1), (0, 1)))

@@ -1,0 +1,1 @@
+"""The estimate while the machine moves, from checked parts of the Run."""

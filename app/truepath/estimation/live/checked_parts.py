@@ -1,0 +1,228 @@
+"""All lines of a measurement under way looked at together, as after it.
+
+Cells and lines that the rest contradicts are left out, and at a step of the set-up the
+Run is split (`contradictions`). Between both sides of a known step nothing is taken:
+where it was is not known to the cell, and one of a large step would bend all the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.contradictions import remove_plainest
+from truepath.estimation.checks.misfit import Misfit, assess_misfit
+from truepath.estimation.checks.run_parts import Knock, RunPart, divide, measure_knock
+from truepath.estimation.live.live_gate import LineGate, LiveCheck
+from truepath.estimation.noise.noise_fit import estimate_residual_noise
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    add_information,
+    compute_posterior,
+)
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import NoiseModel, floor_mm, raise_noise
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.runs import (
+    RunInformation,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
+from truepath.kinematics.effects.base import QuadraticPrior
+from truepath.kinematics.model import MachineModel
+from truepath.numerics.rigid import RigidTransform
+
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class CheckedParts:
+    """Parts of a Run between knocks that noise explains, as far as can be seen.
+
+    parts, runs : what was kept of each, and what it tells; result : of the machine
+    """
+
+    parts: tuple[RunPart, ...]
+    runs: tuple[RunInformation, ...]
+    result: Posterior
+    misfits: tuple[Misfit, ...]
+
+    @property
+    def main(self) -> int:
+        """The part with most cells."""
+        return max(range(len(self.parts)), key=lambda k: len(self.parts[k].seen))
+
+    def restore(self, part: int) -> Float64[np.ndarray, " p"]:
+        """Return the parameters of the machine and of the pose of a part."""
+        return self.runs[part].own.restore(self.result)[0]
+
+    def find_pose(self, part: int) -> RigidTransform:
+        """Return the pose of the tracker in a part."""
+        return self.runs[part].linearisation.correct_pose(self.restore(part))
+
+    def _list_knocks(self) -> tuple[Knock, ...]:
+        poses = [self.find_pose(k) for k in range(len(self.parts))]
+        centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
+        return tuple(
+            measure_knock(
+                (self.parts[k - 1], self.parts[k]),
+                (poses[k - 1], poses[k]),
+                0.5 * (centres[k - 1] + centres[k]),
+            )
+            for k in range(1, len(self.parts))
+        )
+
+    def estimate_noise(self, start: NoiseModel) -> NoiseModel:
+        """Return the noise that the residuals show, where there are most."""
+        run = self.runs[self.main]
+        about = replace(run.linearisation, noise=start)
+        return estimate_residual_noise(run.observations, about, self.restore(self.main))
+
+    def sum_up_earlier(
+        self, model: MachineModel, noise: NoiseModel, weak: Float64[np.ndarray, "6"]
+    ) -> Information:
+        """Return what all but the newest part tell of a model, their poses left out."""
+        inputs = [
+            RunInput(part.seen, self.find_pose(k), noise)
+            for k, part in enumerate(self.parts[:-1])
+        ]
+        nothing = Information.of_matrix(np.zeros((model.size, model.size)))
+        runs = collect_parts(inputs, model, weak)
+        return add_information([nothing, *(run.own.eliminate() for run in runs)])
+
+    def state(self, noise: NoiseModel) -> LiveCheck:
+        """Return what the parts say, with their noise as it was found."""
+        run, misfit = self.runs[self.main], self.misfits[self.main]
+        seen = run.observations
+        turned = seen.direction @ run.linearisation.pose.rotation.T
+        travel = np.einsum("nij,nj->ni", seen.beam_frame, turned)
+        counted = misfit.off_mm[~seen.is_ramp]
+        rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
+        usual_mm = floor_mm(seen, noise.usual, travel)
+        return LiveCheck(
+            tuple(each for part in self.parts for each in part.seen.left_out),
+            self._list_knocks(),
+            residual=max(rms_mm, floor_mm(seen, noise, travel)) / usual_mm,
+            white=max(noise.white),
+        )
+
+    def start_gate(self, given: Observations) -> LineGate:
+        """Return the gate for the next lines.
+
+        given : all lines; the newest ones of which nothing was kept do not fit
+        """
+        kept = {int(row) for part in self.parts for row in part.seen.row}
+        rows = [int(given.row[first]) for first, _ in given.lines]
+        held = list(takewhile(lambda row: row not in kept, reversed(rows)))
+        off_mm = [
+            each.off_mm
+            for part in self.parts
+            for each in part.seen.left_out
+            if each.row in held
+        ]
+        return LineGate(
+            tuple(self.misfits[self.main].line.tolist()),
+            len(given),
+            tuple(sorted(set(held))),
+            max(off_mm, default=0.0),
+        )
+
+
+def check_parts(
+    seen: Observations,
+    knocks: Sequence[Knock],
+    pose: RigidTransform,
+    noise: NoiseModel,
+    prior: BendingPrior,
+    known: KnownEffects,
+    weak: Float64[np.ndarray, "6"],
+) -> CheckedParts:
+    """Return the parts of a Run without what the rest of it contradicts.
+
+    knocks : known so far
+    prior : proper, of the machine's model; known : effects in it
+    weak : precision of the pose that keeps it finite
+    """
+    noise = raise_noise(noise)
+
+    def solve(parts: Sequence[RunPart]) -> CheckedParts:
+        model = prior.model
+        inputs = [RunInput(part.seen, pose, noise) for part in parts]
+        runs = collect_parts(inputs, model, weak)
+        data = known.add_to(combine_runs(runs), model)
+        result = compute_posterior(data, prior.precision_matrix(model.size))
+        fit = Fit("constant", model, runs, runs, known, prior, result, 0.0)
+        misfits = tuple(assess_misfit(fit, k) for k in range(len(runs)))
+        return CheckedParts(tuple(parts), runs, result, misfits)
+
+    found = solve(split_at(seen, knocks))
+    for _ in range(_ROUNDS):
+        fewer = remove_plainest(
+            found.parts, [part.seen for part in found.parts], found.misfits
+        )
+        if fewer is None or not all(len(part.seen) for part in fewer):
+            break  # nothing contradicts, or nothing would be left
+        try:
+            found = solve(fewer)
+        except Unidentifiable:
+            break  # too little would be left
+    return found
+
+
+def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
+    """Return what was said to be left out at a knock, and now is not looked at."""
+    return [
+        each
+        for each in said
+        for first_s, last_s in (knock.between_s for knock in check.knocks)
+        if first_s < each.begin_s < last_s and each not in check.left_out
+    ]
+
+
+def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:
+    """Return the prior with what keeps all finite, and none of it to be found."""
+    charges, precision = dict(prior.charges), dict(prior.precision)
+    for effect in prior.model.effects:
+        form = np.diag(weak[prior.model.slices[effect.name]])
+        if own := prior.charges.get(effect.name):
+            form = form + prior.precision[effect.name] * own.form
+        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
+        precision[effect.name] = 1.0
+    return replace(prior, charges=charges, precision=precision)
+
+
+def split_at(seen: Observations, knocks: Sequence[Knock]) -> list[RunPart]:
+    """Return the parts of a Run between knocks that are known."""
+    parts = [RunPart(0, seen)]
+    for knock in knocks:
+        time_s = parts[-1].seen.at.time_s
+        before = int(np.searchsorted(time_s, knock.between_s[0], side="right"))
+        after = int(np.searchsorted(time_s, knock.between_s[1]))
+        if 0 < before <= after < len(time_s):
+            parts[-1:] = divide(parts[-1], before, after, knock.time_s)
+    return parts
+
+
+def collect_parts(
+    inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
+) -> tuple[RunInformation, ...]:
+    """Return what parts of a Run tell, with a weak prior on their poses."""
+    own = np.concatenate([np.zeros(model.size), weak])
+    return tuple(
+        replace(
+            run,
+            data=replace(run.data, matrix=run.data.matrix + np.diag(own)),
+            weak=weak,
+        )
+        for run in collect_information(inputs, model)
+    )

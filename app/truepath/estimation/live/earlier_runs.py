@@ -1,0 +1,92 @@
+"""What Runs before tell a measurement that goes on.
+
+Each has a pose of its own, which is integrated out; what is left is knowledge of the
+machine, and adds to what the Run under way tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.align import align_all
+from truepath.alignment.observations.observations import Observations
+from truepath.errors import Unidentifiable
+from truepath.estimation.live.checked_parts import collect_parts
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.information import Information, add_information
+from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import raise_noise
+from truepath.estimation.problem.runs import RunInput
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_coarse_model
+from truepath.kinematics.model import MachineModel
+from truepath.motion.configurations import Commanded, select_rows
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """A Run that was closed, or cut short, before the one under way.
+
+    driven : its rows up to the last that was measured; rows : that were measured
+    """
+
+    driven: Commanded
+    rows: frozenset[int]
+    seen: Observations
+
+
+def align_earlier(runs: Sequence[Run]) -> tuple[EarlierRun, ...]:
+    """Return Runs with their observations. Raises AlignmentError."""
+    return tuple(
+        EarlierRun(
+            select_rows(run.commanded, slice(max(seen.measured_rows) + 1)),
+            seen.measured_rows,
+            seen,
+        )
+        for run, seen in zip(
+            runs, align_all(runs, [run.name for run in runs]), strict=True
+        )
+    )
+
+
+def sum_up_runs(
+    runs: Sequence[EarlierRun],
+    model: MachineModel,
+    known: KnownEffects,
+    weak: Float64[np.ndarray, "6"],
+    *,
+    perpendicular_only: bool,
+) -> Information:
+    """Return what Runs tell of a model, their poses left out.
+
+    weak : precision of a pose before it is measured
+    """
+    inputs = [
+        _refine(run.seen, model, known, perpendicular_only=perpendicular_only)
+        for run in runs
+    ]
+    nothing = Information.of_matrix(np.zeros((model.size, model.size)))
+    found = collect_parts(inputs, model, weak)
+    return add_information([nothing, *(run.own.eliminate() for run in found)])
+
+
+def _refine(
+    seen: Observations,
+    model: MachineModel,
+    known: KnownEffects,
+    *,
+    perpendicular_only: bool,
+) -> RunInput:
+    (cells,) = join_cells([seen], model)
+    guess = guess_noise(cells, perpendicular_only=perpendicular_only)
+    start = RunInput(cells, cells.pose, guess)
+    coarse = build_coarse_model(cells.at.machine, [cells.at.offset_mm], known.effects)
+    try:
+        return refine_runs(coarse, (start,), known)[0]
+    except Unidentifiable:  # too few lines to tell: as loud as is usual
+        return RunInput(cells, cells.pose, raise_noise(guess))

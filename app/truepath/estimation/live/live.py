@@ -1,0 +1,379 @@
+"""The estimate of a measurement that is still under way.
+
+Every finished line or standstill is added to the normal equations, which hold for one
+linearisation and one model of the noise. Both are updated whenever the number of lines
+has doubled, and at the end: then all cells are added anew, so that this costs, in the
+mean, no more than a second addition of each.
+
+What contradicts the rest does not go in (`live_gate`, `checked_parts`). Where the
+set-up has moved, what came before goes on as knowledge of the machine, its own pose
+integrated out.
+
+A weak prior keeps tables finite before the lines determine them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.cell_blocks import CellBlock
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.alignment.point_alignment import PointAlignment
+from truepath.alignment.streaming import StreamingAlignment
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.notices import ChangeWatch, Notice
+from truepath.estimation.checks.run_parts import RunPart
+from truepath.estimation.live.checked_parts import (
+    check_parts,
+    list_at_knocks,
+    weaken_prior,
+)
+from truepath.estimation.live.earlier_runs import EarlierRun, sum_up_runs
+from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
+from truepath.estimation.live.live_gate import LineGate, LiveCheck
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.confounded_prior import WholePrior
+from truepath.estimation.problem.design_matrix import Linearisation
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    add_information,
+)
+from truepath.estimation.problem.knots import add_hidden_variance, join_cells
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.prior import widen_by_unknown_precision
+from truepath.estimation.problem.runs import RunInput
+from truepath.files.bundle.run import PointBlock
+from truepath.kinematics.coarse_model import (
+    add_bends,
+    add_half_widths,
+    build_coarse_model,
+)
+from truepath.kinematics.effects.base import Effect, Parameter, Role
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.identifiable import (
+    build_identifiable_model,
+    list_partly_told_effects,
+    list_untold_effects,
+)
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.motion.configurations import Configurations
+from truepath.numerics.rigid import RigidTransform
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+
+_FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
+_FORETELL = 8  # lines or points; fewer foretell too little of the next
+_HELD = 3  # lines in a row that do not fit, or 6, 12 …: look at all lines together
+
+
+class LiveEstimator:
+    """Takes samples or points in blocks, answers with the estimate so far. One thread.
+
+    known : effects known from an earlier measurement, to be estimated beside; what
+        depends on temperatures waits for the analysis of the Run, which has them
+    earlier : Runs of the measurement that it goes on from
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        commanded: Path | Configurations,
+        *,
+        perpendicular_only: bool = False,
+        known: KnownEffects | None = None,
+        earlier: Sequence[EarlierRun] = (),
+    ) -> None:
+        self._machine, self._commanded = machine, commanded
+        self._known = known or KnownEffects()
+        self._alignment: StreamingAlignment | PointAlignment
+        self._alignment = StreamingAlignment(machine, commanded)
+        self._perpendicular_only = perpendicular_only
+        targets = [machine.target(name) for name in commanded.target or ("",)]
+        offsets = np.array([target.offset_mm for target in targets], np.float64)
+        model, _ = build_identifiable_model(machine, offsets)
+        partly = list_partly_told_effects(machine, offsets)
+        model = model.with_effects(*self._known.effects).with_confounded(partly)
+        told = add_half_widths(model)
+        if isinstance(commanded, Path):
+            told = add_bends(told)
+        self._prior = WholePrior.guess(told, list_untold_effects(machine, offsets))
+        self._model = self._prior.whole.model
+        self._gram = compute_volumetric_gram(self._model)
+        self._tracker = TrackerPose(_middle_of_travel(machine))
+        effects = (*self._model.effects, self._tracker)
+        self._weak = list_weak_precisions(effects)
+        self._seats = self._alignment.seats  # that the sums are about
+        self._parts: list[CellBlock] = []
+        self._sums: RecursiveEstimator | None = None
+        self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
+        self._earlier = Information.of_matrix(np.zeros((self._model.size,) * 2))
+        self._runs = sum_up_runs(
+            earlier,
+            self._model,
+            self._known,
+            self._weak[-6:],
+            perpendicular_only=perpendicular_only,
+        )
+        self._foretold: Posterior | None = None  # of machine and pose, about the sums
+        self._rows: frozenset[int] = frozenset()
+        self._check, self._gate = LiveCheck(), LineGate()
+        self._astray_s = -np.inf  # when the last of it came that is at no place
+        self._next_look = _FIRST_LOOK  # at so many stretches
+
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Know of further rows; the earlier ones are among them as they were."""
+        self._commanded = commanded
+        self._alignment.extend(commanded)
+
+    def findings(self) -> LiveFindings | None:
+        """Return what a plan of further rows rests on, None before the pose is known.
+
+        After `estimate`, with the precisions of the prior that it has found.
+        """
+        if self._sums is None:
+            return None
+        about = self._sums.linearisation
+        station_mm = about.pose.invert().translation_mm
+        precision = self._prior.told.precision
+        return LiveFindings(self._rows, station_mm, about.noise, precision)
+
+    def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
+        """Return where in the tracker's frame each row of a path should be seen.
+
+        As the standstills so far say, where the set-up has moved those since then. None
+        of points, and where `place_rows` has none.
+        """
+        seen = self._alignment
+        if not isinstance(self._commanded, Path):
+            return None
+        if not isinstance(seen, StreamingAlignment):
+            return None
+        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
+        return seen.place_rows(since_s)
+
+    def take(self, block: TrackerSamples | PointBlock) -> bool:
+        """Take the next samples or points; tell whether they have finished anything.
+
+        Or whether the target has stood at a further place that is none of its own. All
+        blocks of a measurement are of one kind.
+        """
+        if isinstance(block, TrackerSamples):
+            assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
+            return self._add(self._alignment.add(block)) or self._goes_astray()
+        if not isinstance(self._alignment, PointAlignment):
+            self._alignment = PointAlignment(self._machine, self._commanded)
+            self._seats = self._alignment.seats
+        return self._add(self._alignment.add(block)) or self._goes_astray()
+
+    def finish(self) -> bool:
+        """Nothing follows: look at pose and noise with all there is."""
+        self._add(self._alignment.finish())
+        if not self._parts:
+            return False
+        self._look_again(thoroughly=True)
+        return True
+
+    def estimate(self) -> LiveEstimate | None:
+        """Return what is known so far, None before the pose is."""
+        if self._sums is None:
+            return None
+        size = self._model.size
+        data = self._add_known(self._sums.information())
+        self._prior, result = self._prior.fit(data)
+        prior = self._prior.whole
+        widened = widen_by_unknown_precision(prior, result)
+        hidden = add_hidden_variance(widened, self._model, prior.precision)
+        self._foretold, covariance = hidden, hidden.covariance[:size, :size]
+        mean_square = float(np.sum(self._gram * covariance))
+        return LiveEstimate(
+            self._model,
+            result.theta[:size],
+            covariance,
+            float(np.sqrt(max(mean_square, 0.0))),
+            len(self._rows),
+            self._check.cells,
+            float(self._parts[-1].cells.time_s[-1]),
+            self._state_check(),
+        )
+
+    def _goes_astray(self) -> bool:
+        """Tell whether what is at no place of the path has become more."""
+        before_s = self._astray_s
+        for each in self._alignment.list_astray()[-1:]:
+            self._astray_s = each.end_s
+        return self._astray_s > before_s and self._sums is not None
+
+    def _state_check(self) -> LiveCheck:
+        astray = self._alignment.list_astray()
+        return replace(self._check, left_out=(*self._check.left_out, *astray))
+
+    def list_notices(self) -> tuple[Notice, ...]:
+        """Return what has been noticed to change while it was measured."""
+        if self._sums is None:
+            return ()
+        prior = self._prior.precision_matrix(len(self._weak)) + np.diag(self._weak)
+        known = self._known.add_to(Information.of_matrix(prior), self._model)
+        time_s = float(self._parts[-1].cells.time_s[-1])
+        return self._watch.list_notices(known, time_s)
+
+    def _find_rows(self, seen: Observations) -> frozenset[int]:
+        """Return the lines, or else points, that were measured.
+
+        The standstill at the end of a line that was lost is no line.
+        """
+        is_path = isinstance(self._commanded, Path)
+        counted = (seen.at.line >= 0) | (not is_path)
+        return frozenset(seen.row[counted].tolist())
+
+    def _add(self, parts: list[CellBlock]) -> bool:
+        if not parts:
+            return False
+        self._parts += parts
+        held, moved = len(self._gate.held), self._seats is not self._alignment.seats
+        if self._sums is None or moved or len(self._parts) >= self._next_look:
+            self._look_again()
+        else:
+            self._let_in(self._sums, self._observations(parts))
+            if len(self._gate.held) > held and _is_due(len(self._gate.held)):
+                self._look_again()
+        return True
+
+    def _let_in(self, sums: RecursiveEstimator, seen: Observations) -> None:
+        """Add lines, each as far as it goes on from those before."""
+        if self._foretold is None:
+            self.estimate()
+        assert self._foretold is not None  # noqa: S101 (the estimate has set it)
+        said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
+        for first, last in seen.lines:
+            whole = line = replace(seen.select(np.arange(first, last)), left_out=())
+            if len(self._rows) >= _FORETELL:
+                about = sums.linearisation
+                self._gate, line = self._gate.check(about, self._foretold, line)
+            said += line.left_out
+            self._watch.add(line if len(line) else whole)
+            if len(line):
+                sums = sums.add(line)
+                self._rows |= self._find_rows(line)
+                used, cells = used + int(line.count.sum()), cells + len(line)
+        self._sums = sums
+        self._check = replace(
+            self._check,
+            left_out=tuple(said),
+            used_samples=self._check.used_samples + used,
+            cells=self._check.cells + cells,
+            held=self._gate.held,
+            held_mm=self._gate.held_mm,
+        )
+
+    def _observations(self, parts: list[CellBlock]) -> Observations:
+        seen = self._alignment.observations(parts)
+        (cells,) = join_cells([add_surroundings(seen, self._commanded)], self._model)
+        return cells
+
+    def _add_known(self, data: Information) -> Information:
+        """Return what the newest part tells, and all that is known beside it."""
+        size, weak = self._model.size, self._weak
+        matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
+        before = add_information([self._earlier, self._runs])
+        matrix[:size, :size] += before.matrix
+        vector[:size] += before.vector
+        square = data.square + before.square
+        data = replace(data, matrix=matrix, vector=vector, square=square)
+        return self._known.add_to(data, self._model)
+
+    def _look_again(self, *, thoroughly: bool = False) -> None:
+        """Take the newest pose and noise, and add all cells anew.
+
+        thoroughly : judge the noise as the batch does, which takes its time
+        """
+        self._seats = self._alignment.seats
+        seen = self._observations(self._parts)
+        noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
+        known = self._check.knocks
+        parts, pose = [RunPart(0, seen)], seen.pose
+        check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
+        if len(self._parts) >= _FIRST_LOOK:
+            if self._sums is not None:
+                noise = replace(self._sums.linearisation.noise, white=noise.white)
+            prior, weak = weaken_prior(self._prior.told, self._weak), self._weak[-6:]
+            found = check_parts(seen, known, pose, noise, prior, self._known, weak)
+            parts, noise = [*found.parts], found.estimate_noise(noise)
+            if thoroughly:
+                main = found.parts[found.main].seen
+                own = found.find_pose(found.main)
+                noise = _refine_noise(main, own, noise, self._known)
+            pose = found.find_pose(len(parts) - 1)
+            check, self._gate = found.state(noise), found.start_gate(seen)
+            said = list_at_knocks(self._check.left_out, check)
+            check = replace(check, left_out=(*check.left_out, *said))
+            self._earlier = found.sum_up_earlier(self._model, noise, weak)
+            newest = int(parts[-1].seen.row.min())
+            fresh = sum(part.row >= newest for part in self._parts)
+            self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
+        about = Linearisation(self._model, self._tracker, pose, noise)
+        self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
+        held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
+        self._watch.start_again(about, [*(part.seen for part in parts), held_back])
+        self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
+        self._foretold = None  # the pose that it was about is another now
+        self._check = replace(
+            check,
+            used_samples=sum(int(part.seen.count.sum()) for part in parts),
+            cells=sum(len(part.seen) for part in parts),
+            held=self._gate.held,
+            held_mm=self._gate.held_mm,
+        )
+
+
+def _is_due(held: int) -> bool:
+    return held % _HELD == 0 and (held // _HELD).bit_count() == 1
+
+
+def _refine_noise(
+    observations: Observations,
+    pose: RigidTransform,
+    noise: NoiseModel,
+    known: KnownEffects,
+) -> NoiseModel:
+    run, at = RunInput(observations, pose, noise), observations.at
+    model = build_coarse_model(at.machine, [at.offset_mm], known.effects)
+    try:
+        return refine_runs(model, (run,), known)[0].noise
+    except Unidentifiable:
+        return noise  # too few lines to judge it better
+
+
+def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
+    middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
+    x, y, z = (*middle, 0.0, 0.0)[:3]
+    return x, y, z
+
+
+# A hundred times what errors are known to at the end.
+_WEAK = {"mm": 0.1, "rad": 1e-3}
+# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
+# that it drowns in the rounding of what is known.
+_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
+_WEAK_SPEED = 10.0
+
+
+def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
+    """Return the precision of each parameter, in the order of the effects.
+
+    1/mm², 1/rad² and so on, in the unit of the parameter.
+    """
+    return np.array([_find_sigma(e, p) ** -2 for e in effects for p in e.parameters])
+
+
+def _find_sigma(effect: Effect, parameter: Parameter) -> float:
+    if effect.role is Role.NUISANCE:
+        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
+    return _WEAK.get(parameter.unit, 1.0)

@@ -1,0 +1,144 @@
+"""New lines of a measurement under way, compared with what earlier lines predict.
+
+So a burst or a moved reflector does not get into the numbers shown. What does not fit
+is held back until all lines are looked at together (`checked_parts`).
+
+The innovation of a line scatters by its own noise and by what the estimate does not
+know yet: S = V + A P Aᵀ (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, 5.4). Of each cell by itself, its square shows a burst;
+of a shift of all of the line it shows that tracker or reflector has moved. Limits are
+those of the whole measurement (`disturbances`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.estimation.checks.contradictions import MOST, stand_out
+from truepath.estimation.checks.misfit_blocks import explain_timing, weigh
+from truepath.estimation.checks.run_parts import Knock, leave_out
+from truepath.estimation.checks.score import compute_score
+from truepath.estimation.problem.design_matrix import Linearisation
+from truepath.estimation.problem.information import Posterior
+from truepath.estimation.problem.noise import raise_noise, total_precision
+
+
+@dataclass(frozen=True, slots=True)
+class LiveCheck:
+    """What a measurement under way says of itself.
+
+    left_out : valid samples that are not used; knocks : at which the Run was split
+    used_samples, cells : that the estimate is made from
+    held : rows of the newest lines, which do not fit what came before; held_mm : by
+        how far at the most
+    residual, white : of the fit and of a sample, over what the tracker states
+    """
+
+    left_out: tuple[LeftOut, ...] = ()
+    knocks: tuple[Knock, ...] = ()
+    used_samples: int = 0
+    cells: int = 0
+    held: tuple[int, ...] = ()
+    held_mm: float = 0.0
+    residual: float = 1.0
+    white: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LineGate:
+    """Holds new lines against what is foretold of them.
+
+    squares : of the shifts of lines that were let in; cells : tested so far
+    held : rows of the newest lines, which were not let in; held_mm : by how far they
+        lie off at the most
+    """
+
+    squares: tuple[float, ...] = ()
+    cells: int = 0
+    held: tuple[int, ...] = ()
+    held_mm: float = 0.0
+
+    def check(
+        self, about: Linearisation, foretold: Posterior, line: Observations
+    ) -> tuple[LineGate, Observations]:
+        """Return the gate after a line, and what of the line goes in."""
+        found = compute_innovation(about, foretold, line)
+        tested, edges = self.cells + len(line), np.arange(len(line) + 1)
+        bad = stand_out(found.cell, among=tested)
+        if bad.any() and bad.mean() < MOST:
+            kept = leave_out(line, bad, found.off_mm, edges)
+            return self.check(about, foretold, kept) if len(kept) else (self, kept)
+        square, usual = np.array([found.line]), np.array(self.squares or (0.0,))
+        if not bad.any() and not stand_out(square, usual, len(usual))[0]:
+            return LineGate((*self.squares, found.line), tested), line
+        off_mm = float(found.off_mm.max()) if bad.any() else found.moved_mm
+        gate = replace(
+            self,
+            cells=tested,
+            held=tuple(sorted({*self.held, int(line.row[0])})),
+            held_mm=max(self.held_mm, off_mm),
+        )
+        bad = np.ones(len(line), bool)
+        return gate, leave_out(line, bad, found.off_mm, edges)
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """What one line or standstill shows beyond what was foretold.
+
+    cell : (n,) squares of its cells, in units of their variance; off_mm : their size
+    line : square of a shift of all of it, likewise; moved_mm : its size
+    """
+
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    line: float
+    moved_mm: float
+
+
+def compute_innovation(
+    about: Linearisation, foretold: Posterior, seen: Observations
+) -> Innovation:
+    """Return what the cells of one line or standstill show beyond what was foretold.
+
+    foretold : machine and pose by the lines before
+    """
+    noise = raise_noise(about.noise)
+    design = about.build(seen)
+    whitener, A = design.whiten(noise), design.columns
+    rest = design.residual - A @ foretold.theta
+    P, m = foretold.covariance, about.machine_model.size
+    shift = A[:, :, m : m + 3]
+    weighted = weigh(design, whitener, shift).reshape(-1, 3)
+    F = shift.reshape(-1, 3).T @ weighted
+    G = weighted.T @ A.reshape(len(weighted), -1)
+    pulled = rest.reshape(-1) @ weighted
+    root, own = compute_score(F[None], F[None], pulled[None])
+    _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
+    left = rest - explain_timing(design, whitener, rest)
+    along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
+    left -= along[:, None] * design.travel  # a ramp tells nothing along its way
+    return Innovation(
+        _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
+        np.linalg.norm(left, axis=1),
+        float(np.sum(score**2)),
+        float(np.linalg.norm(root[0] @ own[0])),
+    )
+
+
+def _measure_cells(
+    left: Float64[np.ndarray, "n 3"],
+    precision: Float64[np.ndarray, "n 3 3"],
+    A: Float64[np.ndarray, "n 3 p"],
+    P: Float64[np.ndarray, "p p"],
+) -> Float64[np.ndarray, " n"]:
+    """Return rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
+    spread = (A @ P) @ A.transpose(0, 2, 1)
+    pulled = np.einsum("nij,nj->ni", precision, left)
+    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
+    return np.einsum("ni,nij,nj->n", left, whitened, pulled)

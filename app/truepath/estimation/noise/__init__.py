@@ -1,0 +1,1 @@
+"""How large the errors of observations are, and how long they last."""

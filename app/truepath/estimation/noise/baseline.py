@@ -1,0 +1,179 @@
+"""The baseline: the model that Runs are compared with, and the noise of each Run.
+
+Either the rigid-body model is fitted to the Runs, its error motions as smooth as the
+data say, or a reference model is given. The noise is estimated beside splines of time:
+what changes slowly is structure to be explained and must not be counted as noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.errors import Unidentifiable
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.confounded_prior import WholePrior, guess_whole_prior
+from truepath.estimation.problem.design_matrix import Linearisation, middle_of
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    compute_posterior,
+    invert_covariance,
+)
+from truepath.estimation.problem.knots import can_refine, find_intervals, refine_motions
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.kinematics.coarse_model import (
+    LONGEST_NOISE_S,
+    NestedModels,
+    add_effects,
+)
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel
+from truepath.numerics.rigid import RigidTransform
+
+
+class MachinePrior(Protocol):
+    """What is known of the machine before the Runs: `WholePrior`, `KnownMachine`."""
+
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the prior precision; parameters after the machine's have none."""
+        ...
+
+    def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
+        """Return the prior that fits the data, and the posterior under it."""
+        ...
+
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return the squared distance from what was measured, in its uncertainty."""
+        ...
+
+
+@dataclass(frozen=True)
+class KnownMachine:
+    """Parameters of a reference model, as well as it knows them."""
+
+    covariance: Float64[np.ndarray, "m m"]
+
+    @cached_property
+    def precision(self) -> Float64[np.ndarray, "m m"]:
+        """Inverse covariance; a parameter without variance is known to rounding."""
+        return invert_covariance(self.covariance)
+
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the precision; parameters after the machine's have none."""
+        return np.pad(self.precision, (0, size - len(self.covariance)))
+
+    def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
+        """Return itself, which has nothing to fit, and the posterior."""
+        return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
+
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return the squared distance from what was measured, in its uncertainty."""
+        own = theta[: len(self.covariance)]
+        return float(own @ self.precision @ own)
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The model that Runs are compared with.
+
+    theta : (p,) about which the model is linear: 0 where it is fitted to the Runs
+    prior : of the machine's parameters
+    runs : coarse observations, pose and noise of each Run
+    noise_model : that the noise is estimated with
+    """
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    prior: MachinePrior
+    runs: tuple[RunInput, ...]
+    noise_model: MachineModel
+
+    def linearise(self, run: int) -> Linearisation:
+        """Return the problem of a Run, linear about pose and parameters."""
+        own = self.runs[run]
+        return Linearisation(
+            self.model,
+            TrackerPose(middle_of(own.observations)),
+            own.pose,
+            own.noise,
+            self.theta,
+            len(self.runs),
+        )
+
+
+def fit_baseline(
+    nested: NestedModels,
+    noise_model: MachineModel,
+    observations: Sequence[Observations],
+    reference: EstimatedModel | None = None,
+) -> Baseline:
+    """Return prior, poses and noise of Runs of one machine.
+
+    observations : of each Run, in coarse cells with their surroundings
+    reference : what is known of the model; it is fitted to the Runs if None
+
+    Raises Unidentifiable if the lines do not determine the noise.
+    """
+    guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
+    runs = _fit_noise(noise_model, guessed)
+    if reference is None:
+        nested = replace(nested, alone=_refine_knots(nested.alone, runs))
+        prior: MachinePrior = WholePrior.guess(nested.alone, nested.confounded)
+        theta = np.zeros(nested.whole.size)
+    else:
+        theta, prior = reference.theta, KnownMachine(reference.covariance)
+    return Baseline(nested.whole, theta, prior, runs, noise_model)
+
+
+def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel:
+    while any(map(can_refine, model.error_motions)):
+        data = combine_runs(collect_information(runs, model))
+        prior, result = guess_whole_prior(model).fit(data)
+        intervals = find_intervals(model, prior.precision, result)
+        if not intervals:
+            break
+        model = refine_motions(model, intervals)
+    return model
+
+
+def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
+    """Return the baseline with pose and noise of the Runs fitted beside effects.
+
+    Where the effects leave nothing to judge the noise by, it stays as it is.
+    """
+    model = add_effects(baseline.noise_model, effects)
+    guessed = [replace(r, noise=_guess_noise(r.observations)) for r in baseline.runs]
+    try:
+        return replace(baseline, runs=_fit_noise(model, guessed))
+    except Unidentifiable:
+        return baseline
+
+
+def _guess_noise(observations: Observations) -> NoiseModel:
+    return guess_noise(observations, perpendicular_only=False)
+
+
+def _fit_noise(model: MachineModel, runs: Sequence[RunInput]) -> tuple[RunInput, ...]:
+    return tuple(
+        replace(run, observations=replace_pose(run.observations, run.pose))
+        for run in refine_runs(model, runs, longest_s=LONGEST_NOISE_S)
+    )
+
+
+def replace_pose(observations: Observations, pose: RigidTransform) -> Observations:
+    """Return observations with another pose of the tracker."""
+    recorded = observations.at.recorded
+    if recorded is not None:
+        recorded = replace(recorded, rotation=pose.rotation)
+    at = replace(observations.at, recorded=recorded)
+    return replace(observations, pose=pose, at=at)

@@ -1,0 +1,195 @@
+"""How well a noise model explains data, and which way to change it.
+
+The evidence is that of restricted maximum likelihood: what the parameters of the
+problem take up of the data is not mistaken for little noise. With V the covariance of
+the data, H = AᵀV⁻¹A + prior and P = V⁻¹ − V⁻¹A H⁻¹AᵀV⁻¹,
+
+    cost = log|V| + log|H| + yᵀPy,    ∂cost/∂x = tr(P ∂V) − yᵀP ∂V Py,
+
+and its curvature is that of the average information, yᵀP ∂V P ∂V Py, which needs no
+trace (Gilmour, Thompson & Cullis 1995). The traces that the slope needs are second
+moments of the Ornstein–Uhlenbeck part given the data, from neighbour to neighbour in
+time only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import Unidentifiable
+from truepath.estimation.problem.design_matrix import DesignMatrix
+from truepath.estimation.problem.information import Information
+from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
+from truepath.numerics.ornstein_uhlenbeck import (
+    OrnsteinUhlenbeckPrecision,
+    build_ou_precision,
+)
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+_STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Cost (−2 log evidence) with gradient and curvature.
+
+    By the logarithms of the Ornstein–Uhlenbeck part's size along and across the beam,
+    its time and, where it counts, the jitter along the travel.
+    """
+
+    cost: float
+    gradient: Float64[np.ndarray, " k"]
+    curvature: Float64[np.ndarray, "k k"]
+
+
+@dataclass(frozen=True)
+class NoiseEvidence:
+    """Cells whose noise is to be judged.
+
+    columns : (n, 3, p) of the parameters, which may be none; residual : (n, 3) the data
+    known : of the first parameters, by the prior and by other data
+    """
+
+    design: DesignMatrix
+    columns: Float64[np.ndarray, "n 3 p"]
+    residual: Float64[np.ndarray, "n 3"]
+    known: Information
+
+    def evaluate(self, noise: NoiseModel) -> Slope:
+        """Return cost, gradient and curvature.
+
+        Raises Unidentifiable if data and prior do not determine the parameters.
+        """
+        return _Solution(self, noise).slope()
+
+    @cached_property
+    def rows(self) -> Float64[np.ndarray, "n 3 q"]:
+        """Columns and data side by side."""
+        return np.concatenate([self.columns, self.residual[:, :, None]], axis=2)
+
+    @cached_property
+    def travel(self) -> Float64[np.ndarray, "n 3"]:
+        """Direction of travel in the beam frame."""
+        return self.design.travel
+
+
+class _Solution:
+    """The problem solved under one noise model; A and y side by side."""
+
+    def __init__(self, of: NoiseEvidence, noise: NoiseModel) -> None:
+        self.of, self.noise = of, noise
+        self.inverse = of.design.whiten(noise)
+        n, p = len(of.residual), of.columns.shape[2]
+        weighted, ou = (v.reshape(3 * n, p + 1) for v in self.inverse.split(of.rows))
+        new = self.inverse.whiten(of.rows)
+        total = new.T @ new
+        k = len(of.known.vector)
+        total[:k, :k] += of.known.matrix
+        total[:k, p] += of.known.vector
+        try:
+            self.factor = ScaledCholesky.of(total[:p, :p])
+        except np.linalg.LinAlgError as error:
+            raise Unidentifiable(
+                "the lines do not determine the noise beside the errors; add lines"
+            ) from error
+        half = self.factor.solve_half(total[:p, p])
+        self.square = float(total[p, p] + of.known.square - half @ half)
+        theta = self.factor.solve(total[:p, p])
+        # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
+        self.columns = weighted[:, :p]
+        self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
+        self.ou = ou[:, :p]
+        self.ou_residual = ou[:, p] - ou[:, :p] @ theta
+        # C⁻¹, and that of a slightly longer correlation time.
+        observations = of.design.observations
+        _, sigma = split_sigma_mm(observations, noise)
+        self.here, self.longer = (
+            build_ou_precision(observations.at.time_s, sigma, each.ou_time_s)
+            for each in (noise, _lengthen(noise))
+        )
+
+    def slope(self) -> Slope:
+        """Return cost, gradient and curvature."""
+        determinants = self.inverse.log_determinant + self.factor.log_determinant
+        cost = determinants + self.square
+        gradient = self._volume_slope() - self._moments()
+        return Slope(cost, gradient, self._curvature())
+
+    def _volume_slope(self) -> Float64[np.ndarray, " k"]:
+        here = self.inverse.log_determinant
+        return np.array(
+            [
+                (self.of.design.whiten(moved).log_determinant - here) / _STEP
+                for moved in _perturb(self.noise)
+            ]
+        )
+
+    def _moments(self) -> Float64[np.ndarray, " k"]:
+        """Return tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
+        spread = self.factor.solve_half(self.ou.T)
+        now = (spread**2).sum(axis=0) + self.ou_residual**2
+        next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
+        next_ += self.ou_residual[3:] * self.ou_residual[:-3]
+        size = 2.0 * _by_coordinate(self.here, now, next_)
+        longer = _by_coordinate(self.longer, now, next_).sum()
+        time = (longer - 0.5 * size.sum()) / _STEP
+        found = [size[0], size[1] + size[2], -time]
+        if np.isfinite(self.noise.along_sigma_mm):
+            n, along = len(self.of.residual), self.of.travel
+            pulled = np.einsum("ni,nip->pn", along, self.columns.reshape(n, 3, -1))
+            rest = np.einsum("ni,ni->n", along, self.residual)
+            square = float(
+                (self.factor.solve_half(pulled) ** 2).sum() + (rest**2).sum()
+            )
+            found.append(2.0 * self.noise.along_sigma_mm**2 * square)
+        return np.array(found)
+
+    def _curvature(self) -> Float64[np.ndarray, "k k"]:
+        moved = self._perturb_data()
+        weighted = self.inverse.apply(moved).reshape(-1, moved.shape[2])
+        half = self.factor.solve_half(self.columns.T @ moved.reshape(weighted.shape))
+        return moved.reshape(weighted.shape).T @ weighted - half.T @ half
+
+    def _perturb_data(self) -> Float64[np.ndarray, "n 3 k"]:
+        """Return ∂V P y for each parameter."""
+        n = len(self.of.residual)
+        ou = self.ou_residual.reshape(n, 3)
+        change = (self.longer.multiply(ou) - self.here.multiply(ou)) / _STEP
+        beam = 2.0 * ou * np.array([1.0, 0.0, 0.0])
+        columns = [beam, 2.0 * ou - beam, -self.here.solve(change)]
+        if np.isfinite(self.noise.along_sigma_mm):
+            along = self.of.travel
+            rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
+            columns.append(2.0 * self.noise.along_sigma_mm**2 * along * rest)
+        return np.stack(columns, axis=2)
+
+
+def _by_coordinate(
+    ou: OrnsteinUhlenbeckPrecision,
+    now: Float64[np.ndarray, " m"],
+    next_: Float64[np.ndarray, " l"],
+) -> Float64[np.ndarray, "3"]:
+    """Return tr(C⁻¹M) for each coordinate from M's entries beside the diagonal."""
+    square = (ou.diagonal * now.reshape(-1, 3)).sum(axis=0)
+    return square + 2.0 * (ou.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
+
+
+def _lengthen(noise: NoiseModel) -> NoiseModel:
+    return replace(noise, ou_time_s=noise.ou_time_s * float(np.exp(_STEP)))
+
+
+def _perturb(noise: NoiseModel) -> list[NoiseModel]:
+    """Return the noise with one parameter a little larger each."""
+    (beam, across), factor = noise.ou, float(np.exp(_STEP))
+    moved = [
+        replace(noise, ou=(beam * factor, across)),
+        replace(noise, ou=(beam, across * factor)),
+        _lengthen(noise),
+    ]
+    if np.isfinite(noise.along_sigma_mm):
+        moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))
+    return moved

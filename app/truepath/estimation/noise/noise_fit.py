@@ -1,0 +1,247 @@
+"""Find the noise of every Run from the Runs themselves.
+
+500 Hz samples are correlated in time; who counts them as independent states intervals
+that hold the truth far too seldom. The white part is what samples scatter about their
+cell. The Ornstein–Uhlenbeck part, its correlation time and the jitter of the feed
+maximise the evidence of the whole problem, so that what the error motions take up is
+accounted for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.noise.noise_evidence import NoiseEvidence, Slope
+from truepath.estimation.problem.confounded_prior import guess_whole_prior
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
+from truepath.estimation.problem.information import Information, add_information
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.runs import (
+    RunInformation,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
+from truepath.kinematics.model import MachineModel
+
+_MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
+_CELLS = 1000  # as many tell the noise to a few parts in a hundred
+_FEWEST_ROWS = 24
+_SWEEPS = 2  # over several Runs
+_JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
+# Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
+# like this.
+_USUAL = np.log([0.15, 0.15, 1.0])  # beam, across (of the stated noise), time in s
+_USUAL_SPREAD = 1.2
+_STEPS = 12
+_SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
+_STIFFEST = 4.0  # times as curved as the average information says
+_LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
+_SAME = 1e-6  # phase and speed of a line of one cell are the same
+_LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
+_LONGEST_S = 60.0
+_BOUNDS = np.log(
+    [[1e-3, 3.0], [1e-3, 3.0], [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]]
+)
+
+
+def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
+    """Return the tracker's noise: this Run's scatter, a usual correlated part."""
+    white = (float(observations.scatter[0]), float(observations.scatter[1]))
+    is_timed = any(p.is_steady for p in observations.passes)
+    along = 2e-4 if is_timed and not perpendicular_only else np.inf
+    return NoiseModel(white, (0.1, 0.1), 1.0, along)
+
+
+def refine_runs(
+    model: MachineModel,
+    runs: Sequence[RunInput],
+    known: KnownEffects | None = None,
+    *,
+    longest_s: float = _LONGEST_S,
+) -> tuple[RunInput, ...]:
+    """Return the Runs with a better pose and the noise of greatest evidence.
+
+    model : coarse, with all that must not pass for Ornstein–Uhlenbeck noise
+    known : effects of the machine known from an earlier measurement
+    longest_s : correlation time; what is slower is structure, not noise
+
+    The rough pose is off by the machine's errors. Every Run has a noise of its own;
+    what the error motions are, all Runs tell. Some lines and coarse splines tell both
+    well, at a fraction of the cost.
+    Raises Unidentifiable if the lines do not determine the parameters.
+    """
+    known = known or KnownEffects()
+    few = [
+        replace(r, observations=_select_lines(_leave_out_ramps(r.observations)))
+        for r in runs
+    ]
+    found = list(collect_information(few, model))
+    data = known.add_to(combine_runs(found), model)
+    prior, result = guess_whole_prior(model).fit(data)
+    # The noise of one Run shifts what the others hold for the error motions.
+    for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
+        others = found[:k] + found[k + 1 :]
+        noise = _fit_noise(found[k], prior, others, known, longest_s)
+        if len(runs) > 1:
+            found[k] = found[k].replace_noise(noise)
+        else:
+            about = replace(found[k].linearisation, noise=noise)
+            found[k] = replace(found[k], linearisation=about)
+    return tuple(
+        RunInput(
+            run.observations,
+            one.linearisation.correct_pose(one.own.restore(result)[0]),
+            one.noise,
+        )
+        for run, one in zip(runs, found, strict=True)
+    )
+
+
+def _fit_noise(
+    run: RunInformation,
+    prior: BendingPrior,
+    others: Sequence[RunInformation],
+    effects: KnownEffects,
+    longest_s: float,
+) -> NoiseModel:
+    design = _merge_design(run.observations, run.linearisation)
+    charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    before = effects.add_to(charged, prior.model)
+    known = add_information([before, *(other.own.eliminate() for other in others)])
+    columns = _select_independent(design)
+    evidence = NoiseEvidence(design, columns, design.residual, known)
+    return _maximise(evidence, run.noise, longest_s)
+
+
+def estimate_residual_noise(
+    observations: Observations, about: Linearisation, theta: Float64[np.ndarray, " p"]
+) -> NoiseModel:
+    """Return the noise that the residuals of an estimate show.
+
+    Quick, for the live estimate: what the estimate has taken up of it is not counted.
+    """
+    design = _merge_design(observations, about)
+    timing = _select_independent(design)[:, :, design.fixed :]
+    residual = design.residual - design.columns @ theta
+    nothing = Information.of_matrix(np.zeros((0, 0)))
+    evidence = NoiseEvidence(design, timing, residual, nothing)
+    return _maximise(evidence, about.noise, _LONGEST_S)
+
+
+def _merge_design(observations: Observations, about: Linearisation) -> DesignMatrix:
+    return about.build(observations, merge=_count_to_merge(observations))
+
+
+def _leave_out_ramps(observations: Observations) -> Observations:
+    """Return the cells where nothing swings, if these are enough."""
+    others = observations.leave_out_ramps()
+    return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
+
+
+def _select_lines(observations: Observations) -> Observations:
+    rows = np.unique(observations.row)
+    cells = len(observations) / _count_to_merge(observations)
+    keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))
+    if keep >= len(rows):
+        return observations
+    kept = rows[np.linspace(0, len(rows) - 1, keep).round().astype(np.int64)]
+    return observations.select(np.flatnonzero(np.isin(observations.row, kept)))
+
+
+def _count_to_merge(observations: Observations) -> int:
+    """Return how many cells are still short against the correlation time."""
+    length = (
+        float(np.median(observations.count)) / observations.at.machine.tracker.rate_hz
+    )
+    return max(1, round(_MERGED_S / length))
+
+
+def _maximise(
+    evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
+) -> NoiseModel:
+    """Return the noise model of least cost: Newton's steps, halved where too long."""
+    x = _pack(noise)
+    low, high = _BOUNDS[: len(x)].T
+    high = np.minimum(high, [np.inf, np.inf, np.log(longest_s), np.inf][: len(x)])
+    here, stiffer = _slope(evidence, x, noise), 1.0
+    for _ in range(_STEPS):
+        damped = stiffer * here.curvature
+        damped += np.diag(1e-3 * np.diag(damped) + _LEAST)
+        step = np.clip(-np.linalg.solve(damped, here.gradient), -_LONGEST, _LONGEST)
+        step = np.clip(x + step, low, high) - x
+        if abs(float(here.gradient @ step)) < _SETTLED:
+            break
+        there = _slope(evidence, x + step, noise)
+        while there.cost > here.cost and np.abs(step).max() > _SHORTEST:
+            step *= 0.3
+            there = _slope(evidence, x + step, noise)
+        if there.cost > here.cost:
+            break
+        stiffer = _compare_curvature(here, there, step)
+        x, here = x + step, there
+    return _unpack(x, noise)
+
+
+def _compare_curvature(
+    here: Slope, there: Slope, step: Float64[np.ndarray, " k"]
+) -> float:
+    """Return how much more the cost curves along a step than its slope here says.
+
+    The average information may be too small: steps would go beyond their aim each time.
+    """
+    expected = float(step @ here.curvature @ step)
+    found = float((there.gradient - here.gradient) @ step)
+    return min(max(found / expected, 1.0), _STIFFEST) if expected > 0.0 else 1.0
+
+
+def _slope(
+    evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
+) -> Slope:
+    """Return the slope of the evidence, with the prior on the correlated part."""
+    found = evidence.evaluate(_unpack(x, noise))
+    off = (x[:3] - _USUAL) / _USUAL_SPREAD**2
+    gradient, curvature = found.gradient.copy(), found.curvature.copy()
+    gradient[:3] += 2.0 * off
+    curvature[range(3), range(3)] += 2.0 / _USUAL_SPREAD**2
+    return Slope(found.cost + float(off @ (x[:3] - _USUAL)), gradient, curvature)
+
+
+def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
+    known = [*noise.ou, noise.ou_time_s]
+    if np.isfinite(noise.along_sigma_mm):
+        known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
+    return np.log(known)
+
+
+def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
+    beam, across, tau, *jitter = (float(v) for v in np.exp(x))
+    along = noise.along_sigma_mm
+    if jitter:
+        along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
+    return replace(noise, ou=(beam, across), ou_time_s=tau, along_sigma_mm=along)
+
+
+def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:
+    """Return columns of all parameters, but of timing only what is independent.
+
+    A line of one cell has a phase, but no speed beside it.
+    """
+    n, count = len(design.rows), max(len(design.lines), 1)
+    timing = design.timing.reshape(n, 3, count, -1)
+    gram = np.einsum("nilj,nilk->ljk", timing, timing)
+    shows = [
+        np.linalg.det(gram[:, :k, :k])
+        > _SAME * np.diagonal(gram[:, :k, :k], axis1=1, axis2=2).prod(axis=1)
+        for k in range(1, gram.shape[1] + 1)
+    ]
+    independent = np.stack(shows, axis=1).ravel() if shows else np.zeros(0, bool)
+    columns = [design.columns, design.timing[:, :, independent]]
+    return np.concatenate(columns, axis=2)

@@ -1,0 +1,1 @@
+"""Drift of the machine and growth with temperature."""

@@ -1,0 +1,341 @@
+"""Error parameters over time, from what each of several Runs tells.
+
+The parameters at Run k are θ + B dₖ: θ stays, B are the shapes in which they change,
+and the course of each shape is a Gaussian process (`drift_course`) of independent
+shapes. All information is on (θ, d₁ … d_K) and adds as that of cells does; θ is
+integrated out once, so that trying other sizes of the process costs little. This is the
+smoother of Rauch, Tung and Striebel over the states of the process, in information form
+and for all Runs at once.
+
+Sizes and time constants are not known either. Some shapes change much and others not at
+all, so each has a size of its own beside, which the data find about a common centre, as
+they find the precisions of the prior of an estimate (`prior`). Sizes of the states are
+drawn in proportion to their prior and to the likelihood of all Runs, by population
+Monte Carlo (Cappé et al. 2004), and whatever is stated is the mixture over the draws.
+Few Runs leave them wide.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import solve_triangular
+from scipy.stats import norm, qmc
+
+from truepath.estimation.over_time.drift_course import (
+    SIZES,
+    Course,
+    DriftSizes,
+    compute_prior_log,
+    make_sizes,
+)
+from truepath.estimation.problem.prior import pool_precision
+from truepath.estimation.solve.common_basis import CommonBasis
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.error_motion import ErrorMotion, find_usual_size
+from truepath.kinematics.machine.symbols import is_straightness
+from truepath.kinematics.model import MachineModel
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+# Straight shapes have no prior: so wide that none is needed.
+_WIDE = {"mm": 1.0, "rad": 2e-3}
+_FIRST_ROUNDS, _ROUNDS, _POPULATION = 5, 3, 7  # 2^7 draws a round
+_WIDER = 1.3  # than the last population: tails are not to be missed
+_RESIZINGS = 6
+_SCATTER = 2.5  # of the log of the precisions of shapes
+_DRAWS = 64  # that answer stands for
+_ROUNDING = 1e-9  # of the variance of a course
+
+
+@dataclass(frozen=True)
+class DriftData:
+    """Runs of one machine at their times, θ integrated out.
+
+    shapes : B; static : of the posterior precision of θ at given d; mean : (p,) of θ
+        where d is 0; follow : (p, K m), θ falls by it times d
+    matrix, vector : information on d, Run by Run
+    """
+
+    basis: CommonBasis
+    at: Course
+    shapes: Float64[np.ndarray, "p m"]
+    static: ScaledCholesky
+    mean: Float64[np.ndarray, " p"]
+    follow: Float64[np.ndarray, "p q"]
+    matrix: Float64[np.ndarray, "q q"]
+    vector: Float64[np.ndarray, " q"]
+
+    @staticmethod
+    def of(
+        basis: CommonBasis, at: Course, shapes: Float64[np.ndarray, "p m"]
+    ) -> DriftData:
+        """Integrate θ out."""
+        B, told = shapes, basis.told
+        wide = np.array([_WIDE.get(p.unit, 1.0) for p in basis.model.parameters])
+        precision = basis.precision + np.diag(wide**-2.0)
+        static = ScaledCholesky.of(precision + sum(one.matrix for one in told))
+        total = np.sum([one.vector for one in told], axis=0)
+        coupling = np.hstack([one.matrix @ B for one in told])
+        half, right = static.solve_half(coupling), static.solve_half(total)
+        matrix = -half.T @ half
+        size = B.shape[1]
+        for k, one in enumerate(told):
+            part = np.s_[k * size : (k + 1) * size]
+            matrix[part, part] += B.T @ one.matrix @ B
+        vector = np.concatenate([B.T @ one.vector for one in told]) - half.T @ right
+        follow, mean = static.solve(coupling), static.solve(total)
+        return DriftData(basis, at, B, static, mean, follow, matrix, vector)
+
+    @cached_property
+    def static_root(self) -> Float64[np.ndarray, "p p"]:
+        """R with R Rᵀ the covariance of θ at given d."""
+        return np.linalg.cholesky(self.static.invert())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftPosterior:
+    """d of all Runs where the sizes of the process are given.
+
+    d = (L ⊗ 1) z; z has `mean` and precision M = U Uᵀ, `factor` being U
+    log_likelihood : of all Runs, up to a constant
+    """
+
+    data: DriftData
+    sizes: DriftSizes
+    root: Float64[np.ndarray, "k k"]
+    mean: Float64[np.ndarray, " q"]
+    factor: Float64[np.ndarray, "q q"]
+    log_likelihood: float
+
+    @staticmethod
+    def of(data: DriftData, sizes: DriftSizes) -> DriftPosterior:
+        """Condition the process on the data."""
+        L = _find_root(sizes.compute_covariance(data.at, data.at))
+        runs, size = len(L), data.shapes.shape[1]
+        A = data.matrix.reshape(runs, size, runs, size)
+        turned = np.tensordot(np.tensordot(L, A, (0, 0)), L, (2, 0))
+        told = turned.transpose(0, 1, 3, 2).reshape(runs * size, -1)
+        v = (L.T @ data.vector.reshape(runs, size)).ravel()
+        U = np.linalg.cholesky(told + np.eye(runs * size))
+        half = solve_triangular(U, v, lower=True, check_finite=False)
+        mean = solve_triangular(U, half, lower=True, trans=1, check_finite=False)
+        log = 0.5 * float(half @ half) - float(np.log(np.diag(U)).sum())
+        return DriftPosterior(data, sizes, L, mean, U, log)
+
+    def draw(
+        self,
+        at: Course,
+        columns: Float64[np.ndarray, "p r"],
+        count: int,
+        rng: np.random.Generator,
+    ) -> Float64[np.ndarray, "c t r"]:
+        """Draw courses of the parameters times columns, at any times."""
+        data, size = self.data, self.data.shapes.shape[1]
+        z = rng.standard_normal((len(self.mean), count))
+        z = self.mean[:, None] + solve_triangular(self.factor, z, lower=True, trans=1)
+        z = z.reshape(len(self.root), size * count)
+        d = (self.root @ z).reshape(-1, count)
+        static = data.static_root @ rng.standard_normal((len(data.mean), count))
+        theta = data.mean[:, None] - data.follow @ d + static
+        weights, spread = self._continue(at)
+        later = weights @ z + spread @ rng.standard_normal((len(spread), z.shape[1]))
+        change = later.reshape(-1, size, count).transpose(2, 0, 1)
+        return (theta.T @ columns)[:, None] + change @ (data.shapes.T @ columns)
+
+    def _continue(
+        self, at: Course
+    ) -> tuple[Float64[np.ndarray, "t k"], Float64[np.ndarray, "t t"]]:
+        """Return what z makes of the process at times, and a root of the rest."""
+        across = self.sizes.compute_covariance(self.data.at, at)
+        half = solve_triangular(self.root, across, lower=True, check_finite=False)
+        own = self.sizes.compute_covariance(at, at)
+        return half.T, _find_root(own - half.T @ half, own)
+
+    def predict(
+        self, at: Course
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+        """Return mean and covariance of the parameters at one time."""
+        data, size = self.data, self.data.shapes.shape[1]
+        weights, spread = self._continue(at)
+        static = -data.follow.reshape(-1, len(self.root), size)
+        turned = np.tensordot(self.root, static, (0, 1)).transpose(1, 0, 2)
+        moved = weights[0][:, None] * data.shapes[:, None]
+        G: Float64[np.ndarray, "p q"] = (turned + moved).reshape(len(moved), -1)
+        half = solve_triangular(self.factor, G.T, lower=True, check_finite=False)
+        rest, root = spread[0, 0] * data.shapes, data.static_root
+        covariance = half.T @ half + root @ root.T + rest @ rest.T
+        return data.mean + G @ self.mean, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Error parameters over time, as a mixture of equal shares."""
+
+    data: DriftData
+    shares: tuple[DriftPosterior, ...]
+
+    def predict(
+        self, at: Course
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+        """Return mean and covariance of the parameters at one time, from all Runs."""
+        means: list[Float64[np.ndarray, " p"]] = []
+        within = np.zeros(2 * (len(self.data.mean),))
+        for share, count in Counter(self.shares).items():
+            mean, covariance = share.predict(at)
+            means += [mean] * count
+            within += count / len(self.shares) * covariance
+        return np.mean(means, axis=0), within + np.cov(np.array(means).T, bias=True)
+
+    def draw(
+        self, at: Course, columns: Float64[np.ndarray, "p r"], count: int
+    ) -> Float64[np.ndarray, "c t r"]:
+        """Draw courses of the parameters times columns, so many of each share."""
+        rng = np.random.default_rng(1)
+        return np.concatenate(
+            [share.draw(at, columns, count, rng) for share in self.shares]
+        )
+
+    def list_sizes(self) -> list[DriftSizes]:
+        """Return the sizes of the shares."""
+        return [share.sizes for share in self.shares]
+
+
+def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
+    """Estimate how the parameters change; at : the Runs, the first at time 0."""
+    shapes = build_drift_shapes(basis.model)
+    data = DriftData.of(basis, at, shapes)
+    sizes, _ = _draw_populations(data, _Normal.usual(), _FIRST_ROUNDS)
+    for _ in range(_RESIZINGS):
+        found = DriftPosterior.of(data, make_sizes(sizes.centre))
+        data = DriftData.of(basis, at, shapes * _size_shapes(found, shapes))
+    sizes, unit = _draw_populations(data, sizes, _ROUNDS)
+    weight = sizes.weight
+    # Systematic resampling: each draw as often as its weight says.
+    places = (np.arange(_DRAWS) + 0.5) / _DRAWS
+    chosen = np.searchsorted(np.cumsum(weight), places).clip(max=len(unit) - 1)
+    known = {k: DriftPosterior.of(data, make_sizes(unit[k])) for k in set(chosen)}
+    return Drift(data, tuple(known[k] for k in chosen))
+
+
+def _size_shapes(
+    found: DriftPosterior, shapes: Float64[np.ndarray, "p m"]
+) -> Float64[np.ndarray, " m"]:
+    """Return how large each shape is against what is usual.
+
+    shapes : of usual size
+    """
+    runs, count = len(found.root), shapes.shape[1]
+    inverse = solve_triangular(found.factor, np.eye(len(found.mean)), lower=True)
+    variance = np.sum(inverse**2, axis=0).reshape(runs, count)
+    told = np.sum(1.0 - variance, axis=0)
+    now = np.linalg.norm(found.data.shapes, axis=0) / np.linalg.norm(shapes, axis=0)
+    energy = now**2 * np.sum(found.mean.reshape(runs, count) ** 2, axis=0)
+    pairs = zip(told.tolist(), energy.tolist(), strict=True)
+    precision = [pool_precision(max(g, 0.0), e, 1.0, _SCATTER) for g, e in pairs]
+    return np.array(precision) ** -0.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Normal:
+    """What a population says of the logarithms of the sizes, and its weights."""
+
+    centre: Float64[np.ndarray, " s"]
+    root: Float64[np.ndarray, "s s"]
+    weight: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def usual() -> _Normal:
+        """Return what is known before any data."""
+        return _Normal(np.zeros(SIZES), np.eye(SIZES), np.zeros(0))
+
+    @staticmethod
+    def of(unit: Float64[np.ndarray, "n s"], log: Float64[np.ndarray, " n"]) -> _Normal:
+        """Return that of draws with the logarithms of their weights."""
+        weight = np.exp(log - log.max())
+        weight /= weight.sum()
+        centre = weight @ unit
+        off = unit - centre
+        spread: Float64[np.ndarray, "s s"] = (off.T * weight) @ off
+        root = np.linalg.cholesky(spread + 0.02 * np.eye(SIZES))
+        return _Normal(centre, root, weight)
+
+
+def _draw_populations(
+    data: DriftData, known: _Normal, rounds: int
+) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
+    """Return the last of some populations, and its draws; each is about the last."""
+    unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
+    for number in range(rounds):
+        z = _draw_normal(number)
+        unit = known.centre + _WIDER * z @ known.root.T
+        log = _find_likelihoods(data, unit) + compute_prior_log(unit)
+        log -= compute_prior_log(z)  # of the draws, up to a constant
+        # The first rounds are tempered, so that they keep more than their best draw.
+        known = _Normal.of(unit, log * min(1.0, (number + 1.0) / (rounds - 1.0)))
+    return known, unit
+
+
+def _draw_normal(seed: int) -> Float64[np.ndarray, "n s"]:
+    drawn = norm.ppf(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
+    return np.asarray(drawn, float)
+
+
+def _find_likelihoods(
+    data: DriftData, unit: Float64[np.ndarray, "n s"]
+) -> Float64[np.ndarray, " n"]:
+    found = [DriftPosterior.of(data, make_sizes(one)).log_likelihood for one in unit]
+    return np.array(found)
+
+
+def _find_root(
+    covariance: Float64[np.ndarray, "n n"],
+    scale: Float64[np.ndarray, "n n"] | None = None,
+) -> Float64[np.ndarray, "n n"]:
+    """Return a lower root of a covariance, which may be singular to rounding."""
+    scale = covariance if scale is None else scale
+    floor = _ROUNDING * (np.diag(scale) + float(np.diag(scale).max()))
+    return np.linalg.cholesky(covariance + np.diag(floor))
+
+
+# A scale that grows makes a straight line of a positioning error, a column that is warm
+# on one side a curve of an angle. Of each error motion the smoothest shapes may change,
+# the straight one by a usual size, bends by less. Squarenesses and locations change as
+# numbers. What depends on the direction of approach is taken to stay.
+_SIZES = 1.0, 0.5, 0.2  # of the straight shape, one bend, two bends
+_USUAL_NUMBER = {"mm": 0.01, "rad": 2e-5}
+_PLACES = 33
+
+
+def build_drift_shapes(model: MachineModel) -> Float64[np.ndarray, "p m"]:
+    """Return the shapes in which the parameters of a model change, one a column.
+
+    Each changes its error motion by 10 µm or 20 µrad at most over the travel, or by the
+    share of it that is usual.
+    """
+    columns: list[Float64[np.ndarray, " p"]] = []
+    for effect in model.effects:
+        part = model.slices[effect.name]
+        for shape in _yield_shapes(effect):
+            column = np.zeros(model.size)
+            column[part] = shape
+            columns.append(column)
+    return np.stack(columns, axis=1)
+
+
+def _yield_shapes(effect: Effect) -> Iterator[Float64[np.ndarray, " k"]]:
+    size = len(effect.parameters)
+    if isinstance(effect, ErrorMotion):
+        axis = effect.axis
+        rows = effect.rows(np.linspace(axis.low, axis.high, _PLACES))
+        # The shapes of an error motion are sorted: straight ones first.
+        sizes = _SIZES[1:] if is_straightness(effect.symbol) else _SIZES
+        for shape, share in zip(np.eye(size), sizes, strict=False):
+            usual = share * find_usual_size(effect.symbol)
+            yield usual * shape / float(np.abs(rows @ shape).max())
+    elif effect.iso_symbol:
+        yield np.array([_USUAL_NUMBER[p.unit] for p in effect.parameters])

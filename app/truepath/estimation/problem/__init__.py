@@ -1,0 +1,1 @@
+"""The linear problem: design matrix, information, prior, knots, what is observable."""

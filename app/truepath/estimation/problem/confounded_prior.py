@@ -1,0 +1,239 @@
+"""The prior of effects that the measured targets do not tell from others.
+
+The data fix what such effects do at the measured targets together with others: of a
+turn and a displacement that it is confounded with, the sum E + L ω. How the sum is
+split, and so what another target or another tool does, is for the prior to say; its
+width is in the covariance, and there it cancels wherever the sum alone counts.
+
+So this prior has to be proper, and of the size that errors of this machine have. The
+bending precision is that of motions of its kind which are told, as guides of one
+machine are alike: of their smoothest shapes, for these are what is large. The evidence
+counts all that the data show, and where errors have no fine shapes it takes the
+smoothest for smaller than they are. Turns of a rotary axis that share in a split have
+one precision: the evidence would take one of them for large and the others for small,
+which nobody can tell. Straight shapes, squarenesses and locations, which
+bending leaves free, are drawn from those of their kind, told to better than usual,
+about 0 with
+
+    σ² = (w σ₀² + Σ sᵢ²) / (w + n):
+
+σ₀ is a usual size and counts as much as w of them. Where nothing of a kind is told, it
+is all there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    compute_posterior,
+)
+from truepath.estimation.problem.prior import (
+    USUAL_PRECISION,
+    BendingPrior,
+    guess_prior,
+)
+from truepath.kinematics.effects.base import Effect, QuadraticPrior
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.machine.machine import RotaryAxis
+from truepath.kinematics.machine.symbols import is_turn
+from truepath.kinematics.model import MachineModel
+
+_WEIGHT = 2.0  # w: a usual size counts as much as two that are told
+# σ₀ of what a motion changes by from end to end, and of a number: a location, an angle.
+_USUAL_CHANGE = {"mm": 0.02, "rad": 4e-5}
+_USUAL_NUMBER = {"mm": 0.05, "rad": 5e-5}
+_FREE = 1e-9  # of the largest bending: none
+_ROUNDS = 4  # in which precisions of the smoothest shapes settle
+_COUNTED = 1  # shape that tells how large a motion is: the smoothest is what is large
+_SMOOTH = 4  # shapes of a motion: two waves around, or two over the travel
+
+
+def guess_whole_prior(model: MachineModel) -> BendingPrior:
+    """Return a prior for effects of usual size, proper for what is confounded."""
+    confounded = _list_confounded(model)
+    return guess_prior(model, {e.name: straight_precision(e) for e in confounded})
+
+
+def _list_confounded(model: MachineModel) -> Iterator[Effect]:
+    """Yield what is confounded, and where the axes of such motions are.
+
+    The mean of a motion across an axis is location: as little told as the motion.
+    """
+    axes = {m.axis for m in model.error_motions if m.name in model.confounded}
+    for effect in model.effects:
+        is_place = isinstance(effect, AxisLocation) and effect.axis in axes
+        if is_place or effect.name in model.confounded:
+            yield effect
+
+
+@dataclass(frozen=True)
+class WholePrior:
+    """A prior found from what the targets tell, for all that the machine has.
+
+    told : of the effects that the fit needs; they come first in the model
+    whole : of all, those as well that the targets do not tell
+    """
+
+    told: BendingPrior
+    whole: BendingPrior
+
+    @staticmethod
+    def guess(told: MachineModel, untold: Sequence[Effect]) -> WholePrior:
+        """Return a prior for effects of usual size."""
+        prior = guess_whole_prior(told)
+        whole = add_confounded(prior, None, told.with_confounded(untold))
+        return WholePrior(prior, whole)
+
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the prior precision; parameters after the machine's have none."""
+        return self.whole.precision_matrix(size)
+
+    def fit(self, data: Information) -> tuple[WholePrior, Posterior]:
+        """Return the prior whose precisions fit the data, and the posterior."""
+        size, first = len(data.vector), self.told.model.size
+        untold = np.s_[first : self.whole.model.size]
+        told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
+        whole, result = fit_confounded(told, result, self.whole.model, data)
+        return WholePrior(told, whole), result
+
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return 0: nothing was measured before."""
+        del theta
+        return 0.0
+
+
+def fit_confounded(
+    prior: BendingPrior, result: Posterior, model: MachineModel, data: Information
+) -> tuple[BendingPrior, Posterior]:
+    """Return prior and posterior of a model with all that is confounded.
+
+    prior, result : of the effects that are told; they come first in the model
+    """
+    turns = any(isinstance(m.axis, RotaryAxis) for m in _list_beside(model))
+    for _ in range(_ROUNDS if turns else len(model.confounded) > 0):
+        prior = add_confounded(prior, result, model)
+        result = compute_posterior(data, prior.precision_matrix(len(data.vector)))
+    return replace(prior, model=model), result
+
+
+def add_confounded(
+    prior: BendingPrior, result: Posterior | None, model: MachineModel
+) -> BendingPrior:
+    """Return the prior with that of the model's confounded effects.
+
+    prior, result : of the effects that are told; they come first in the model; usual
+        sizes are taken where there is no result
+    """
+    sizes = _pool_sizes(prior.model, result) if result else {}
+    found = _pool_precisions(prior.model, result) if result else {}
+    charges, precision = dict(prior.charges), dict(prior.precision)
+    for motion in _list_beside(model):
+        bent = motion.prior()
+        kind = found.get(bent.kind, USUAL_PRECISION)
+        own = found.get(f"{bent.kind} {motion.axis.name}", kind)
+        usual = 2.0 / (1.0 / kind + 1.0 / own) / bent.usual
+        if not is_turn(motion.symbol):
+            usual = min(usual, precision.get(motion.name, usual))
+        precision[motion.name] = usual
+        charges[motion.name] = replace(bent, counted=_COUNTED)
+    for effect in _list_confounded(model):
+        form = straight_precision(effect, sizes)
+        bent = charges.get(effect.name) if effect.motion else None
+        if bent:
+            form = form / precision[effect.name] + bent.form
+        counted = bent.counted if bent else 0
+        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, counted=counted)
+        precision.setdefault(effect.name, 1.0)
+    return replace(prior, model=model, charges=charges, precision=precision)
+
+
+def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
+    """Yield confounded motions, and of a rotary axis all that share in their split."""
+    axes = {m.axis for m in model.error_motions if m.name in model.confounded}
+    for motion in model.error_motions:
+        shares = isinstance(motion.axis, RotaryAxis) and motion.axis in axes
+        if shares or motion.name in model.confounded:
+            yield motion
+
+
+def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]:
+    """Return the precision of kinds by smooth shapes, for one of usual 1.
+
+    Of each kind, and of each kind on each axis.
+    """
+    energies: dict[str, list[float]] = {}
+    for motion in model.error_motions:
+        part, charge = model.slices[motion.name], motion.prior()
+        form = np.diag(charge.form)
+        smooth = np.flatnonzero(form > _FREE * form.max())[:_SMOOTH]
+        square = result.theta[part] ** 2 + np.diag(result.covariance[part, part])
+        energy = float(np.mean(form[smooth] * square[smooth])) / charge.usual
+        on_axis = f"{charge.kind} {motion.axis.name}"
+        energies.setdefault(on_axis, [1.0 / USUAL_PRECISION]).append(energy)
+        if motion.name not in model.confounded:
+            every = energies.setdefault(charge.kind, [1.0 / USUAL_PRECISION] * 2)
+            every.append(energy)
+    return {name: 1.0 / float(np.mean(each)) for name, each in energies.items()}
+
+
+def straight_precision(
+    effect: Effect, sizes: Mapping[str, float] | None = None
+) -> Float64[np.ndarray, "p p"]:
+    """Return the precision of what bending leaves free.
+
+    sizes : σ by kind; usual ones where left out
+    """
+    kind, usual, rows = _find_free(effect)
+    return np.diag((rows / (sizes or {}).get(kind, usual)) ** 2)
+
+
+def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
+    """Return σ of each kind that something is told of."""
+    told: dict[str, list[float]] = {}
+    usual_size: dict[str, float] = {}
+    for kind, usual, value in _list_told(model, result):
+        usual_size[kind] = usual
+        told.setdefault(kind, []).append(value)
+    return {
+        kind: float(
+            np.sqrt(
+                (_WEIGHT * usual_size[kind] ** 2 + np.sum(np.square(values)))
+                / (_WEIGHT + len(values))
+            )
+        )
+        for kind, values in told.items()
+    }
+
+
+def _list_told(
+    model: MachineModel, result: Posterior
+) -> Iterator[tuple[str, float, float]]:
+    """Yield kind, usual size and value of all that is told to better than usual."""
+    for effect in model.effects:
+        if not effect.iso_symbol or effect.name in model.confounded:
+            continue
+        part = model.slices[effect.name]
+        kind, usual, rows = _find_free(effect)
+        variance = float(rows @ result.covariance[part, part] @ rows)
+        if rows.any() and variance < usual**2:
+            yield kind, usual, float(rows @ result.theta[part])
+
+
+def _find_free(effect: Effect) -> tuple[str, float, Float64[np.ndarray, " p"]]:
+    """Return kind, usual size and rows of what bending leaves free of an effect."""
+    unit = effect.parameters[0].unit
+    if not isinstance(effect, ErrorMotion):
+        return f"number in {unit}", _USUAL_NUMBER[unit], np.ones(1)
+    charge, axis = effect.prior(), effect.axis
+    low, high = effect.rows(np.array([axis.low, axis.high]))
+    bending = np.diag(charge.form)
+    free = bending < _FREE * bending.max()
+    return charge.kind, _USUAL_CHANGE[unit], np.where(free, high - low, 0.0)

@@ -1,0 +1,245 @@
+"""The design matrix: what each parameter does to measured minus nominal.
+
+Every estimate, live or afterwards, every plan and every discovery takes its rows from
+here: the Jacobian of the machine's effects, the pose of the tracker and the timing of
+the lines, turned into the beam frame. The pose is linearised about its latest value and
+solved jointly with the errors, never by fitting points to the closest point of the
+path, which drags errors into the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from truepath.alignment.observations.observations import CellMeans, Observations
+from truepath.estimation.problem.noise import NoiseModel, cell_noise
+from truepath.kinematics.effects.base import Effect, EffectOfRun, Parameter
+from truepath.kinematics.effects.nuisance import TimingLaw, TrackerPose
+from truepath.kinematics.model import MachineModel
+from truepath.numerics.correlated_noise import Whitener, factorise
+from truepath.numerics.rigid import RigidTransform
+
+_CELLS = 500  # of a block: few enough for the processor's cache, enough for its BLAS
+
+
+@dataclass(frozen=True, slots=True)
+class DesignMatrix:
+    """Rows of some cells, in the beam frame.
+
+    frame : (n, 3, 3) workpiece to beam frame
+    rows : (n, 3, p + 1 + t) over machine and poses, then the residual, then phase and
+        speed of each line
+    fixed : p, columns of machine and poses; lines : that have columns of timing
+    """
+
+    observations: Observations
+    frame: Float64[np.ndarray, "n 3 3"]
+    rows: Float64[np.ndarray, "n 3 q"]
+    fixed: int
+    lines: tuple[int, ...]
+
+    @property
+    def columns(self) -> Float64[np.ndarray, "n 3 p"]:
+        """Columns of machine and poses."""
+        return self.rows[:, :, : self.fixed]
+
+    @property
+    def residual(self) -> Float64[np.ndarray, "n 3"]:
+        """Measured minus nominal."""
+        return self.rows[:, :, self.fixed]
+
+    @property
+    def timing(self) -> Float64[np.ndarray, "n 3 t"]:
+        """Columns of the timing of the lines."""
+        return self.rows[:, :, self.fixed + 1 :]
+
+    @property
+    def travel(self) -> Float64[np.ndarray, "n 3"]:
+        """Direction of travel, 0 at a standstill."""
+        return np.einsum("nij,nj->ni", self.frame, self.observations.direction)
+
+    def whiten(self, noise: NoiseModel) -> Whitener:
+        """Return V⁻¹ of the cells, in the beam frame."""
+        precision, ou_sigma = cell_noise(self.observations, noise, self.travel)
+        time_s = self.observations.at.time_s
+        return factorise(time_s, precision, ou_sigma, noise.ou_time_s)
+
+    def fit_timing(
+        self, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+    ) -> tuple[Float64[np.ndarray, "t p"], Float64[np.ndarray, "n 3 t"]]:
+        """Return phase and speed that explain columns best, and V⁻¹ timing."""
+        timing = self.timing
+        weighted = whitener.apply(timing)
+        if not timing.size:
+            return np.zeros((timing.shape[2], columns.shape[2])), weighted
+        H = np.tensordot(weighted, timing, axes=((0, 1), (0, 1)))
+        right = np.tensordot(weighted, columns, axes=((0, 1), (0, 1)))
+        return np.linalg.lstsq(H, right, rcond=None)[0], weighted
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What must stay the same while rows are made: where the problem is linear.
+
+    machine_model : effects of the machine, whose parameters come first
+    tracker : the correction of the pose
+    pose : workpiece to tracker, about which the pose is linear
+    theta : (m,) of the machine, about which it is linear; 0 if left out
+    runs : how many Runs share the machine's parameters here, each with a pose of its
+        own; 0 for one Run alone
+    """
+
+    machine_model: MachineModel
+    tracker: TrackerPose
+    pose: RigidTransform
+    noise: NoiseModel
+    theta: Float64[np.ndarray, " m"] | None = None
+    runs: int = 0
+
+    @cached_property
+    def model(self) -> MachineModel:
+        """The machine's effects, then the poses."""
+        poses: list[Effect] = [self.tracker]
+        if self.runs:
+            poses = [EffectOfRun(self.tracker, run) for run in range(self.runs)]
+        return self.machine_model.with_effects(*poses)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters of machine and poses."""
+        return self.model.size
+
+    @property
+    def about(self) -> Float64[np.ndarray, " k"]:
+        """Parameters of the machine about which it is linear; none where 0."""
+        return np.zeros(0) if self.theta is None else self.theta
+
+    @property
+    def pose_parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the poses."""
+        return self.model.parameters[self.machine_model.size :]
+
+    @property
+    def has_timing(self) -> bool:
+        """Whether timing is a parameter: not where only deviations across count."""
+        return bool(np.isfinite(self.noise.along_sigma_mm))
+
+    def build(
+        self,
+        observations: Observations,
+        *,
+        merge: int = 1,
+        solved: Float64[np.ndarray, " p"] | None = None,
+    ) -> DesignMatrix:
+        """Return the rows of cells that make up whole lines or standstills.
+
+        merge : so many neighbouring cells of a line become one
+        solved : all parameters, where these are known: no columns of them, and the
+            residual is what they leave
+        """
+        p, at = self.size if solved is None else 0, observations.at
+        lines = np.unique(at.line[at.line >= 0]) if self.has_timing else ()
+        timing = TimingLaw(tuple(int(line) for line in lines))
+        local = np.empty((len(observations), 3, p + 1 + len(timing.parameters)))
+        local[:, :, p] = self.pose.invert().apply(observations.tracker_mm) - at.point_mm
+        if solved is None:
+            for effect in self.model.effects:
+                local[:, :, self.model.slices[effect.name]] = effect.jacobian(at)
+            local[:, :, p] -= local[:, :, : len(self.about)] @ self.about
+        else:
+            whole = solved + np.pad(self.about, (0, len(solved) - len(self.about)))
+            local[:, :, p] -= self.model.displacement_mm(at, whole)
+        if timing.lines:
+            local[:, :, p + 1 :] = timing.jacobian(at)
+            local[observations.is_ramp, :, p + 1 :] = 0.0  # they are not timed
+        if merge > 1:
+            observations, local = _merge_cells(observations, local, merge)
+        frame = observations.beam_frame @ self.pose.rotation
+        return DesignMatrix(observations, frame, frame @ local, p, timing.lines)
+
+    def split(
+        self,
+        observations: Observations,
+        solved: Float64[np.ndarray, " p"] | None = None,
+    ) -> Iterator[DesignMatrix]:
+        """Yield the rows of all cells in their order, some whole lines at a time.
+
+        solved : all parameters, where these are known: as in `build`
+        """
+        for cells in cut_into_blocks(observations):
+            yield self.build(observations.select(np.r_[cells]), solved=solved)
+
+    def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
+        """Return the pose with its estimated correction."""
+        own = theta[self.model.slices[self.tracker.name]]
+        return self.tracker.correct(self.pose, own)
+
+    def restrict(self, effects: Sequence[Effect]) -> Linearisation:
+        """Return it with some of the machine's effects only."""
+        model = replace(self.machine_model, effects=tuple(effects))
+        return replace(self, machine_model=model)
+
+    def select_columns(self, effects: Sequence[Effect]) -> Bool[np.ndarray, " p"]:
+        """Tell which columns remain where only some of the machine's effects do."""
+        names = {effect.name for effect in effects}
+        keep = np.ones(self.size, bool)
+        for effect in self.machine_model.effects:
+            keep[self.model.slices[effect.name]] = effect.name in names
+        return keep
+
+
+def cut_into_blocks(observations: Observations) -> Iterator[slice]:
+    """Yield the cells of blocks of whole lines, in their order."""
+    first = 0
+    for _, last in observations.lines:
+        if last - first >= _CELLS or last == len(observations):
+            yield slice(first, last)
+            first = last
+
+
+def linearise(
+    observations: Observations,
+    machine_model: MachineModel,
+    pose: RigidTransform,
+    noise: NoiseModel,
+) -> Linearisation:
+    """Return the problem of one Run about a pose that turns about its middle."""
+    tracker = TrackerPose(middle_of(observations))
+    return Linearisation(machine_model, tracker, pose, noise)
+
+
+def middle_of(observations: Observations) -> tuple[float, float, float]:
+    """Return the mean of the nominal points, in mm."""
+    x, y, z = observations.at.point_mm.mean(axis=0)
+    return float(x), float(y), float(z)
+
+
+def _merge_cells(
+    observations: Observations, local: Float64[np.ndarray, "n 3 q"], merge: int
+) -> tuple[Observations, Float64[np.ndarray, "m 3 q"]]:
+    """Return up to `merge` neighbouring cells of a line as one, and their rows.
+
+    Averaged in the workpiece frame, where a line keeps its direction.
+    """
+    bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
+    means = CellMeans(observations.count, np.concatenate(bounds))
+    at, firsts = observations.at, observations.select(means.starts)
+    travel = means.of(observations.direction)  # on an arc it turns on the way
+    speed = np.linalg.norm(travel, axis=1, keepdims=True)
+    merged = replace(
+        firsts,
+        at=replace(
+            firsts.at,
+            time_s=means.of(at.time_s),
+            line_time_s=means.of(at.line_time_s),
+        ),
+        tracker_mm=means.of(observations.tracker_mm),
+        count=means.count,
+        direction=travel / np.maximum(speed, 1e-12),
+    )
+    return merged, means.of(local)

@@ -1,0 +1,147 @@
+"""Knots by need: as close as an error motion bends, not as its axis is long.
+
+Under the bending prior of precision λ a motion varies between knots that are h apart
+with the variance
+
+    v ≈ h³ / (3 π⁴ λ),
+
+the sum over all waves shorter than those that the knots can follow. λ is found from
+the data, so a motion with local structure (a rack of several pieces, say) shows in v.
+Where v is not small against the variance of the motion itself, its knots come closer,
+and the cells of the data with them, until they are as close as any machine needs. What
+is hidden between knots at the end counts as uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import CELL_MM
+from truepath.estimation.problem.information import Posterior
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.identifiable import KNOT_SPACING_MM
+from truepath.kinematics.machine.machine import RotaryAxis
+from truepath.kinematics.model import MachineModel
+
+_HIDDEN = 0.01  # of a motion's variance, between its knots
+_CLOSEST_MM = 1.05 * KNOT_SPACING_MM
+_FASTEST = 5.0  # times as many knots in one step
+_MOST = 1500  # parameters of all error motions: time grows with their cube
+_GRID = 101  # places of an axis
+
+
+def join_cells(
+    observed: Sequence[Observations], model: MachineModel
+) -> list[Observations]:
+    """Return observations in cells as long as the model's knots are far apart.
+
+    Effects of the catalogue may change faster: beside them, cells stay as they are.
+    """
+    if model.catalogue_effects:
+        return list(observed)
+    longest_mm = _find_cell_mm(model)
+    return [each.join_cells(longest_mm) for each in observed]
+
+
+def _find_cell_mm(model: MachineModel) -> dict[str, float]:
+    cells: dict[str, float] = {}
+    for motion in model.error_motions:
+        name = motion.axis.name
+        if not isinstance(motion.axis, RotaryAxis):
+            cell_mm = CELL_MM * _spacing(motion) / KNOT_SPACING_MM
+            cells[name] = min(cell_mm, cells.get(name, np.inf))
+    return cells
+
+
+def find_intervals(
+    model: MachineModel, precision: Mapping[str, float], result: Posterior
+) -> dict[str, int]:
+    """Return how many intervals motions need whose knots are too far apart.
+
+    precision : of the prior, by motion; result : of the model
+
+    Those that hide most first, as long as the problem does not grow too large.
+    """
+    share = {
+        m.name: compute_hidden_variance(m, precision[m.name])
+        / _mean_variance(m, result.covariance, model.slices[m.name])
+        for m in model.error_motions
+        if can_refine(m)
+    }
+    motions = {m.name: m for m in model.error_motions}
+    left = _MOST - sum(len(m.parameters) for m in motions.values())
+    found: dict[str, int] = {}
+    for name in sorted(share, key=lambda name: -share[name]):
+        more = min(_FASTEST, max(2.0, (share[name] / _HIDDEN) ** (1 / 3)))
+        length = motions[name].axis.high - motions[name].axis.low
+        now = round(length / _spacing(motions[name]))
+        closest = round(length / KNOT_SPACING_MM)
+        wanted = min(round(more * now), closest, now + left)
+        if share[name] > _HIDDEN and wanted > 1.2 * now:
+            found[name] = wanted
+            left -= wanted - now
+    return found
+
+
+def add_hidden_variance(
+    result: Posterior, model: MachineModel, precision: Mapping[str, float]
+) -> Posterior:
+    """Return the posterior with what motions may do between knots that are far.
+
+    precision : of the prior, by motion
+    """
+    hidden = np.zeros(len(result.theta))
+    hidden[: model.size] = compute_hidden_variances(model, precision)
+    return replace(result, covariance=result.covariance + np.diag(hidden))
+
+
+def compute_hidden_variances(
+    model: MachineModel, precision: Mapping[str, float]
+) -> Float64[np.ndarray, " p"]:
+    """Return of every parameter the variance between knots that are far."""
+    hidden = np.zeros(model.size)
+    for motion in model.identifiable_motions:
+        if can_refine(motion):
+            # Of every control value: their shapes are orthonormal.
+            own = model.slices[motion.name]
+            hidden[own] = compute_hidden_variance(motion, precision[motion.name])
+    return hidden
+
+
+def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:
+    """Return the variance that a motion of a linear axis has between its knots."""
+    return _spacing(motion) ** 3 / (3.0 * np.pi**4 * precision)
+
+
+def can_refine(motion: ErrorMotion) -> bool:
+    """Tell whether a motion of a linear axis may get closer knots."""
+    is_linear = not isinstance(motion.axis, RotaryAxis)
+    return is_linear and _spacing(motion) > _CLOSEST_MM
+
+
+def _spacing(motion: ErrorMotion) -> float:
+    return float(np.diff(motion.spline.knots).mean())
+
+
+def _mean_variance(
+    motion: ErrorMotion, covariance: Float64[np.ndarray, "m m"], own: slice
+) -> float:
+    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
+    spread = covariance[own, own]
+    return float(np.einsum("np,np->n", rows @ spread, rows).mean())
+
+
+def refine_motions(model: MachineModel, intervals: Mapping[str, int]) -> MachineModel:
+    """Return the model with closer knots of some motions."""
+    effects = [
+        effect.coarsen(intervals[effect.name])
+        if isinstance(effect, ErrorMotion) and effect.name in intervals
+        else effect
+        for effect in model.effects
+    ]
+    return replace(model, effects=tuple(effects))

@@ -1,0 +1,135 @@
+"""The noise of one Run: what the tracker states, corrected by what the data show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.cell_gate import USUAL_OU
+from truepath.alignment.observations.observations import Observations
+
+_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """White and Ornstein–Uhlenbeck noise along and across the beam, and feed jitter.
+
+    white : (2,) standard deviation of a sample, in units of the tracker's stated one
+    ou : (2,) standard deviation of the Ornstein–Uhlenbeck part, in the same units
+    ou_time_s : correlation time of the Ornstein–Uhlenbeck part
+    along_sigma_mm : standard deviation of a cell along the travel beyond phase and
+        speed; infinite where only deviations across the path are used, as on ramps
+    ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
+    """
+
+    white: tuple[float, float]
+    ou: tuple[float, float]
+    ou_time_s: float
+    along_sigma_mm: float
+    ramp_sigma_mm: float = 0.0
+
+    @property
+    def usual(self) -> NoiseModel:
+        """The noise as the tracker states it, with the jitter of the feed."""
+        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU))
+
+
+def cell_noise(
+    observations: Observations,
+    noise: NoiseModel,
+    travel: Float64[np.ndarray, "n 3"],
+) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
+    """Return precision of the cells' white noise, and the correlated noise's sigma.
+
+    travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
+    """
+    white, ou = split_sigma_mm(observations, noise)
+    return _add_jitter(white**-2, travel, _along_mm(observations, noise)), ou
+
+
+def total_precision(
+    observations: Observations,
+    noise: NoiseModel,
+    travel: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "n 3 3"]:
+    """Return the precision of each cell by itself, correlated noise included.
+
+    travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
+    """
+    white, ou = split_sigma_mm(observations, noise)
+    along = _along_mm(observations, noise)
+    return _add_jitter(1.0 / (white**2 + ou**2), travel, along)
+
+
+def _along_mm(
+    observations: Observations, noise: NoiseModel
+) -> Float64[np.ndarray, " n"]:
+    return np.where(observations.is_ramp, np.inf, noise.along_sigma_mm)
+
+
+def split_sigma_mm(
+    observations: Observations, noise: NoiseModel
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Return standard deviations of a cell: white and correlated, in the beam frame."""
+    tracker = observations.at.machine.tracker
+    distance = np.linalg.norm(observations.tracker_mm, axis=1)
+    stated = tracker.sigma_mm(distance)[:, [0, 1, 1]]
+    white, ou = (
+        np.array([beam, across, across]) for beam, across in (noise.white, noise.ou)
+    )
+    white = stated * white / np.sqrt(observations.count)[:, None]
+    on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
+    return np.hypot(white, on_ramp[:, None]), stated * ou
+
+
+def _add_jitter(
+    precision: Float64[np.ndarray, "n 3"],
+    travel: Float64[np.ndarray, "n 3"],
+    sigma_mm: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "n 3 3"]:
+    """Return (D + σ² u uᵀ)⁻¹ by Sherman and Morrison; σ = ∞ removes the direction u."""
+    matrices = precision[:, :, None] * np.eye(3)
+    pulled = precision * travel
+    total = np.einsum("ni,ni->n", travel, pulled)
+    inverse = np.maximum(sigma_mm, 1e-30) ** -2.0
+    weight = np.where(total > 0.0, 1.0 / np.maximum(inverse + total, 1e-300), 0.0)
+    return matrices - weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
+
+
+def floor_mm(
+    observations: Observations,
+    noise: NoiseModel,
+    travel: Float64[np.ndarray, "n 3"],
+) -> float:
+    """Return the root mean square of one residual component that noise alone makes.
+
+    travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
+    """
+    white, ou = split_sigma_mm(observations, noise)
+    variance = white**2 + ou**2
+    is_across = observations.is_ramp | np.isinf(noise.along_sigma_mm)
+    jitter = np.where(is_across, 0.0, noise.along_sigma_mm) ** 2
+    variance = np.where(
+        is_across[:, None],
+        variance * (1.0 - travel**2),
+        variance + jitter[:, None] * travel**2,
+    )
+    return float(np.sqrt(np.mean(variance)))
+
+
+def limit_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise, of which more than is usual is for a test to show."""
+    beam, across = noise.ou
+    return replace(
+        noise,
+        ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
+        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
+    )
+
+
+def raise_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise as loud as is usual: few lines do not tell how loud it is."""
+    return replace(noise, ou=(_MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

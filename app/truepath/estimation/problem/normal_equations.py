@@ -1,0 +1,183 @@
+"""Normal equations of cells that come in the order of time, all at once or one by one.
+
+Information adds (brunn-hanebeck-2005, eq. 31–33 in information form), but two things
+reach beyond a cell. The Ornstein–Uhlenbeck noise ties every cell to the next: the state
+of the last cell's noise therefore stays in the sums as three unknowns until the next
+cell is added. The timing of a line belongs to its cells alone: once the line
+is finished, phase and speed are integrated out, given that state. Both are exact, in
+any order of elimination, so the sums do not depend on how the cells were split.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.errors import EstimationError, Unidentifiable
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
+from truepath.estimation.problem.information import Information, find_informative
+from truepath.estimation.problem.noise import NoiseModel, cell_noise
+from truepath.numerics.correlated_noise import (
+    OrnsteinUhlenbeckState,
+    eliminate_columns,
+    extend,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class NormalEquations:
+    """Products of all columns over the cells so far.
+
+    total : (q, q) over fixed parameters, data, and the timing of lines under way
+    fixed : number of parameters of machine and poses; lines : under way
+    state : of the last cell's Ornstein–Uhlenbeck noise
+    """
+
+    total: Float64[np.ndarray, "q q"]
+    fixed: int
+    log_determinant: float = 0.0
+    state: OrnsteinUhlenbeckState | None = None
+    lines: tuple[int, ...] = ()
+
+    @staticmethod
+    def empty(fixed: int) -> NormalEquations:
+        """Return the normal equations of no cells."""
+        return NormalEquations(np.zeros((fixed + 1, fixed + 1)), fixed)
+
+    def add(self, design: DesignMatrix, noise: NoiseModel) -> NormalEquations:
+        """Return them with further cells, later than all before.
+
+        Raises Unidentifiable if the timing of a finished line is not determined.
+        """
+        if self.lines and self.lines != design.lines:
+            return self.finish_lines().add(design, noise)
+        before = self._widen(design.rows.shape[2])
+        precision, ou_sigma = cell_noise(design.observations, noise, design.travel)
+        time_s = design.observations.at.time_s
+        gain, log_gain, state = extend(
+            before.state, time_s, precision, ou_sigma, noise.ou_time_s, design.rows
+        )
+        return replace(
+            before,
+            total=before.total + gain,
+            log_determinant=before.log_determinant + log_gain,
+            state=state,
+            lines=design.lines,
+        )
+
+    def finish_lines(self) -> NormalEquations:
+        """Integrate the timing of the lines under way out."""
+        if not self.lines:
+            return self
+        total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
+        log_determinant = self.log_determinant + gain
+        return NormalEquations(total, self.fixed, log_determinant, state)
+
+    def information(self) -> Information:
+        """Return the information on machine and poses, all else integrated out."""
+        done = self.finish()
+        return Information.from_total(done.total, done.log_determinant)
+
+    def finish(self) -> NormalEquations:
+        """Integrate out what could tie later cells to those so far."""
+        done = self.finish_lines()
+        if done.state is None:
+            return done
+        state, log_state = done.state.marginalise()
+        return replace(
+            done,
+            total=done.total - state,
+            log_determinant=done.log_determinant + log_state,
+            state=None,
+        )
+
+    def _widen(self, width: int) -> NormalEquations:
+        more = width - len(self.total)
+        if not more:
+            return self
+        state = self.state
+        if state is not None:
+            state = replace(state, pulled=np.pad(state.pulled, ((0, 0), (0, more))))
+        return replace(self, total=np.pad(self.total, (0, more)), state=state)
+
+
+def compute_information(
+    observations: Observations, linearisation: Linearisation, *, apart: bool = False
+) -> Information:
+    """Return the information of all cells on machine and poses.
+
+    apart : noise is correlated within each block of cells alone, not from one to the
+        next
+    Raises Unidentifiable if the timing of a line is not determined.
+    """
+    sums = NormalEquations.empty(linearisation.size)
+    for design in linearisation.split(observations):
+        sums = sums.add(design, linearisation.noise)
+        if apart:
+            sums = sums.finish()
+    return sums.information()
+
+
+@dataclass(frozen=True)
+class RecursiveEstimator:
+    """All cells so far under one linearisation.
+
+    time_s : of the last cell
+    """
+
+    linearisation: Linearisation
+    sums: NormalEquations
+    time_s: float = -np.inf
+    cells: int = 0
+
+    @staticmethod
+    def start(linearisation: Linearisation) -> RecursiveEstimator:
+        """Return the estimator before its first cell."""
+        return RecursiveEstimator(
+            linearisation, NormalEquations.empty(linearisation.size)
+        )
+
+    def add(self, observations: Observations) -> RecursiveEstimator:
+        """Return it with further cells, which are later than all before.
+
+        Raises EstimationError if they are not in order of time.
+        """
+        time_s, line = observations.at.time_s, observations.at.line
+        if not (np.diff(time_s, prepend=self.time_s) > 0.0).all():
+            raise EstimationError("cells have to be added in order of time")
+        sums = self.sums
+        begins = np.flatnonzero(np.diff(line, prepend=line[:1] - 1))
+        for cells in np.split(np.arange(len(observations)), begins[1:]):
+            design = self.linearisation.build(observations.select(cells))
+            sums = sums.add(design, self.linearisation.noise)
+        return replace(
+            self,
+            sums=sums,
+            time_s=float(time_s[-1]),
+            cells=self.cells + len(observations),
+        )
+
+    def information(self) -> Information:
+        """Return the information on machine and pose, all else integrated out."""
+        return self.sums.information()
+
+
+def _eliminate_timing(
+    total: Float64[np.ndarray, "q q"], state: OrnsteinUhlenbeckState | None, fixed: int
+) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
+    """Integrate the timing out of products over fixed parameters, data, timing.
+
+    Returns them, what the log determinant gains, and the state of the correlated noise.
+    Raises Unidentifiable if the timing of a line is not determined.
+    """
+    kept = fixed + 1
+    timing = kept + find_informative(np.diag(total)[kept:])
+    try:
+        return eliminate_columns(total, state, np.arange(kept), timing)
+    except np.linalg.LinAlgError as error:
+        raise Unidentifiable(
+            "the timing of a line is not determined; use longer lines"
+        ) from error

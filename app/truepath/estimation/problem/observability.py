@@ -1,0 +1,287 @@
+"""What a measurement determines poorly or not at all, by name.
+
+The exact null space are the singular vectors of the whitened problem. A shape outside
+it is judged by the generalised eigenvalues of posterior against prior covariance of a
+usual machine: 0 where the data determine it, 1 where they say nothing. Tables state
+such shapes with an uncertainty that is the prior's more than the measurement's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import eigh
+
+from truepath.estimation.problem.confounded_prior import straight_precision
+from truepath.estimation.problem.prior import diagonal_precision, guess_prior
+from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.problem.separation import describe_confounded
+from truepath.kinematics.effects.base import Effect, ErrorCurve
+from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.symbols import SQUARENESS, is_turn
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
+
+USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
+_POOR = 0.5  # standard deviation of a usual machine that the data leave, at least
+_RELEVANT_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+_BLIND = 0.9999  # remaining: all but rounding
+_TAKES_PART = 0.25  # of the largest part, at the tool
+_MOST = 3  # shapes that are named
+_MOST_PARTNERS = 3  # more motions than these are not named
+_STRAIGHT = 0.05  # of a slope's square: below it a motion is straight
+_BLIND_SHARE = 1e-10  # of the best determined straight shape: rounding
+_STILL = 0.02  # of its travel: an axis that rests
+_GRID = 41  # places of an axis at which its form is looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """What the measurement determines, and what it does not.
+
+    parameters : shapes of all error motions and squarenesses in the gauge of the tables
+    rank : how many of them the data determine
+    unobservable : in words, one for each thing that they do not determine
+    poorly_observable : the same of shapes that are hardly determined
+    """
+
+    parameters: int
+    rank: int
+    unobservable: tuple[str, ...]
+    poorly_observable: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PoorlyObservableShape:
+    """A combination of error motions that the data hardly determine.
+
+    symbols : motions that take part, the largest first
+    remaining : standard deviation that the data leave, of that of a usual machine
+    sigma_mm : what stays unknown, as root mean square at the tool over the travel
+    form : what the first of them looks like along its axis
+    """
+
+    symbols: tuple[str, ...]
+    remaining: float
+    sigma_mm: float
+    form: str
+
+    def __str__(self) -> str:
+        """Return the statement for reports."""
+        who = self.symbols[0]
+        others = self.symbols[1 : 1 + _MOST_PARTNERS]
+        if others:
+            who += f" together with {', '.join(others)}"
+            who += " and others" if len(self.symbols) > 1 + len(others) else ""
+        return (
+            f"{who}: {self.form} is poorly observable; "
+            f"{100 * self.remaining:.0f} % of what a usual machine may have "
+            f"stays open, {1e3 * self.sigma_mm:.1f} µm at the tool (k = 1)"
+        )
+
+
+def usual_precision_matrix(
+    model: MachineModel, prior_precision: Mapping[str, float] | None = None
+) -> Float64[np.ndarray, "p p"]:
+    """Return the prior precision of a usual machine, proper in every direction.
+
+    prior_precision : of effects, by name, where it is known better
+    """
+    prior = guess_prior(model)
+    known = {n: s for n, s in (prior_precision or {}).items() if n in prior.precision}
+    prior = replace(prior, precision={**prior.precision, **known})
+    slack = diagonal_precision(model.parameters, USUAL)
+    for effect in model.effects:
+        if effect.name in model.confounded:
+            part = model.slices[effect.name]
+            slack[part, part] = straight_precision(effect)
+    return prior.precision_matrix(model.size) + slack
+
+
+def find_poorly_observable(
+    information: Float64[np.ndarray, "p p"],
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    *,
+    blind: bool = True,
+) -> tuple[PoorlyObservableShape, ...]:
+    """Return the poorly observable shapes that matter, the worst first.
+
+    information : of the data on the model, everything else integrated out
+    gram : θᵀ G θ is the mean square of the volumetric error over the travel
+    blind : those that the data do not determine at all, too
+    """
+    prior = usual_precision_matrix(model)
+    # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
+    value, vector = eigh(information, prior)
+    remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
+    size = remaining * np.sqrt(
+        np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True)
+    )
+    order = np.argsort(-size)
+    most = 1.0 if blind else _BLIND
+    poor = [i for i in order if _POOR < remaining[i] <= most and size[i] > _RELEVANT_MM]
+    return tuple(
+        _name_shape(model, gram, vector[:, i], float(remaining[i]), float(size[i]))
+        for i in poor[:_MOST]
+    )
+
+
+def _name_shape(
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    shape: Float64[np.ndarray, " p"],
+    remaining: float,
+    sigma_mm: float,
+) -> PoorlyObservableShape:
+    part = {
+        e.name: float(np.sqrt(max(shape[own] @ gram[own, own] @ shape[own], 0.0)))
+        for e in model.effects
+        if e.motion or e.iso_symbol in SQUARENESS
+        for own in (model.slices[e.name],)
+    }
+    largest = max(part.values())
+    names = sorted(part, key=lambda name: -part[name])
+    taking = tuple(n for n in names if part[n] > _TAKES_PART * largest)
+    first = next(e for e in model.effects if e.name == taking[0])
+    form = "the angle"
+    if first.motion:
+        form = describe_form(first.motion, shape[model.slices[first.name]])
+    return PoorlyObservableShape(taking, remaining, sigma_mm, form)
+
+
+def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
+    """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
+    axis = motion.axis
+    at = np.linspace(axis.low, axis.high, _GRID)
+    value = motion.rows(at) @ theta
+    unit = np.linspace(-1.0, 1.0, _GRID)
+    bow, bend = (np.polynomial.legendre.Legendre.basis(k)(unit) for k in (2, 3))
+    straight = np.polynomial.Polynomial.fit(unit, value, 1)(unit)
+    rest = value - straight
+    what = "turning" if is_turn(motion.symbol) else "error"
+    if np.sum(rest**2) < _STRAIGHT * np.sum((straight - straight.mean()) ** 2):
+        return f"a slope of the {what} along {axis.name}"
+    even, odd = (_share(rest, form) for form in (bow, bend))
+    if max(even, odd) < 0.5:
+        return f"a wave of the {what} along {axis.name}"
+    return f"{'a bow' if even > odd else 'an S'} of the {what} along {axis.name}"
+
+
+def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) -> float:
+    square = float(value @ form) ** 2 / float(form @ form)
+    return square / max(float(value @ value), 1e-300)
+
+
+def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> str:
+    """Say which straight shapes the data do not determine, and which lines would.
+
+    Empty if they determine all.
+    A prior that charges bending alone says nothing of straight shapes: errors that grow
+    along an axis, squarenesses. So all is determined where the data determine those,
+    and only there. Raises Unidentifiable if not even the set-up is.
+    """
+    model, gram = shapes.model, shapes.gram
+    found = combine_runs(collect_information(runs, model)).matrix
+    unit = np.diag(diagonal_precision(model.parameters, USUAL)) ** -0.5
+    straight = np.concatenate(
+        [
+            np.pad(
+                _list_free_shapes(effect),
+                ((part.start, model.size - part.stop), (0, 0)),
+            )
+            for effect in model.effects
+            for part in (model.slices[effect.name],)
+        ],
+        axis=1,
+    )
+    basis = unit[:, None] * straight
+    value, vector = np.linalg.eigh(basis.T @ found @ basis)
+    blind = basis @ vector[:, value < _BLIND_SHARE * value[-1]]
+    if not blind.shape[1]:
+        return ""
+    named = [_name_shape(model, gram, shape, 1.0, 0.0).symbols for shape in blind.T]
+    symbols = sorted({symbol for each in named for symbol in each})
+    return (
+        f"the lines do not determine {', '.join(symbols)}; "
+        f"add lines {_find_mending_lines(symbols, model.machine, runs)}"
+    )
+
+
+def _find_mending_lines(
+    symbols: Sequence[str], machine: Machine, runs: Sequence[RunInput]
+) -> str:
+    """Say which lines show straight shapes of motions that those of the Runs do not."""
+    position = np.concatenate([run.observations.at.position_mm for run in runs])
+    pairs = zip(machine.axes, np.ptp(position, axis=0), strict=True)
+    still = [a.name for a, moved in pairs if moved < _STILL * (a.high - a.low)]
+    if still:
+        return f"that move {' and '.join(still)} over the travel"
+    axes = sorted({symbol[2] for symbol in symbols})
+    return f"along {' and '.join(axes)} where the other axes stand elsewhere"
+
+
+def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
+    """Return the shapes of an effect that its prior does not charge."""
+    charge, size = effect.prior(), len(effect.parameters)
+    if charge is None:
+        return np.eye(size)
+    _, shapes = np.linalg.eigh(charge.form)
+    return shapes[:, : size - charge.rank]
+
+
+_NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
+
+
+def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observability:
+    """Return rank, the named null space, and poorly observable shapes."""
+    model, confounded = shapes.model, shapes.confounded
+    found = collect_information(runs, model)
+    information = combine_runs(found).matrix
+    alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
+    scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
+    value, vector = np.linalg.eigh(information * scale[:, None] * scale)
+    blind = value < _NULL_SPACE**2 * value[-1] + 1e-13
+    covariance = np.linalg.inv(information + usual_precision_matrix(model))
+    offsets_mm = np.concatenate([run.observations.at.offset_mm for run in runs])
+    said = describe_confounded(offsets_mm, confounded, model, covariance)
+    said += _blind_shapes(model, vector[:, blind] * scale[:, None])
+    poor = find_poorly_observable(information, model, shapes.gram, blind=False)
+    return Observability(
+        model.size + sum(_shapes(m.symbol, model.machine) for m in confounded),
+        int(model.size - blind.sum()),
+        said,
+        tuple(str(shape) for shape in poor),
+    )
+
+
+def _blind_shapes(
+    model: MachineModel, shapes: Float64[np.ndarray, "p b"]
+) -> tuple[str, ...]:
+    """Say which motions take part in shapes that the measured places do not show."""
+    count = shapes.shape[1]
+    if not count:
+        return ()
+    usual = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
+    part = [
+        effect.name
+        for effect in model.effects
+        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * usual
+    ]
+    many = f"{count} common shapes are" if count > 1 else "a common shape is"
+    return (
+        f"{', '.join(part)}: {many} not seen at the measured places; more lines or "
+        "points that are not corner to corner show them",
+    )
+
+
+def _shapes(symbol: str, machine: Machine) -> int:
+    """Count the shapes that the gauge leaves to an error motion, or one of an angle."""
+    if not symbol.startswith("E"):
+        return 1
+    axis = machine.axes[machine.axis_names.index(symbol[2])]
+    return len(make_error_motion(symbol, axis, SHAPE_INTERVALS).parameters)

@@ -1,0 +1,214 @@
+"""The prior, its precisions found from the data.
+
+Each error motion is charged for its bending energy, as the elastic beam of
+brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The precisions
+maximise the evidence: MacKay's fixed point, precision = γ / (θᵀKθ), where γ counts the
+shapes that the data rather than the prior determine.
+
+Few data would let a motion pass for perfectly straight, with far too small an
+uncertainty. The log precisions of motions of a kind therefore scatter about a common
+centre, as guides of one machine are alike, and what the precisions themselves are not
+known to widens the covariance (Kass & Steffey 1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import wrightomega
+
+from truepath.estimation.problem.information import (
+    Information,
+    OwnParameters,
+    Posterior,
+    compute_posterior,
+)
+from truepath.kinematics.effects.base import Parameter, QuadraticPrior
+from truepath.kinematics.model import MachineModel
+
+USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
+_ROUNDS = 40  # at most
+_SETTLED = 0.15  # change of a log precision that no table shows
+_SPREAD = 1.2  # τ: standard deviation of log precision within a kind
+_STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
+
+
+@dataclass(frozen=True)
+class BendingPrior:
+    """What each effect of the machine proper is charged for, and how strongly.
+
+    log_forms : log determinant at precisions 1, over the shapes that are charged
+    """
+
+    model: MachineModel
+    charges: dict[str, QuadraticPrior]
+    precision: dict[str, float]
+    log_forms: float
+
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the prior precision of θ; what follows the machine's has none."""
+        total = np.zeros((size, size))
+        for name, charge in self.charges.items():
+            part = self.model.slices[name]
+            total[part, part] = self.precision[name] * charge.form
+        return total
+
+    def log_determinant(self) -> float:
+        """Return the log determinant over the shapes that are charged."""
+        return self.log_forms + sum(
+            charge.rank * float(np.log(self.precision[name]))
+            for name, charge in self.charges.items()
+        )
+
+    def fit(self, data: Information) -> tuple[BendingPrior, Posterior]:
+        """Return the prior whose precisions fit the data, and the posterior."""
+        prior, size = self, self.model.size
+        machine = OwnParameters.of(data, size).eliminate()
+        for _ in range(_ROUNDS):
+            result = compute_posterior(machine, prior.precision_matrix(size))
+            precision = _next_precision(prior, result)
+            change = max(
+                abs(float(np.log(precision[name] / old)))
+                for name, old in prior.precision.items()
+            )
+            prior = replace(prior, precision=precision)
+            if change < _SETTLED:
+                break
+        return prior, compute_posterior(data, prior.precision_matrix(len(data.vector)))
+
+
+def guess_prior(
+    model: MachineModel,
+    straight: Mapping[str, Float64[np.ndarray, "_ _"]] | None = None,
+) -> BendingPrior:
+    """Return a prior for effects of usual size.
+
+    straight : precision of what bending leaves free, by the effect's name; all there
+        is of effects that do not bend
+    """
+    asked = {effect.name: effect.prior() for effect in model.effects}
+    charges = {name: charge for name, charge in asked.items() if charge}
+    precision = {
+        name: 1.0 if charge.is_known else USUAL_PRECISION / charge.usual
+        for name, charge in charges.items()
+    }
+    for name, form in (straight or {}).items():
+        bent = charges.get(name, QuadraticPrior(0.0 * form, 0, 1.0, is_known=True))
+        form = bent.form + form / precision.setdefault(name, 1.0)
+        charges[name] = replace(bent, form=form, rank=len(form))
+    log_forms = sum(_log_determinant(charge) for charge in charges.values())
+    return BendingPrior(model, charges, precision, log_forms)
+
+
+def _log_determinant(charge: QuadraticPrior) -> float:
+    eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
+    return float(np.log(eigenvalue).sum())
+
+
+def diagonal_precision(
+    parameters: Sequence[Parameter], sigma: Mapping[str, float], other: float = 1.0
+) -> Float64[np.ndarray, "p p"]:
+    """Return the precision of parameters known to a standard deviation by their unit.
+
+    other : standard deviation in units that `sigma` does not name
+    """
+    return np.diag([sigma.get(p.unit, other) ** -2.0 for p in parameters])
+
+
+def compute_evidence_cost(
+    data: Information, prior: BendingPrior, result: Posterior
+) -> float:
+    """Return −2 log p(data | noise, prior), up to a constant."""
+    return (
+        data.log_determinant
+        + result.log_determinant
+        - prior.log_determinant()
+        + result.misfit
+    )
+
+
+def widen_by_unknown_precision(prior: BendingPrior, result: Posterior) -> Posterior:
+    """Return the posterior with what is not known of the precisions themselves.
+
+    Over log precisions of variance v the mean moves by ∂θ/∂l = −C P θ, and the expected
+    covariance is C + v/2 ∂²C/∂l² = C + v (C P C P C − C P C / 2), to second order.
+    """
+    C = result.covariance
+    total = C.copy()
+    for name, variance in log_precision_variance(prior, result).items():
+        part = prior.model.slices[name]
+        P = prior.precision[name] * prior.charges[name].form
+        pull = C[:, part] @ P
+        moved = pull @ result.theta[part]
+        bent = P @ C[part, part] @ P - 0.5 * P
+        total += variance * (np.outer(moved, moved) + C[:, part] @ bent @ C[part, :])
+    return replace(result, covariance=total)
+
+
+def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    """Return the variance that is left of the log of each precision.
+
+    Half the shapes that the data determine count as measurements of it, and its kind as
+    one more.
+    """
+    variance: dict[str, float] = {}
+    for name, charge in prior.charges.items():
+        if charge.is_known:
+            variance[name] = 0.0
+            continue
+        part = prior.model.slices[name]
+        P = prior.precision[name] * charge.form
+        free = charge.rank - float(np.sum(P * result.covariance[part, part]))
+        if charge.counted:
+            least = np.argsort(np.diag(P))[: charge.counted]
+            known = np.diag(P) * np.diag(result.covariance[part, part])
+            free = charge.counted - float(known[least].sum())
+        variance[name] = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
+    return variance
+
+
+def find_kind_precisions(prior: BendingPrior) -> dict[str, float]:
+    """Return the geometric mean precision of a kind, for an effect of usual 1."""
+    found: dict[str, list[float]] = {}
+    for name, charge in prior.charges.items():
+        relative = np.log(prior.precision[name] * charge.usual)
+        found.setdefault(charge.kind, []).append(float(relative))
+    return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
+
+
+def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    usual = find_kind_precisions(prior)
+    precision: dict[str, float] = {}
+    for name, charge in prior.charges.items():
+        part, old = prior.model.slices[name], prior.precision[name]
+        if charge.is_known:
+            precision[name] = old
+            continue
+        theta, spread = result.theta[part], result.covariance[part, part]
+        free = charge.rank - old * float(np.sum(spread * charge.form))
+        # An effect that is nothing within the noise, or not seen yet, keeps a finite
+        # precision.
+        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
+        if charge.kind:
+            centre = usual[charge.kind] / charge.usual
+            precision[name] = pool_precision(free, energy, centre)
+        else:
+            precision[name] = max(free, 0.05) / energy
+    return precision
+
+
+def pool_precision(
+    free: float, energy: float, centre: float, spread: float = _SPREAD
+) -> float:
+    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ.
+
+    free : γ; energy : θᵀKθ; spread : τ
+    """
+    relative = 0.5 * spread**2 * free
+    pull = 0.5 * spread**2 * centre * energy
+    # x + pull exp(x) = relative for x = log(λ / centre)
+    x = relative - float(wrightomega(relative + float(np.log(pull))))
+    return centre * float(np.exp(x))

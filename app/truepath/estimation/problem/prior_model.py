@@ -1,0 +1,131 @@
+"""A model or result file as knowledge of the machine before a measurement."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from truepath.documents.whole_files import read_whole
+from truepath.errors import BundleError
+from truepath.estimation.problem.known_effects import (
+    KnownEffects,
+    extract_known_effects,
+)
+from truepath.files.bundle.run import RunSummary
+from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.earlier.result_file import (
+    LARGEST_BYTES,
+    CalibrationResult,
+    decode_result,
+)
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.kinematics.machine.machine import Machine
+
+
+@dataclass(frozen=True)
+class PriorModel:
+    """An earlier measurement's result for a machine.
+
+    source : its file, or its identifier in the service; sha256 : of the file
+    """
+
+    result: CalibrationResult
+    source: str
+    sha256: str
+
+    @property
+    def version(self) -> int:
+        """Version of the model."""
+        return self.result.version
+
+    @property
+    def runs(self) -> tuple[dict[str, Any], ...]:
+        """The Runs that its numbers come from, each with its name and digest."""
+        provenance = self.result.provenance
+        own = {
+            "name": provenance.get("run", ""),
+            "input_sha256": provenance.get("input_sha256", ""),
+        }
+        return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
+
+    def is_of(self, runs: Sequence[RunSummary]) -> bool:
+        """Tell whether it was made from one of some Runs, or from a part of one."""
+        return any(
+            own["input_sha256"] == run.digest
+            or share_samples(own.get("sketch", ""), run.sketch)
+            for own in self.runs
+            for run in runs
+        )
+
+    def select_effects(
+        self, machine: Machine, runs: Sequence[RunSummary] = ()
+    ) -> KnownEffects:
+        """Return what it knows of the effects of a machine.
+
+        runs : that are to be analysed; where it was made from one of them its numbers
+            are as good as unknown, for no Run counts twice
+
+        Raises BundleError if it is of another machine or of another target, NotUsable
+        if its numbers are not to be used.
+        """
+        self._require_same(machine)
+        own = self.result
+        known = extract_known_effects(own.model, own.theta, own.covariance)
+        if self.is_of(runs):
+            return known.loosen()
+        own.verdict.require_usable(self.source)
+        return known
+
+    def require_fit(self, machine: Machine) -> None:
+        """Raise unless its numbers may be held against a measurement of a machine.
+
+        BundleError if it is of another machine or of another target, NotUsable if it
+        is not to be used.
+        """
+        self._require_same(machine)
+        self.result.verdict.require_usable(self.source)
+
+    def judge_use(self) -> Verdict:
+        """Return what to know of whatever rests on it."""
+        if self.result.verdict.state == "usable":
+            return Verdict()
+        return Verdict((Reason("model-in-use", "doubtful", {"model": self.source}),))
+
+    def _require_same(self, machine: Machine) -> None:
+        own = self.result.machine
+        for field, mine, theirs in (
+            ("kinematic_chain", own.chain, machine.chain),
+            ("axes", _travels(own), _travels(machine)),
+        ):
+            if mine != theirs:
+                raise BundleError(
+                    f"machine.{field}: {mine}, but {theirs} in the measurement",
+                    file=self.source,
+                    remedy="give a model of the measured machine",
+                )
+        same = {(t.on, t.offset_mm) for t in machine.targets} <= {
+            (t.on, t.offset_mm) for t in own.targets
+        }
+        if not same and not self.result.model.knows_all_motions:
+            raise BundleError(
+                "holds for its own target offset alone: it does not have all motions",
+                file=self.source,
+                remedy="give a model made with the measured target, or with several",
+            )
+
+
+def read_prior_model(file: str | Path, source: str = "") -> PriorModel:
+    """Read a model or result file. Raises BundleError.
+
+    source : what the model is called in what comes of it; its file if left out
+    """
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    result = decode_result(data, file=str(file))
+    return PriorModel(result, source or str(file), hashlib.sha256(data).hexdigest())
+
+
+def _travels(machine: Machine) -> str:
+    return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)

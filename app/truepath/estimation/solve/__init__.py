@@ -1,0 +1,1 @@
+"""The solution: batch, Monte Carlo, the budget of contributions."""

@@ -1,0 +1,385 @@
+"""The batch estimate: errors, poses, timing and noise of all Runs together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.errors import Unidentifiable
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.direction import Fit, include_confounded, select_fit
+from truepath.estimation.problem.information import Posterior
+from truepath.estimation.problem.knots import (
+    add_hidden_variance,
+    find_intervals,
+    join_cells,
+    refine_motions,
+)
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import split_sigma_mm
+from truepath.estimation.problem.observability import (
+    Observability,
+    assess_observability,
+    name_undetermined,
+)
+from truepath.estimation.problem.prior import widen_by_unknown_precision
+from truepath.estimation.problem.runs import RunInformation, RunInput
+from truepath.estimation.solve.extrapolation import (
+    Ranges,
+    find_measured_ranges,
+    soften_ends,
+)
+from truepath.estimation.solve.run_estimate import (
+    RunEstimate,
+    compute_residuals,
+    estimate_run,
+)
+from truepath.kinematics.coarse_model import NestedModels, RunModels
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.kinematics.volumetric_map import ShapeModel
+from truepath.progress import ShareProgress, ignore_progress
+
+_RAMP_ROUNDS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate(EstimatedModel):
+    """The machine's error motions, and everything that was solved together with them.
+
+    model : effects of the machine proper, in the order of theta
+    theta : (p,), covariance : (p, p), of those effects alone; poses and timing laws are
+        integrated out
+    prior_precision : of each error motion's bending, found from the data
+    direction : `none`, `constant` or `tables`: what the direction of approach does
+    runs : the Runs that it was made from, in the order given
+    measured : by axis, lowest and highest position that was measured, mm or deg; what
+        lies beyond is extrapolated
+    known : effects known from an earlier measurement, which are in the model
+    chances : of each, that it moves so far with the Runs if nothing has changed; None
+        where they do not tell
+    fit : what it was solved from, if that was to be kept
+    """
+
+    prior_precision: dict[str, float]
+    observability: Observability
+    direction: str
+    perpendicular_only: bool
+    runs: tuple[RunEstimate, ...]
+    measured: Ranges
+    known: KnownEffects = field(default_factory=KnownEffects)
+    chances: tuple[float | None, ...] = ()
+    fit: Fit | None = None
+
+    @property
+    def main(self) -> int:
+        """The Run that most used samples come from."""
+        return int(np.argmax([run.used_samples for run in self.runs]))
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square of one residual component over all cells."""
+        return self._over_cells([run.residuals.rms_mm for run in self.runs])
+
+    @property
+    def floor_mm(self) -> float:
+        """What of it the noise alone would leave."""
+        return self._over_cells([run.residuals.floor_mm for run in self.runs])
+
+    def _over_cells(self, values: list[float]) -> float:
+        cells = [run.cells for run in self.runs]
+        return float(np.sqrt(np.average(np.square(values), weights=cells)))
+
+
+def estimate(
+    models: RunModels,
+    observed: Sequence[Observations],
+    *,
+    known: KnownEffects | None = None,
+    perpendicular_only: bool = False,
+    keep_fit: bool = False,
+    given: Sequence[int] | None = None,
+    on_progress: ShareProgress = ignore_progress,
+) -> Estimate:
+    """Estimate all error motions that the observations can tell.
+
+    models : of the machine, for the targets of all Runs
+    observed : of one Run each, in either mode; with surroundings where effects are
+        known that depend on them
+    known : effects known from an earlier measurement, to be estimated beside
+    perpendicular_only : leave out what is measured along the travel (sanders-2023)
+    keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
+    given : the Run of the models that each is a part of; else each is one
+    on_progress : receives the share done, 0 to 1
+
+    Raises Unidentifiable if the lines do not determine the error motions.
+    """
+    known = known or KnownEffects()
+    numbers = range(len(observed)) if given is None else given
+    seen = [
+        replace(each, at=replace(each.at, run=k))
+        for k, each in zip(numbers, observed, strict=True)
+    ]
+    inputs = _guess_inputs(seen, models, perpendicular_only=perpendicular_only)
+    if any(each.is_ramp.any() for each in seen):
+        models = models.add_bends()
+    try:
+        inputs = refine_runs(models.coarse, inputs, known=known)
+        on_progress(0.5)
+        inputs, fit = _fit_linear(inputs, seen, models, known)
+    except Unidentifiable as error:
+        undetermined = name_undetermined(models.shapes, inputs)
+        if not undetermined:
+            raise
+        raise Unidentifiable(undetermined) from error
+    fit = include_confounded(fit, models.nested.confounded)
+    on_progress(0.9)
+    found = _state(fit, observed, models.shapes, inputs, known, perpendicular_only)
+    on_progress(1.0)
+    return found if keep_fit else replace(found, fit=None)
+
+
+def _state(
+    fit: Fit,
+    observed: Sequence[Observations],
+    shapes: ShapeModel,
+    inputs: Sequence[RunInput],
+    known: KnownEffects,
+    perpendicular_only: bool,
+) -> Estimate:
+    """Return what a fit says, the uncertainty as wide as its prior is uncertain.
+
+    shapes : for what the inputs determine
+    """
+    result = widen_by_unknown_precision(fit.prior, fit.result)
+    result = add_hidden_variance(result, fit.model, fit.prior.precision)
+    return Estimate(
+        fit.model,
+        result.theta,
+        result.covariance,
+        fit.prior.precision,
+        assess_observability(shapes, inputs),
+        fit.direction,
+        perpendicular_only,
+        tuple(estimate_run(run, result) for run in fit.runs),
+        find_measured_ranges(*observed),
+        known,
+        known.compute_chances(fit.model, fit.result),
+        fit,
+    )
+
+
+def _guess_inputs(
+    seen: Sequence[Observations], models: RunModels, *, perpendicular_only: bool
+) -> tuple[RunInput, ...]:
+    """Return the Runs in cells as long as the model allows, with a guess of noise."""
+    return tuple(
+        RunInput(
+            each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
+        )
+        for each in join_cells(seen, models.nested.alone)
+    )
+
+
+def _fit_linear(
+    inputs: tuple[RunInput, ...],
+    seen: Sequence[Observations],
+    models: RunModels,
+    known: KnownEffects,
+) -> tuple[tuple[RunInput, ...], Fit]:
+    """Return the Runs and the fit of all, about a machine that is near enough.
+
+    One that errs far is linearised again about what a first fit has found.
+    """
+    fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
+    if all(is_linear(each, fit.model, fit.result) for each in seen):
+        return inputs, fit
+    seen, inputs = _linearise_again(seen, inputs, fit, models.nested.alone)
+    inputs = refine_runs(models.coarse, inputs, known=known)
+    return inputs, soften_ends(_fit_ramps(inputs, seen, models.nested, known))
+
+
+def _linearise_again(
+    seen: Sequence[Observations],
+    inputs: Sequence[RunInput],
+    fit: Fit,
+    alone: MachineModel,
+) -> tuple[list[Observations], tuple[RunInput, ...]]:
+    """Return the Runs about the machine that a fit has found, and in its cells."""
+    seen = [
+        linearise_about(each, run, fit.model, fit.result)
+        for each, run in zip(seen, fit.runs, strict=True)
+    ]
+    cells = zip(inputs, join_cells(seen, alone), strict=True)
+    return seen, tuple(
+        replace(run, observations=each, pose=each.pose) for run, each in cells
+    )
+
+
+def _fit_ramps(
+    inputs: Sequence[RunInput],
+    seen: Sequence[Observations],
+    nested: NestedModels,
+    known: KnownEffects,
+) -> Fit:
+    fit = _fit(inputs, seen, nested, known)
+    for _ in range(_RAMP_ROUNDS):
+        left = [
+            compute_residuals(run, run.own.restore(fit.result)[0]) for run in fit.runs
+        ]
+        across = [each.across_mm for each in left]
+        wider = widen_ramps(
+            inputs, fit.runs, across, [_travel(run) for run in fit.runs]
+        )
+        if wider is None:
+            break
+        inputs, fit = wider, _fit(wider, seen, nested, known)
+    return fit
+
+
+def _fit(
+    inputs: Sequence[RunInput],
+    seen: Sequence[Observations],
+    nested: NestedModels,
+    known: KnownEffects,
+) -> Fit:
+    """Return the fit whose knots are as close as the error motions need.
+
+    seen : of each Run, in the shortest cells
+    """
+    fit = select_fit(inputs, nested, known)
+    while intervals := find_intervals(fit.model, fit.prior.precision, fit.result):
+        nested = replace(nested, alone=refine_motions(nested.alone, intervals))
+        inputs = [
+            replace(run, observations=cells)
+            for run, cells in zip(inputs, join_cells(seen, nested.alone), strict=True)
+        ]
+        fit = select_fit(inputs, nested, known)
+    return fit
+
+
+def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
+    """Return the direction of travel of each cell in the beam frame."""
+    seen = run.observations
+    turned = seen.direction @ run.linearisation.pose.rotation.T
+    return np.einsum("nij,nj->ni", seen.beam_frame, turned)
+
+
+# A Run of a machine with large errors as one whose small errors add. The estimate takes
+# error motions where the command was, and adds their displacements: of a machine that
+# errs by a millimetre neither holds to micrometres. A first estimate shows both: where
+# on its line the machine was, and what its motions do to one another.
+def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
+    """Tell whether the errors of the machine are small enough to add."""
+    return adds_up(model, seen.at, machine.theta)
+
+
+def linearise_about(
+    seen: Observations, run: RunInformation, model: MachineModel, machine: Posterior
+) -> Observations:
+    """Return the Run with its cells at their places, and second order taken off.
+
+    run : a first estimate of its own pose; machine : of the machine
+    """
+    theta = machine.theta
+    pose = run.linearisation.correct_pose(run.own.restore(machine)[0])
+    added_mm = compute_second_order_mm(model, seen.at, theta)
+    moved_mm = added_mm + model.displacement_mm(seen.at, theta)
+    rest_mm = pose.invert().apply(seen.tracker_mm) - seen.at.point_mm - moved_mm
+    position = seen.at.position_mm + _find_lead(seen, rest_mm)
+    return replace(
+        seen,
+        at=replace(seen.at, position_mm=position),
+        tracker_mm=seen.tracker_mm - added_mm @ pose.rotation.T,
+        pose=pose,
+    )
+
+
+def _find_lead(
+    seen: Observations, rest_mm: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n a"]:
+    """Return how far the axes were beyond where cells on straight lines were placed.
+
+    rest_mm : measured less modelled. At constant feed a cell is ahead by a constant and
+        by another every second; on ramps each by its own.
+    """
+    at, lead = seen.at, np.zeros_like(seen.at.position_mm)
+    ahead = np.einsum("ni,ni->n", rest_mm, seen.direction)
+    is_rotary = np.isin(at.machine.axis_names, [a.name for a in at.machine.rotary_axes])
+    for first, last in seen.stretches:
+        ends = [first, last - 1]
+        moved = np.diff(at.position_mm[ends], axis=0)[0]
+        way_mm = float(np.diff(at.point_mm[ends], axis=0)[0] @ seen.direction[first])
+        if at.line[first] < 0 or last - first < 3 or moved[is_rotary].any():
+            continue
+        own: Float64[np.ndarray, " k"] = ahead[first:last]
+        if not seen.is_ramp[first]:
+            root = np.sqrt(seen.count[first:last])
+            law = np.column_stack([np.ones(last - first), at.line_time_s[first:last]])
+            own = law @ np.linalg.lstsq(law * root[:, None], own * root, rcond=None)[0]
+        lead[first:last] = own[:, None] * moved / way_mm
+    return lead
+
+
+# How far ramps scatter beyond the noise: a machine that swings after each jerk, say.
+# What is in proportion to the acceleration is solved for beside the error motions. What
+# else acceleration does has no model: data of ramps then count by how far they are off.
+_TOLERATED = 0.3  # of the variance of noise: less is chance
+_CLOSE = 0.1  # of the variance that ramps have already
+
+
+def widen_ramps(
+    inputs: Sequence[RunInput],
+    runs: Sequence[RunInformation],
+    across_mm: Sequence[Float64[np.ndarray, " _n"]],
+    travel: Sequence[Float64[np.ndarray, "_n 3"]],
+) -> tuple[RunInput, ...] | None:
+    """Return the Runs with the scatter of their ramps; None where it is known already.
+
+    runs : as they were solved; across_mm : what that leaves across the travel of cells
+    """
+    found: list[RunInput] = []
+    for given, run, across, along in zip(inputs, runs, across_mm, travel, strict=True):
+        sigma_mm = _find_scatter_mm(run, across, along)
+        noise = replace(run.noise, ramp_sigma_mm=sigma_mm)
+        found.append(replace(given, noise=noise))
+    changes = [
+        abs(new.noise.ramp_sigma_mm**2 - old.noise.ramp_sigma_mm**2)
+        > _CLOSE * old.noise.ramp_sigma_mm**2
+        for new, old in zip(found, runs, strict=True)
+    ]
+    return tuple(found) if any(changes) else None
+
+
+def _find_scatter_mm(
+    run: RunInformation,
+    across_mm: Float64[np.ndarray, " n"],
+    travel: Float64[np.ndarray, "n 3"],
+) -> float:
+    """Return the standard deviation of a ramp's cell beyond the noise.
+
+    All cells of a ramp may be off together, and so each counts for less.
+    """
+    seen = run.observations
+    ramp = seen.is_ramp
+    if not ramp.any():
+        return 0.0
+    white, ou = split_sigma_mm(seen, replace(run.noise, ramp_sigma_mm=0.0))
+    stated = ((white**2 + ou**2) * (1.0 - travel**2)).sum(axis=1)
+    usual = max(1.0, float((across_mm[~ramp] ** 2).mean() / stated[~ramp].mean()))
+    noise = usual * float(stated[ramp].mean())
+    excess = float((across_mm[ramp] ** 2).mean()) - noise
+    if excess < _TOLERATED * noise:
+        return 0.0
+    return float(np.sqrt(0.5 * excess * _count_cells_of_ramp(seen)))
+
+
+def _count_cells_of_ramp(seen: Observations) -> float:
+    ramp = seen.is_ramp
+    begins = [first for first, _ in seen.stretches if ramp[first]]
+    return float(np.count_nonzero(ramp)) / len(begins)

@@ -1,0 +1,129 @@
+"""The uncertainty budget of an estimate: what each source brings, adding up exactly.
+
+With the pose held, the posterior precision of θ is A + K + P: what the cells tell, what
+an earlier measurement knew of effects, and the prior. Its covariance C splits into
+
+    C = C A C + C K C + C P C,
+
+and the first part further, by the propagation of each source of noise through the
+estimator G = C JᵀV⁻¹ (JCGM 100, 5.1.2):
+
+    G Vₛ Gᵀ = −C (∂A/∂s) C,    V(s) = V + s Vₛ.
+
+A is homogeneous of degree −1 in all noise variances together, so the parts of white
+noise, of correlated noise and of what moves along the travel add up to C A C. That the
+pose is solved from the same data brings the rest of the covariance, and what the prior
+itself is not known to, with all that hides between knots, brings what the estimate
+states beyond its posterior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.runs import RunInformation
+from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.volumetric_map import compute_component_grams
+
+SOURCES = ("tracker", "air", "motion", "alignment", "thermal", "effects", "model")
+"""White noise of the tracker; correlated noise; what moves along the travel and on
+ramps; pose and seats; thermal effects, and others, known before; prior and knots."""
+
+_THERMAL = frozenset({"thermal-growth", "spindle-growth"})
+_STEP = 1e-3  # of a variance: small beside it, large beside rounding
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyBudget:
+    """Variances of the volumetric error, mean over the travel, by source and direction.
+
+    variance_mm2 : (s, 3), in the order of `SOURCES`, in x, y, z of the workpiece frame
+    """
+
+    variance_mm2: Float64[np.ndarray, "s 3"]
+
+
+def split_uncertainty(estimate: Estimate) -> UncertaintyBudget:
+    """Return the budget of an estimate that has kept what it was solved from.
+
+    Raises Unidentifiable if the data do not determine the machine.
+    """
+    fit = estimate.fit
+    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    grams = compute_component_grams(estimate.model)
+    parts = _split_covariance(fit, estimate.covariance)
+    return UncertaintyBudget(np.einsum("spq,kpq->sk", parts, grams, optimize=True))
+
+
+def _split_covariance(
+    fit: Fit, stated: Float64[np.ndarray, "p p"]
+) -> Float64[np.ndarray, "s p p"]:
+    size = fit.model.size
+    held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
+    known = _find_known_precisions(fit)
+    prior = fit.prior.precision_matrix(size)
+    data = replace(fit.data, matrix=held + known.sum(axis=0))
+    C = compute_posterior(data, prior).covariance
+    before = [C @ precision @ C for precision in known]
+    alignment = fit.result.covariance - C
+    model = stated - fit.result.covariance + C @ prior @ C
+    noise = _split_noise(fit.runs, C, C @ held @ C)
+    return np.array([*noise, alignment, *before, model])
+
+
+def _split_noise(
+    runs: Sequence[RunInformation],
+    C: Float64[np.ndarray, "p p"],
+    total: Float64[np.ndarray, "p p"],
+) -> list[Float64[np.ndarray, "p p"]]:
+    """Return what white, correlated noise and all others bring of their total."""
+    white = _propagate(runs, C, _scale_white)
+    noises = [run.noise for run in runs]
+    if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
+        return [white, total - white, np.zeros_like(total)]
+    correlated = _propagate(runs, C, _scale_correlated)
+    return [white, correlated, total - white - correlated]
+
+
+def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
+    """Return what was known before of thermal effects, and of all others."""
+    size, known = fit.model.size, fit.known
+    whole = np.zeros((size, size))
+    part = known.locate(fit.model)
+    whole[part, part] = known.precision_matrix()
+    is_thermal = np.zeros(size, bool)
+    for effect in known.effects:
+        is_thermal[fit.model.slices[effect.name]] = effect.family in _THERMAL
+    thermal = whole * np.outer(is_thermal, is_thermal)
+    return np.array([thermal, whole - thermal])
+
+
+def _scale_white(noise: NoiseModel, factor: float) -> NoiseModel:
+    beam, across = noise.white
+    return replace(noise, white=(beam * factor, across * factor))
+
+
+def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:
+    beam, across = noise.ou
+    return replace(noise, ou=(beam * factor, across * factor))
+
+
+def _propagate(
+    runs: Sequence[RunInformation],
+    C: Float64[np.ndarray, "p p"],
+    scale: Callable[[NoiseModel, float], NoiseModel],
+) -> Float64[np.ndarray, "p p"]:
+    """Return −C (∂A/∂s) C of one source; 1 + s makes it exact where it is alone."""
+    size = len(C)
+    change = np.zeros_like(C)
+    for run in runs:
+        louder = run.replace_noise(scale(run.noise, (1.0 + _STEP) ** 0.5))
+        change += (run.data.matrix - louder.data.matrix)[:size, :size]
+    return C @ (change * (1.0 + _STEP) / _STEP) @ C

@@ -1,0 +1,63 @@
+"""What each of several Runs brought: the uncertainty with it, and without it.
+
+Information adds, so that of a Run is taken off again under the same prior and noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truepath.errors import Unidentifiable
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.runs import combine_runs
+from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+
+
+@dataclass(frozen=True, slots=True)
+class Contributions:
+    """Uncertainties of the volumetric error, root mean square over the travel, k = 1.
+
+    sigma_mm : of the estimate; without_mm : of each Run given, without it; infinite
+        where the others do not determine the machine, empty of a single Run
+    """
+
+    sigma_mm: float
+    without_mm: tuple[float, ...]
+
+
+def find_contributions(estimate: Estimate, given: Sequence[int]) -> Contributions:
+    """Return what Runs brought to an estimate that has kept what it was solved from.
+
+    given : of each Run of the estimate, the Run given that it is of
+    """
+    fit = estimate.fit
+    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    gram = compute_volumetric_gram(estimate.model)
+    sigma_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
+    number = len(set(given))
+    if number < 2:
+        return Contributions(sigma_mm, ())
+    every = _predict_left_mm(fit, range(len(given)))
+    without = [
+        _predict_left_mm(
+            fit, [k for k, source in enumerate(given) if source != left_out]
+        )
+        for left_out in range(number)
+    ]
+    return Contributions(sigma_mm, tuple(sigma_mm * one / every for one in without))
+
+
+def _predict_left_mm(fit: Fit, runs: Sequence[int]) -> float:
+    data = fit.known.add_to(combine_runs([fit.runs[k] for k in runs]), fit.model)
+    precision = fit.prior.precision_matrix(fit.model.size)
+    try:
+        covariance = compute_posterior(data, precision).covariance
+    except Unidentifiable:
+        return np.inf
+    gram = compute_volumetric_gram(fit.model)
+    return float(np.sum(gram * covariance)) ** 0.5

@@ -1,0 +1,219 @@
+"""Trials of the measurement: what it could have been, solved again (GUM Supplement 1).
+
+A trial draws white and Ornstein–Uhlenbeck noise of every cell, jitter along the travel,
+how strongly the prior charges each error motion, the shapes that only the prior knows,
+and what error motions do between knots that are far. It solves again, and keeps what
+the outputs do. The noise is made from its description alone, cell by cell in time, and
+not by the algebra that weighs it; precisions act in full, where the linear law takes
+them to second order: so trials and linear law can contradict each other.
+
+With H = D + Σ λₖKₖ, D the data's information on the machine's parameters, a trial is
+
+    d = H(λ)⁻¹ (Qᵀε + Σ √(λₖKₖ) z − Σ (λₖ − λ̂ₖ) Kₖ θ̂),  θ = θ̂ + d:
+
+a draw of the posterior where noise and prior are what they are said to be.
+
+Every block of trials has a seed of its own: the answer depends neither on how many
+workers share the blocks nor on where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64
+from scipy.linalg import cho_factor, cho_solve
+
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.design_matrix import DesignMatrix
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.knots import compute_hidden_variances
+from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
+from truepath.estimation.problem.prior import log_precision_variance
+from truepath.estimation.problem.runs import RunInformation, combine_runs
+from truepath.numerics.adaptive_trials import (
+    BLOCK,
+    Interval,
+    TrialBlock,
+    TrialPlan,
+    summarise,
+)
+
+_AT_ONCE = 500  # trials drawn together: their noise fits the memory of any computer
+_SAME_PRECISION = 10  # trials that share a draw of precisions, and so one factorisation
+
+
+@dataclass(frozen=True, slots=True)
+class PriorBlock:
+    """What the prior charges one error motion, or knows of effects together.
+
+    precision : (k, k) λ̂K of its parameters; root : (k, k) with root rootᵀ = precision
+    log_sigma : standard deviation of log λ
+    """
+
+    first: int
+    precision: Float64[np.ndarray, "k k"]
+    root: Float64[np.ndarray, "k k"]
+    log_sigma: float
+
+    @property
+    def part(self) -> slice:
+        """Where its parameters are."""
+        return slice(self.first, self.first + len(self.precision))
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRun:
+    """What trials need of one Run.
+
+    travel : (n, 3) its direction in the beam frame; weighted : (n, 3, m), Q
+    """
+
+    observations: Observations
+    noise: NoiseModel
+    travel: Float64[np.ndarray, "n 3"]
+    weighted: Float32[np.ndarray, "n 3 m"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Everything that a block of trials needs; may be sent to another process.
+
+    data : (m, m), D; theta : (m,), θ̂; outputs : (o, m)
+    hidden_sigma : (m,) of what error motions do between knots that are far
+    """
+
+    runs: tuple[TrialRun, ...]
+    data: Float64[np.ndarray, "m m"]
+    theta: Float64[np.ndarray, " m"]
+    prior: tuple[PriorBlock, ...]
+    outputs: Float64[np.ndarray, "o m"]
+    hidden_sigma: Float64[np.ndarray, " m"]
+    seed: int
+    interval: Interval
+
+
+def prepare_trials(
+    fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan
+) -> Trials:
+    """Return the trials of an estimate.
+
+    outputs : (o, m), linear outputs of the machine's parameters
+    """
+    return Trials(
+        tuple(_trial_run(run) for run in fit.runs),
+        combine_runs(fit.runs).matrix,
+        fit.result.theta,
+        _split_prior(fit),
+        outputs,
+        np.sqrt(compute_hidden_variances(fit.model, fit.prior.precision)),
+        plan.seed,
+        plan.interval,
+    )
+
+
+def _trial_run(run: RunInformation) -> TrialRun:
+    design = run.linearisation.build(run.observations)
+    size = run.linearisation.machine_model.size
+    weighted = _weigh(design, run.noise)
+    # The pose is solved along: its share of the data is passed on.
+    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.follow()
+    return TrialRun(
+        run.observations, run.noise, design.travel, machine.astype(np.float32)
+    )
+
+
+def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
+    """Return V⁻¹A of machine and pose, less what the timing of the lines takes up."""
+    V = design.whiten(noise)
+    timing, weighted = design.fit_timing(V, design.columns)
+    return V.apply(design.columns) - weighted @ timing
+
+
+def run_block(trials: Trials, number: int) -> TrialBlock:
+    """Draw one block of trials: how far each output moves from its estimate."""
+    return summarise(draw_outputs(trials, number, BLOCK), trials.interval)
+
+
+def draw_outputs(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]:
+    """Return how far the outputs move in the first trials of a block."""
+    seed = np.random.SeedSequence(trials.seed, spawn_key=(number,))
+    rng = np.random.default_rng(seed)
+    parts = [_draw_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
+    return np.concatenate(parts, axis=1)[:, :count]
+
+
+def _split_prior(fit: Fit) -> tuple[PriorBlock, ...]:
+    prior, blocks = fit.prior, list[PriorBlock]()
+    for name, variance in log_precision_variance(prior, fit.result).items():
+        precision = prior.precision[name] * prior.charges[name].form
+        value, vector = np.linalg.eigh(precision)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        first = prior.model.slices[name].start
+        blocks.append(PriorBlock(first, precision, root, float(np.sqrt(variance))))
+    if fit.known.effects:
+        precision = fit.known.precision_matrix()
+        root = np.linalg.cholesky(precision)
+        first = fit.known.locate(fit.model).start
+        blocks.append(PriorBlock(first, precision, root, 0.0))
+    return tuple(blocks)
+
+
+def _draw_some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
+    pulled = np.zeros((len(trials.theta), _AT_ONCE))
+    for run in trials.runs:
+        noise = _draw_white(run, rng) + _draw_ou(run, rng)
+        pulled += np.tensordot(run.weighted, noise, axes=((0, 1), (0, 1)))
+    moved = np.empty_like(pulled)
+    for first in range(0, _AT_ONCE, _SAME_PRECISION):
+        same = slice(first, first + _SAME_PRECISION)
+        moved[:, same] = _solve_again(trials, pulled[:, same], rng)
+    moved += trials.hidden_sigma[:, None] * rng.standard_normal(moved.shape)
+    return trials.outputs @ moved
+
+
+def _solve_again(
+    trials: Trials, pulled: Float64[np.ndarray, "m t"], rng: np.random.Generator
+) -> Float64[np.ndarray, "m t"]:
+    H, right = trials.data.copy(order="F"), pulled.copy(order="F")
+    for one in trials.prior:
+        part = one.part
+        times = float(np.exp(one.log_sigma * rng.standard_normal()))
+        draw = rng.standard_normal((len(one.root), pulled.shape[1]))
+        H[part, part] += times * one.precision
+        right[part] += np.sqrt(times) * (one.root @ draw)
+        right[part] -= (times - 1.0) * (one.precision @ trials.theta[part])[:, None]
+    factor = cho_factor(H, lower=True, overwrite_a=True, check_finite=False)
+    return cho_solve(factor, right, overwrite_b=True, check_finite=False)
+
+
+def _draw_white(
+    run: TrialRun, rng: np.random.Generator
+) -> Float32[np.ndarray, "n 3 t"]:
+    sigma, _ = split_sigma_mm(run.observations, run.noise)
+    draw = _draw_normal(rng, *sigma.shape, _AT_ONCE)
+    draw *= sigma[:, :, None].astype(np.float32)
+    jitter_mm = run.noise.along_sigma_mm
+    if 0.0 < jitter_mm < np.inf:
+        jitter = _draw_normal(rng, len(sigma), 1, _AT_ONCE)
+        draw += (jitter_mm * run.travel[:, :, None]).astype(np.float32) * jitter
+    return draw
+
+
+def _draw_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+    """Draw the Ornstein–Uhlenbeck noise step by step, from cell to cell."""
+    _, sigma = split_sigma_mm(run.observations, run.noise)
+    step = np.diff(run.observations.at.time_s, prepend=-np.inf)
+    keep = np.exp(-step / run.noise.ou_time_s)
+    fresh = np.sqrt(1.0 - keep**2)
+    state = _draw_normal(rng, *sigma.shape, _AT_ONCE)
+    state[1:] *= fresh[1:, None, None].astype(np.float32)
+    for k in range(1, len(sigma)):
+        state[k] += np.float32(keep[k]) * state[k - 1]
+    state *= sigma[:, :, None].astype(np.float32)
+    return state
+
+
+def _draw_normal(rng: np.random.Generator, *shape: int) -> Float32[np.ndarray, "..."]:
+    return rng.standard_normal(shape, dtype=np.float32)

@@ -1,0 +1,1 @@
+"""The measurement bundle and what it holds: machine, path, stream, workspace, Run."""

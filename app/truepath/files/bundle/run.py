@@ -1,0 +1,332 @@
+"""A Run: what was commanded, what was recorded; its facts, the digest of its data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.bundle.sample_quality import SampleQuality, state_quality
+from truepath.files.bundle.sample_sketch import sketch_samples
+from truepath.files.environment.environment import ChannelFacts, state_facts
+from truepath.files.environment.refraction import Refraction
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import (
+    AirSamples,
+    AxisSamples,
+    Path,
+    TemperatureSamples,
+    TrackerSamples,
+)
+from truepath_drivers.interfaces.tracker_records import TrackerEventKind
+
+IMPLAUSIBLE = "sensor-implausible"
+# Kinds of the events that a cell records of sensors.
+SENSOR_KINDS = frozenset(
+    {
+        "sensor-silent",
+        "sensor-no-number",
+        IMPLAUSIBLE,
+        "sensor-stuck",
+        "sensor-back",
+    }
+)
+_UNKNOWN = Refraction()
+_MOST_SHOWN = 1000  # rows of a path in a picture
+_TOLD = frozenset(map(str, TrackerEventKind))
+
+
+@dataclass(frozen=True, slots=True)
+class Interruptions:
+    """How often a stream was not usable, and for how long altogether.
+
+    breaks, broken_s : stretches of samples that the tracker calls invalid
+    gaps, lost_samples : places where the counter steps by more than one
+    searches, found : tries of the tracker to find a lost target by itself that failed,
+        and that have found it
+    """
+
+    breaks: int = 0
+    broken_s: float = 0.0
+    gaps: int = 0
+    lost_samples: int = 0
+    searches: int = 0
+    found: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DirectMeasurement:
+    """One error measured directly, in one direction of approach, to compare with.
+
+    position_mm, value : (n,), value in `unit`; direction `+` or `-`
+    """
+
+    error: str
+    direction: str
+    unit: str
+    position_mm: np.ndarray
+    value: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class PointRows:
+    """What is known of each sample where each is the mean of a standstill point.
+
+    row : (n,) int64, of the commanded points, from 0
+    count : (n,) int64, shots in the mean
+    covariance_mm2 : (n, 3, 3) of one shot about the mean; zero where it is not known
+    """
+
+    row: np.ndarray
+    count: np.ndarray
+    covariance_mm2: np.ndarray
+
+    @classmethod
+    def join(cls, parts: Sequence[PointRows]) -> PointRows:
+        """Return all of them, in order; one part at least."""
+        return cls(
+            np.concatenate([part.row for part in parts]),
+            np.concatenate([part.count for part in parts]),
+            np.concatenate([part.covariance_mm2 for part in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PointBlock:
+    """Some measured points of a Run under way, one sample each."""
+
+    samples: TrackerSamples
+    points: PointRows
+
+
+@dataclass(frozen=True, slots=True)
+class RunEvent:
+    """Something that happened during a Run, by the host's monotonic clock."""
+
+    mono_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One measurement, whole or as far as it got.
+
+    temperature, air : as sensors showed them; None where there were none
+    refraction : who has corrected the ranges of the tracker for the air
+    points : of a tracker that measures point by point; None where it streams
+    stream_file : the one that the user sent
+    """
+
+    name: str
+    machine: Machine
+    commanded: Path | Configurations
+    tracker: TrackerSamples
+    temperature: TemperatureSamples | None = None
+    air: AirSamples | None = None
+    refraction: Refraction = _UNKNOWN
+    axis_samples: AxisSamples | None = None
+    points: PointRows | None = None
+    reference: tuple[DirectMeasurement, ...] = ()
+    events: tuple[RunEvent, ...] = ()
+    provenance: dict[str, str] = field(default_factory=dict)
+    stream_file: str = "tracker.parquet"
+
+    @property
+    def mode(self) -> str:
+        """`otf` for a streamed path, `standstill` for points."""
+        return "otf" if isinstance(self.commanded, Path) else "standstill"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandedFacts:
+    """What was commanded: enough to know it again, and to draw it.
+
+    digest : SHA-256 of the commanded rows; rows : how many there are
+    shown_mm : linear axes at every row, or at every so many of a long path
+    """
+
+    digest: str = ""
+    rows: int = 0
+    shown_mm: tuple[tuple[float, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """The facts of one measurement.
+
+    mode : `otf` or `standstill`
+    digest : SHA-256 of machine, commanded rows and stream, whatever file they came from
+    sketch : by which a part of its stream is known
+    lines : lines of the path, or standstill points
+    feed_mm_min : lowest and highest feed, None for standstill points
+    measured_s : from the first to the last sample; samples : in the stream
+    temperature_degc : lowest and highest of each sensor
+    sensors : every sensor, those that showed nothing as well
+    sensors_told : what went wrong with them, each once
+    sensors_left_out : readings that were shown and are not believed, likewise
+    source : what the Run itself knows about where it comes from
+    told : what the tracker itself has said meanwhile, each once
+    interruptions : of the stream; driven_again : which lines were, each time
+    quality : of the samples, if the tracker tells it
+    commanded : what was commanded
+    """
+
+    name: str
+    mode: str
+    digest: str
+    lines: int
+    feed_mm_min: tuple[float, float] | None
+    measured_s: float
+    samples: int
+    temperature_degc: dict[str, tuple[float, float]]
+    source: dict[str, str]
+    told: tuple[str, ...] = ()
+    sensors: tuple[ChannelFacts, ...] = ()
+    sensors_told: tuple[str, ...] = ()
+    sensors_left_out: tuple[str, ...] = ()
+    refraction: Refraction = _UNKNOWN
+    interruptions: Interruptions = Interruptions()
+    driven_again: tuple[str, ...] = ()
+    quality: SampleQuality | None = None
+    commanded: CommandedFacts = CommandedFacts()
+    sketch: str = ""
+
+
+def summarize_run(run: Run) -> RunSummary:
+    """Return the facts of a Run."""
+    time_s = run.tracker.device_time_s
+    feed = None
+    if isinstance(run.commanded, Path):
+        feed = _span(run.commanded.feed_mm_min)
+    return RunSummary(
+        run.name,
+        run.mode,
+        digest_run(run),
+        # The first row of a path is where its first line starts.
+        len(run.commanded) - isinstance(run.commanded, Path),
+        feed,
+        float(time_s[-1] - time_s[0]) if len(time_s) else 0.0,
+        len(run.tracker),
+        _state_temperatures(run),
+        dict(run.provenance),
+        _collect_texts(run, _TOLD),
+        state_facts(run.temperature, run.air, *_find_span_s(time_s)),
+        _collect_texts(run, SENSOR_KINDS),
+        _collect_texts(run, {IMPLAUSIBLE}),
+        run.refraction,
+        find_interruptions(run.tracker, *_count_events(run, "search", "found")),
+        tuple(e.text for e in run.events if e.kind == "again"),
+        state_quality(run.tracker),
+        _state_commanded(run),
+        sketch_samples(run.tracker),
+    )
+
+
+def _count_events(run: Run, *kinds: str) -> tuple[int, ...]:
+    return tuple(sum(event.kind == kind for event in run.events) for kind in kinds)
+
+
+def _collect_texts(run: Run, kinds: Collection[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(e.text for e in run.events if e.kind in kinds))
+
+
+def _find_span_s(time_s: np.ndarray) -> tuple[float, float]:
+    return (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
+
+
+def number_names(names: Sequence[str]) -> list[str]:
+    """Return the names of Runs, numbered where some have the same."""
+    if len(set(names)) == len(names):
+        return list(names)
+    return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+
+
+def digest_run(run: Run) -> str:
+    """Return the SHA-256 of what an analysis reads of a Run."""
+    machine = json.dumps(machine_to_json(run.machine), sort_keys=True)
+    stream = run.tracker
+    blocks = [stream.device_time_s, stream.position_mm, stream.status]
+    if run.points is not None:
+        blocks = [run.points.row, run.points.count, run.points.covariance_mm2, *blocks]
+    return _hash([machine.encode(), *_encode_commanded(run), *_encode_blocks(blocks)])
+
+
+def _hash(parts: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _encode_commanded(run: Run) -> Iterator[bytes]:
+    yield json.dumps([run.mode, *run.commanded.target]).encode()
+    blocks = [run.commanded.position, run.commanded.dwell_s]
+    if isinstance(run.commanded, Path):
+        blocks.append(run.commanded.feed_mm_min)
+        if any(run.commanded.arc):
+            yield repr(run.commanded.arc).encode()
+    yield from _encode_blocks(blocks)
+
+
+def _encode_blocks(blocks: Iterable[np.ndarray]) -> Iterator[bytes]:
+    for block in blocks:
+        yield str(block.shape).encode()
+        kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"
+        yield np.ascontiguousarray(block, dtype=kind).tobytes()
+
+
+def _state_commanded(run: Run) -> CommandedFacts:
+    rows = len(run.commanded)
+    linear = [run.machine.axis_names.index(a.name) for a in run.machine.linear_axes]
+    shown = run.commanded.position[:: max(1, -(-rows // _MOST_SHOWN)), linear]
+    digest = _hash(_encode_commanded(run))
+    return CommandedFacts(digest, rows, tuple(map(tuple, shown.round(3).tolist())))
+
+
+def combine_digests(summaries: Sequence[RunSummary]) -> str:
+    """Return the digest of a Run, or the SHA-256 of the digests of several."""
+    if len(summaries) == 1:
+        return summaries[0].digest
+    every = "\n".join(summary.digest for summary in summaries)
+    return hashlib.sha256(every.encode()).hexdigest()
+
+
+def _state_temperatures(run: Run) -> dict[str, tuple[float, float]]:
+    samples = run.temperature
+    if samples is None or not len(samples.time_s):
+        return {}
+    return {
+        name: _span(column)
+        for name, column in zip(samples.names, samples.celsius.T, strict=True)
+        if np.isfinite(column).any()
+    }
+
+
+def _span(values: np.ndarray) -> tuple[float, float]:
+    return float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def find_interruptions(
+    tracker: TrackerSamples, searches: int = 0, found: int = 0
+) -> Interruptions:
+    """Return the interruptions of a stream, with the searches that were recorded."""
+    if len(tracker) < 2:
+        return Interruptions(searches=searches, found=found)
+    is_bad = np.concatenate([[False], tracker.status != 0, [False]])
+    begin, end = np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T
+    step_s = float(np.median(np.diff(tracker.device_time_s)))
+    skipped = np.diff(tracker.sequence) - 1
+    return Interruptions(
+        len(begin),
+        float((end - begin).sum()) * step_s,
+        int((skipped > 0).sum()),
+        int(skipped[skipped > 0].sum()),
+        searches,
+        found,
+    )

@@ -1,0 +1,203 @@
+"""`workspace.json` (schema `workspace/1`): what limits a plan beside the travel.
+
+    {"schema": "workspace/1",
+     "keep_out": [{"name": "probe", "min_mm": [x, y, z], "max_mm": [x, y, z]}],
+     "tracker": {"position_mm": [x, y, z], "nearest_mm": 200, "farthest_mm": 5000,
+                 "areas": [{"min_mm": [x, y, z], "max_mm": [x, y, z]}],
+                 "keep_out": [{"min_mm": [x, y, z], "max_mm": [x, y, z]}],
+                 "move_minutes": 10, "specification": {"eccentricity_urad": 1}},
+     "reflector": {"direction": [0, -1, 0], "half_angle_deg": 30},
+     "blocks_sight": [{"min_mm": [x, y, z], "max_mm": [x, y, z], "carried_by": "Z"}]}
+
+All keys but the schema may be left out. Boxes of `keep_out` are axis positions; the
+tracker with its areas and `blocks_sight` are in the frame that the tracker stands on. A
+box with `carried_by` moves with that axis' carriage, or with the base; it is stated at
+the axis zeros. The reflector looks in a direction of the tool. A tracker that has areas
+needs no position: the plan chooses one.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict, model_validator
+
+from truepath.documents.file_model import (
+    FileModel,
+    Text,
+    Vector,
+    parse_json,
+    refuse,
+    validate,
+)
+from truepath.documents.whole_files import read_whole
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.motion.workspace.line_of_sight import Box, Reflector
+from truepath.motion.workspace.workspace import StationAreas, Workspace
+
+_NEAREST_MM = 200.0  # of a place that is chosen, where nothing is stated
+Size = Annotated[float, Field(ge=0.0)]
+
+
+class AreaFile(FileModel):
+    """A box that may be flat: a floor, a rail, a nest."""
+
+    min_mm: Vector
+    max_mm: Vector
+    name: Text | None = None
+
+    @model_validator(mode="after")
+    def _require_order(self) -> AreaFile:
+        if any(h < low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
+            raise refuse("lies below min_mm", "exchange the two", "max_mm")
+        return self
+
+    def box(self) -> Box:
+        """Return the box."""
+        return Box(self.min_mm, self.max_mm, self.name or "")
+
+
+class BoxFile(FileModel):
+    """A box."""
+
+    min_mm: Vector
+    max_mm: Vector
+    name: Text | None = None
+    carried_by: Literal["X", "Y", "Z", "base"] | None = None
+
+    @model_validator(mode="after")
+    def _require_order(self) -> BoxFile:
+        if any(h <= low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
+            low, high = (
+                "[" + ", ".join(f"{v:g}" for v in place) + "]"
+                for place in (self.min_mm, self.max_mm)
+            )
+            raise refuse(f"is {high}", f"each must exceed min_mm, {low}", "max_mm")
+        return self
+
+    def box(self) -> Box:
+        """Return the box."""
+        return Box(self.min_mm, self.max_mm, self.name or "", self.carried_by or "")
+
+
+class SpecificationFile(FileModel):
+    """What the tracker may be off by, standard uncertainties; usual where left out."""
+
+    eccentricity_urad: Size = 1.0
+    index_urad: Size = 1.0
+    range_offset_um: Size = 1.0
+    bending_urad_per_m: Size = 0.3
+
+    def specification(self) -> TrackerSpecification:
+        """Return the specification."""
+        return TrackerSpecification(
+            1e-6 * self.eccentricity_urad,
+            1e-6 * self.index_urad,
+            1e-3 * self.range_offset_um,
+            1e-9 * self.bending_urad_per_m,
+        )
+
+
+class ReflectorFile(FileModel):
+    """Where the reflector looks."""
+
+    direction: Vector
+    half_angle_deg: Annotated[float, Field(gt=0.0, le=90.0)]
+
+    @model_validator(mode="after")
+    def _require_direction(self) -> ReflectorFile:
+        if not any(self.direction):
+            raise refuse("has no length", "write where it looks", "direction")
+        return self
+
+
+class TrackerPlaceFile(FileModel):
+    """Where the tracker stands or may stand, its range and its specification."""
+
+    position_mm: Vector | None = None
+    nearest_mm: Size | None = None
+    farthest_mm: float | None = None
+    areas: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
+    keep_out: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
+    move_minutes: Size = 10.0
+    specification: SpecificationFile = SpecificationFile()
+
+    @property
+    def nearest(self) -> float:
+        """The least distance, mm."""
+        usual_mm = 0.0 if self.position_mm else _NEAREST_MM
+        return usual_mm if self.nearest_mm is None else self.nearest_mm
+
+    def stations(self) -> StationAreas | None:
+        """Return where it may stand."""
+        if not self.areas:
+            return None
+        return StationAreas(
+            tuple(file.box() for file in self.areas),
+            tuple(file.box() for file in self.keep_out),
+            60.0 * self.move_minutes,
+            self.specification.specification(),
+        )
+
+    @model_validator(mode="after")
+    def _require_place(self) -> TrackerPlaceFile:
+        if self.position_mm is None and not self.areas:
+            raise refuse(
+                "is missing", "state it, or areas to choose from", "position_mm"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _require_range(self) -> TrackerPlaceFile:
+        farthest = self.farthest_mm
+        if farthest is not None and farthest <= self.nearest:
+            remedy = f"it must be above {self.nearest:g}"
+            raise refuse(f"is {farthest:g}", remedy, "farthest_mm")
+        return self
+
+
+class WorkspaceFile(FileModel):
+    """A workspace file."""
+
+    schema_: Literal["workspace/1"] = Field("workspace/1", alias="schema")
+    keep_out: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
+    tracker: TrackerPlaceFile | None = None
+    reflector: ReflectorFile | None = None
+    blocks_sight: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
+
+    @model_validator(mode="after")
+    def _require_tracker_of_sight(self) -> WorkspaceFile:
+        if self.blocks_sight and self.tracker is None:
+            problem = "needs to know where the tracker stands"
+            raise refuse(problem, "state tracker.position_mm", "blocks_sight")
+        return self
+
+    def workspace(self) -> Workspace:
+        """Return the workspace."""
+        keep_out = tuple(file.box() for file in self.keep_out)
+        tracker = self.tracker
+        if tracker is None:
+            return Workspace(keep_out)
+        return Workspace(
+            keep_out,
+            tracker.position_mm,
+            tracker.nearest,
+            math.inf if tracker.farthest_mm is None else tracker.farthest_mm,
+            tuple(file.box() for file in self.blocks_sight),
+            self.reflector
+            and Reflector(self.reflector.direction, self.reflector.half_angle_deg),
+            tracker.stations(),
+        )
+
+
+def read_workspace(path: str | Path) -> Workspace:
+    """Read a workspace file from disk."""
+    name = Path(path).name
+    return workspace_from_json(parse_json(read_whole(path), name), file=name)
+
+
+def workspace_from_json(content: object, *, file: str = "workspace.json") -> Workspace:
+    """Return the workspace that parsed JSON states. Raises BundleError."""
+    return validate(WorkspaceFile, content, file).workspace()

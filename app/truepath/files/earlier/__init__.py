@@ -1,0 +1,1 @@
+"""What an earlier analysis stated and a later one takes in."""

@@ -1,0 +1,45 @@
+"""What is reckoned with of the provenance of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, Strict
+
+from truepath.documents.file_model import FileModel, as_object, validate
+from truepath.files.bundle.sample_sketch import SKETCH
+
+CONTROL, ON, OFF, MIXED = "control_compensation", "on", "off", "mixed"
+
+
+class _RunBehind(FileModel):
+    """A Run that a result was made from."""
+
+    sketch: str = Field(default="", pattern=f"^{SKETCH}$")
+
+
+class _Reckoned(FileModel):
+    """What is reckoned with of the provenance, where it is stated."""
+
+    measured_s: float | None = Field(default=None, ge=0.0)
+    length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
+    temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
+        default_factory=dict, alias="temperature_degC"
+    )
+
+
+def require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
+    """Raise BundleError for what is no number where the provenance is reckoned with."""
+    stated = {key: value for key, value in provenance.items() if value is not None}
+    validate(_Reckoned, stated, file, key="provenance")
+
+
+def read_control_state(provenance: Mapping[str, Any]) -> str | None:
+    """Return `on`, `off` or `mixed`: whether the control compensated; None if unknown.
+
+    provenance : of a result
+    """
+    source = as_object(provenance.get("source"))
+    return provenance.get(CONTROL) or source.get(CONTROL)

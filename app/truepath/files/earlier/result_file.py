@@ -1,0 +1,362 @@
+"""Result files (schema `result/1`) and model files (`extended-model/1`), read.
+
+Both carry a model of the machine, so that whatever predicts, exports or compares from a
+result does so from a model as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    model_validator,
+)
+
+from truepath.documents.file_model import (
+    FileModel,
+    Text,
+    parse_json,
+    refuse,
+    require_finite,
+    validate,
+)
+from truepath.documents.whole_files import read_whole
+from truepath.errors import BundleError
+from truepath.files.bundle.machine_file import MachineFile
+from truepath.files.earlier.model_file import model_from_json
+from truepath.files.earlier.provenance_file import require_reckoned
+from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.symbols import (
+    LINEAR,
+    TURNS,
+    find_unit,
+    is_positioning,
+    list_error_motions,
+)
+
+RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
+LARGEST_BYTES = 1 << 30  # of a result file or of points
+Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
+Tables = dict[str, Table]
+Sigmas = dict[str, Float64[np.ndarray, " m"]]
+"""Standard uncertainties of the values of tables, by the same names."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult(EstimatedModel):
+    """What a result or model file says about a machine.
+
+    unobservable : statements in words; provenance : as the file states it
+    measured : by axis, the range beyond which tables are extrapolated, if it is known
+    half_difference_um : half the difference of both directions of an axis' own
+        positioning, as (position mm, value µm), by axis; none where direction plays no
+        part
+    half_difference_u_um : standard uncertainty of its values, where the file states it
+    half_turn_urad, half_turn_u_urad : the same of rotary axes, over deg, in µrad
+    noise_freedom : independent values by which the measurement knows the size of its
+        slow noise; None where the file does not state it
+    version : of the model; that of a result, which has no parent, is 1
+    verdict : what the result says of itself; of a file that says nothing, usable
+    half_across, half_across_u : half the difference of both directions of error motions
+        across or about an axis, and its standard uncertainty where it is stated: by
+        symbol, over mm or deg, in µm or µrad
+    states_direction : whether the file says what the direction of travel does, be it
+        nothing
+    """
+
+    mode: str = "otf"
+    unobservable: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    measured: dict[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+    half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
+    half_turn_urad: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_turn_u_urad: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
+    noise_freedom: float | None = None
+    version: int = 1
+    verdict: Verdict = field(default_factory=Verdict)
+    half_across: dict[str, Table] = field(default_factory=dict[str, Table])
+    half_across_u: dict[str, Float64[np.ndarray, " m"]] = field(
+        default_factory=dict[str, Any]
+    )
+    states_direction: bool = True
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.model.machine
+
+    @property
+    def length_scale_ppm(self) -> float:
+        """Standard uncertainty that all its lengths have in common; 0 if not stated."""
+        stated = self.provenance.get("length_scale_ppm")
+        return float(stated) if isinstance(stated, int | float) else 0.0
+
+
+class _Observability(FileModel):
+    unobservable: list[Text]
+
+
+class _LinearRange(FileModel):
+    from_mm: float
+    to_mm: float
+
+    @model_validator(mode="after")
+    def _require_order(self) -> _LinearRange:
+        if self.to_mm < self.from_mm:
+            problem = f"is {self.to_mm:g}, below from_mm {self.from_mm:g}"
+            raise refuse(problem, "write the lower end as from_mm", "to_mm")
+        return self
+
+
+class _RotaryRange(FileModel):
+    from_deg: float
+    to_deg: float
+
+
+class _Ranges(FileModel):
+    X: _LinearRange | None = None
+    Y: _LinearRange | None = None
+    Z: _LinearRange | None = None
+    A: _RotaryRange | None = None
+    B: _RotaryRange | None = None
+    C: _RotaryRange | None = None
+
+
+class _HalfDifference(FileModel):
+    """Of one error motion; which columns it has its symbol says."""
+
+    position_mm: list[float] = Field(default_factory=list[float])
+    position_deg: list[float] = Field(default_factory=list[float])
+    value_um: list[float] = Field(default_factory=list[float])
+    value_urad: list[float] = Field(default_factory=list[float])
+    uncertainty_um: list[float] = Field(default_factory=list[float])
+    uncertainty_urad: list[float] = Field(default_factory=list[float])
+
+    def read(self, symbol: str) -> tuple[Table, Float64[np.ndarray, " m"]]:
+        """Return positions with values, and uncertainties; empty without any."""
+        unit, along = find_unit(symbol), "deg" if symbol[2] in TURNS else "mm"
+        columns = self.model_dump()
+        at, value, sigma = (
+            np.array(columns[key], float)
+            for key in (f"position_{along}", f"value_{unit}", f"uncertainty_{unit}")
+        )
+        if len(at) == 0 or len(at) != len(value):
+            problem = f"are {len(value)} for {len(at)} in position_{along}"
+            place = "half_difference", symbol, f"value_{unit}"
+            raise refuse(problem, "write one a position", *place)
+        if len(sigma) not in (0, len(at)):
+            problem = f"are {len(sigma)} for {len(at)} in position_{along}"
+            place = "half_difference", symbol, f"uncertainty_{unit}"
+            raise refuse(problem, "write one a position, or none", *place)
+        if np.any(np.diff(at) <= 0.0):
+            place = "half_difference", symbol, f"position_{along}"
+            raise refuse("do not ascend", "sort the rows by position", *place)
+        return (at, value), sigma
+
+
+def _keep_error_motions(content: object) -> object:
+    if not isinstance(content, Mapping):
+        return content
+    every = [s for axis in LINEAR + TURNS for s in list_error_motions(axis)]
+    return {symbol: content[symbol] for symbol in every if symbol in content}
+
+
+class _Direction(FileModel):
+    half_difference: Annotated[
+        dict[str, _HalfDifference], BeforeValidator(_keep_error_motions)
+    ]
+
+    @model_validator(mode="after")
+    def _require_columns(self) -> _Direction:
+        for symbol, half in self.half_difference.items():
+            half.read(symbol)
+        return self
+
+    def read_own(self, axes: Sequence[str]) -> tuple[Tables, Sigmas]:
+        """Return those of the positioning of the axes, by axis."""
+        return self._read({f"E{axis}{axis}": axis for axis in axes})
+
+    def read_across(self) -> tuple[Tables, Sigmas]:
+        """Return those across or about an axis, by symbol."""
+        return self._read({s: s for s in self.half_difference if not is_positioning(s)})
+
+    def _read(self, names: Mapping[str, str]) -> tuple[Tables, Sigmas]:
+        """Return tables, and the uncertainties of those that state one a value.
+
+        names : what to call each, by symbol
+        """
+        read = {
+            names[symbol]: half.read(symbol)
+            for symbol, half in self.half_difference.items()
+            if symbol in names
+        }
+        return {name: table for name, (table, _) in read.items()}, {
+            name: sigma
+            for name, (table, sigma) in read.items()
+            if len(sigma) == len(table[0])
+        }
+
+
+class _Noise(FileModel):
+    slow_time_s: float = Field(gt=0.0)
+
+
+class _Verdict(FileModel):
+    """What has to be right; details that are another's are left to its sentences."""
+
+    state: State
+    reasons: list[Text]
+    details: Any = ()
+
+
+class _MachineOfResult(FileModel):
+    machine: MachineFile
+
+
+class _Document(_MachineOfResult):
+    """What is read of both; the key `model` is validated when the machine is known."""
+
+    mode: Literal["otf", "standstill"]
+    direction: _Direction | None = None
+    measured_range: _Ranges = _Ranges()
+    observability: _Observability
+    noise: _Noise | None = None
+    provenance: Annotated[dict[str, Any], AfterValidator(require_finite)]
+    model: Any
+    verdict: _Verdict | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _require_schema_and_model(cls, content: object) -> object:
+        if not isinstance(content, Mapping):
+            return content
+        schema = content.get("schema")
+        if schema is None:
+            raise refuse("is missing", "add it", "schema")
+        if schema not in (RESULT_SCHEMA, MODEL_SCHEMA):
+            remedy = f"give a file of {RESULT_SCHEMA} or {MODEL_SCHEMA}"
+            raise refuse("is not that of a result or model", remedy, "schema")
+        if content.get("model") is None:
+            problem = "is missing, without which nothing can be predicted"
+            raise refuse(problem, "analyse the bundle again", "model")
+        return content
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the measured range of each axis that the file states one for."""
+        stated = self.measured_range.model_dump(exclude_none=True)
+        return {name: tuple(ends.values()) for name, ends in stated.items()}
+
+    def read_verdict(self) -> Verdict:
+        """Return the verdict; a file without one is of a result that is usable."""
+        if self.verdict is None:
+            return Verdict()
+        return verdict_from_json(self.verdict.model_dump())
+
+    def count_noise_freedom(self) -> float | None:
+        """Return three components once in two correlation times of the slow noise."""
+        measured_s = self.provenance.get("measured_s")
+        if self.noise is None or not isinstance(measured_s, int | float):
+            return None
+        return max(3.0 * measured_s / (2.0 * self.noise.slow_time_s), 1.0)
+
+
+class ResultDocument(_Document):
+    """A result file, with the keys that the contract asks for."""
+
+    error_tables: Any
+    squareness_urad: Any
+    alignment: Any
+    residuals: Any
+
+
+class ModelDocument(_Document):
+    """A model file."""
+
+    version: Annotated[float, Field(ge=1.0)]
+
+    @model_validator(mode="after")
+    def _require_whole_version(self) -> ModelDocument:
+        if self.version != int(self.version):
+            raise refuse(f"is {self.version:g}", "write a whole number", "version")
+        return self
+
+
+def read_result(file: str | Path) -> CalibrationResult:
+    """Read a result or model file. Raises BundleError."""
+    return decode_result(read_whole(file, largest_bytes=LARGEST_BYTES), file=str(file))
+
+
+def read_result_machine(file: str | Path) -> Machine:
+    """Return the machine of a result or model file alone. Raises BundleError."""
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    content = parse_json(data, str(file))
+    return validate(_MachineOfResult, content, str(file)).machine.machine()
+
+
+def decode_result(data: bytes, *, file: str) -> CalibrationResult:
+    """Return what the bytes of a result or model file say. Raises BundleError."""
+    return result_from_json(parse_json(data, file), file=file)
+
+
+def result_from_json(
+    content: object, *, file: str = "result.json"
+) -> CalibrationResult:
+    """Return what the parsed JSON of a result file, or of a model file, says.
+
+    Raises BundleError naming file and key if it is of another schema or incomplete.
+    """
+    extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
+    document = validate(ModelDocument if extended else ResultDocument, content, file)
+    require_reckoned(document.provenance, file)
+    machine = document.machine.machine()
+    stated = model_from_json(document.model, machine, file=file)
+    ranges = document.ranges()
+    _require_within_travel(ranges, machine, file)
+    direction = document.direction or _Direction(half_difference={})
+    return CalibrationResult(
+        stated.model,
+        stated.theta,
+        stated.covariance,
+        document.mode,
+        tuple(document.observability.unobservable),
+        document.provenance,
+        {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
+        *direction.read_own(LINEAR),
+        *direction.read_own(TURNS),
+        document.count_noise_freedom(),
+        int(document.version) if isinstance(document, ModelDocument) else 1,
+        document.read_verdict(),
+        *direction.read_across(),
+        document.direction is not None,
+    )
+
+
+def _require_within_travel(
+    ranges: Mapping[str, tuple[float, float]], machine: Machine, file: str
+) -> None:
+    for axis in machine.linear_axes:
+        low, high = ranges.get(axis.name, (axis.low, axis.high))
+        if high < axis.low or low > axis.high:
+            raise BundleError(
+                f"measured_range.{axis.name} is {low:g} to {high:g} mm, beyond the "
+                f"travel {axis.low:g} to {axis.high:g} mm",
+                file=file,
+                remedy="analyse the bundle again",
+            )

@@ -1,0 +1,180 @@
+"""Temperature models (schema `temperature-model/1`), read.
+
+A file has the keys of a model file, which state the machine at the reference
+temperature, and beside them the change per kelvin in the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import Field
+
+from truepath.documents.file_model import FileModel, Text, parse_json, validate
+from truepath.documents.whole_files import read_whole
+from truepath.errors import BadInput, BundleError
+from truepath.files.earlier.covariance_file import AS_WRITTEN, unpack_symmetric
+from truepath.files.earlier.model_file import build_number_rows, model_from_json
+from truepath.files.earlier.result_file import (
+    LARGEST_BYTES,
+    MODEL_SCHEMA,
+    CalibrationResult,
+    read_result,
+    result_from_json,
+)
+from truepath.kinematics.machine.machine import Machine
+
+SCHEMA = "temperature-model/1"
+
+
+@dataclass(frozen=True)
+class TemperatureModel:
+    """Errors at any temperature of a range.
+
+    reference : the result at `reference_degc`
+    per_kelvin, coefficient_covariance : change of its parameters
+    between : covariance of both, plus its transpose
+    measured_degc : lowest and highest temperature of the results
+    valid_degc : range that it may be asked for
+    grows : axes whose positioning depends on temperature for sure
+    """
+
+    reference: CalibrationResult
+    per_kelvin: Float64[np.ndarray, " p"]
+    coefficient_covariance: Float64[np.ndarray, "p p"]
+    between: Float64[np.ndarray, "p p"]
+    reference_degc: float
+    measured_degc: tuple[float, float]
+    valid_degc: tuple[float, float]
+    grows: frozenset[str]
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.reference.machine
+
+    def at(self, temperature_degc: float) -> CalibrationResult:
+        """Return the result at a temperature. Raises BadInput beyond the range."""
+        low, high = self.valid_degc
+        if not low - 1e-9 <= temperature_degc <= high + 1e-9:
+            raise BadInput(
+                f"{temperature_degc:g} °C is beyond the {low:.1f} to {high:.1f} °C "
+                "that the temperature model holds for; measure there, or state with "
+                "`temperature --range` how far its line is taken to go on"
+            )
+        off_k = temperature_degc - self.reference_degc
+        return replace(
+            self.reference,
+            theta=self.reference.theta + off_k * self.per_kelvin,
+            covariance=self.reference.covariance
+            + off_k * self.between
+            + off_k**2 * self.coefficient_covariance,
+        )
+
+    @property
+    def coefficients(self) -> CalibrationResult:
+        """The change per kelvin in the form of a result: its errors are per K."""
+        return replace(
+            self.reference,
+            theta=self.per_kelvin,
+            covariance=self.coefficient_covariance,
+            half_across={},
+            half_across_u={},
+            half_difference_um={},
+            half_difference_u_um={},
+            half_turn_urad={},
+            half_turn_u_urad={},
+        )
+
+
+class _Between(FileModel):
+    encoding: Literal["base64, zlib, little-endian float64, lower triangle by rows"]
+    data: Text
+
+
+class _Expansion(FileModel):
+    is_significant: bool
+
+
+Ends = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _TemperatureFile(FileModel):
+    reference_degc: float = Field(alias="reference_degC")
+    measured_degc: Ends = Field(alias="measured_degC")
+    valid_degc: Ends = Field(alias="valid_degC")
+    per_kelvin: Any
+    between: _Between
+    expansion: dict[str, _Expansion]
+
+
+def read_temperature_model(file: str | Path) -> TemperatureModel | None:
+    """Read a temperature model; None of a file that is another. Raises BundleError."""
+    content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
+    if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
+        return None
+    return temperature_model_from_json(content, file=str(file))
+
+
+def temperature_model_from_json(
+    content: Mapping[str, Any], *, file: str
+) -> TemperatureModel:
+    """Return the model that the content of a file states. Raises BundleError."""
+    stated = validate(_TemperatureFile, content, file)
+    as_model = {**content, "schema": MODEL_SCHEMA, "version": 1.0}
+    reference = result_from_json(as_model, file=file)
+    change = model_from_json(stated.per_kelvin, reference.machine, file=file)
+    return TemperatureModel(
+        reference,
+        change.theta,
+        change.covariance,
+        _read_between(stated.between, reference, file),
+        stated.reference_degc,
+        (stated.measured_degc[0], stated.measured_degc[1]),
+        (stated.valid_degc[0], stated.valid_degc[1]),
+        frozenset(a for a, one in stated.expansion.items() if one.is_significant),
+    )
+
+
+def _read_between(
+    stated: _Between, reference: CalibrationResult, file: str
+) -> Float64[np.ndarray, "p p"]:
+    G = build_number_rows(reference.model)
+    try:
+        between = unpack_symmetric(stated.data, len(G))
+    except ValueError as error:
+        problem = f"between.data {error}"
+        raise BundleError(problem, file=file, remedy=AS_WRITTEN) from error
+    back = (G / np.sum(G**2, axis=0)).T
+    return back @ between @ back.T
+
+
+def read_result_at(
+    file: str | Path, temperature_degc: float | None
+) -> tuple[CalibrationResult, TemperatureModel | None]:
+    """Read a result, or a temperature model at a temperature.
+
+    Raises BadInput where a model is given without a temperature or a result with one,
+    or beyond the range of the model; BundleError with the place in the file.
+    """
+    model = read_temperature_model(file)
+    if model is None:
+        if temperature_degc is not None:
+            raise BadInput(
+                f"{file} holds for the temperature it was measured at; give a "
+                "temperature.json of `truepath temperature`, or leave the temperature "
+                "out"
+            )
+        return read_result(file), None
+    if temperature_degc is None:
+        low, high = model.valid_degc
+        raise BadInput(
+            f"{file} holds for {low:.1f} to {high:.1f} °C; state which by "
+            "--at-temperature"
+        )
+    return model.at(temperature_degc), model

@@ -1,0 +1,330 @@
+"""What a result says of itself: whether it may be used, and for which reasons.
+
+A reason is a kind and the values that its sentence names, so that it can be said in any
+language. The unit of a value stands in its name, as everywhere in files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from truepath.errors import NotUsable
+
+State = Literal["usable", "doubtful", "not-usable"]
+STATES: tuple[State, ...] = ("usable", "doubtful", "not-usable")  # from best to worst
+TITLES: Mapping[State, str] = {
+    "usable": "Usable",
+    "doubtful": "Doubtful",
+    "not-usable": "Not to be used",
+}
+Value = int | float | str
+
+
+class Sentence(NamedTuple):
+    """How a kind of reason is said, `{name}` for a value, and what to do about it."""
+
+    text: str
+    remedy: str
+
+
+STATED = "stated"
+SENTENCES: Mapping[str, Sentence] = {
+    "samples-left-out": Sentence(
+        "{samples} samples of line {line}, from {from_s} to {to_s} on the tracker's "
+        "clock, are left out: they lie {distance_um} aside from the others.",
+        "Look at what crossed the beam or moved the reflector at that time; on the "
+        "first line of a Run, lost motion that was not taken up yet looks the same.",
+    ),
+    "spikes-left-out": Sentence(
+        "{samples} lone samples are left out: they lie up to {distance_um} aside.",
+        "Look at the tracker's lock and its cables where there are many.",
+    ),
+    "stream-astray": Sentence(
+        "From {from_s} to {to_s} on the tracker's clock, from line {line} on, the "
+        "target stands at places up to {distance_um} off those of the path; nothing of "
+        "that time is used.",
+        "Look whether tracker or reflector was moved by more than a millimetre at that "
+        "time, or the frame, a sign or a unit of the stream changed.",
+    ),
+    "air-uncorrected": Sentence(
+        "The tracker's ranges are not corrected for the air: {why}. Every length, and "
+        "with it every positioning error, is wrong by as much as the air is off what "
+        "the tracker assumed: up to 270 µm in a metre.",
+        "Measure temperature and pressure of the air, and measure again.",
+    ),
+    "sensor-left-out": Sentence(
+        "Readings of a sensor are not believed, and not used: {what}.",
+        "Look at its wires, register, order of words and unit; state the site's "
+        "altitude where it is a pressure.",
+    ),
+    "range-off": Sentence(
+        "All distances of the tracker seem to be off by {distance_um} (within "
+        "{within_um}, k = 2): a wrong home distance or constant of the reflector. The "
+        "errors stated are wrong by about a fifteenth of it.",
+        "Set the home distance again, choose the reflector in use, measure again; a "
+        "discovery takes it out of this Run.",
+    ),
+    "lines-without-data": Sentence(
+        "No stretch at constant feed was found on lines {lines}: they were not "
+        "measured, too short, or disturbed.",
+        "Look at what happened on these lines; measure them again.",
+    ),
+    "points-without-data": Sentence(
+        "No standstill was recognised at points {points}: the tracker did not see the "
+        "target, or it was not where it should be.",
+        "Look at what happened at these points; measure them again.",
+    ),
+    "path-not-whole": Sentence(
+        "The recording shows lines {first} to {last} of the {lines} lines of the path.",
+        "Let the program run to its end, and record from before its start until after.",
+    ),
+    "path-cut-short": Sentence(
+        "The target stands still {before} times before the first row of the path and "
+        "{after} times after its last: rows are missing there, or more was recorded.",
+        "Give the whole path where the file was cut short; only its rows are used.",
+    ),
+    "chain-other": Sentence(
+        "The data fit {other} {times_ratio} times better than the declared {declared}: "
+        "the tables are those of a machine that is not this one.",
+        "Correct kinematic_chain in the machine file, and analyse again.",
+    ),
+    "other-feed": Sentence(
+        "Lines {lines} were driven at {lowest_percent} to {highest_percent} of the "
+        "feed of the path.",
+        "Set the feed override to 100 % for the next Run; the tables do not rest on "
+        "it.",
+    ),
+    "held-on-the-way": Sentence(
+        "The machine stood still in the middle of lines: {times} times, on {lines}, "
+        "for {longest_s} at the longest.",
+        "Nothing is lost by it; find out who held the feed if nobody meant to.",
+    ),
+    "much-left-out": Sentence(
+        "{left_out_percent} of the samples are left out; up to {usual_percent} is "
+        "usual.",
+        "Clear the line of sight, look at the lock of the tracker, measure again.",
+    ),
+    "fit-beyond-noise": Sentence(
+        "The residual of the whole fit is {ratio} times that of noise; up to "
+        "{limit_ratio} is usual.",
+        "Let a discovery look for what the model lacks, or measure again.",
+    ),
+    "noise-beyond-stated": Sentence(
+        "Samples scatter {ratio} times as much as the machine file states of the "
+        "tracker; up to {limit_ratio} is usual.",
+        "State the tracker's noise as it is, or look for vibration and turbulent air.",
+    ),
+    "loop-open": Sentence(
+        "Places that were measured early and late differ by {distance_um}; up to "
+        "{limit_um} is usual.",
+        "Let tracker and machine warm up, fasten tracker and reflector, measure again.",
+    ),
+    "set-up-moved": Sentence(
+        "Tracker or reflector moved by {distance_um} at {at_s}; the Run is split there "
+        "and solved with both places.",
+        "Fasten tracker and reflector, and measure again where it matters.",
+    ),
+    "knock-unseen": Sentence(
+        "Data are left out at rows {rows}, and nothing measured before is measured "
+        "again after: a knock of tracker or reflector there would look the same.",
+        "Fasten tracker and reflector; measure anew, the first target once more at the "
+        "end.",
+    ),
+    "not-measured-again": Sentence(
+        "Too little of what was measured before is measured again after rows {rows}: "
+        "a knock of tracker or reflector there would not show.",
+        "Measure the first target once more at the end, as plans do.",
+    ),
+    "ramps-swing": Sentence(
+        "The machine swings while it accelerates: a stretch of a ramp counts as if it "
+        "were off by {distance_um}.",
+        "Use a lower feed or gentler ramps, or look for a loose mount where it should "
+        "be stiff.",
+    ),
+    "axis-scaled": Sentence(
+        "Axis {axes} moved {by} too far, more than machines do: the program may have "
+        "been scaled, or be another one.",
+        "Compare the program that ran with the one that is stated; run it without "
+        "scaling. If they are one, correct the scale of the axis.",
+    ),
+    "axes-leaning": Sentence(
+        "Axes {axes} are off square by {by}, more than machines are: the program may "
+        "have been changed, or be another one.",
+        "Compare the program that ran with the one that is stated. If they are one, "
+        "align the machine.",
+    ),
+    "axis-shifted": Sentence(
+        "Axis {axes} is {by} off its place against the rotary axes, more than machines "
+        "are: a work offset was in use, or the machine file places its axes elsewhere.",
+        "Run the program without offsets; compare origin_mm, offset_mm and zero points "
+        "with the machine.",
+    ),
+    "little-gained": Sentence(
+        "The mean error found is {found_um}; a compensation with it is expected to "
+        "leave {left_um}.",
+        "Measure more lines, or from a nearer place; or leave the machine as it is.",
+    ),
+    "lines-off": Sentence(
+        "The newest lines or points ({lines}) do not fit what came before and are left "
+        "out: they lie up to {distance_um} aside.",
+        "Look at tracker and reflector; the next lines show whether these have moved.",
+    ),
+    "model-in-use": Sentence(
+        "It rests on the model {model}, which is doubtful itself.",
+        "Look at the reasons of the model; make it anew from a Run that is usable.",
+    ),
+    STATED: Sentence("{text}", ""),
+}
+"""Every kind of reason; the operator page says the same kinds in its languages."""
+
+_NAMED = 3  # reasons in one line
+
+# Decimals and sign of a value by the last word of its name.
+_SHOWN = {
+    "s": (1, " s"),
+    "um": (1, " µm"),
+    "mm": (2, " mm"),
+    "percent": (1, " %"),
+    "ratio": (2, ""),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """One thing to know before a result is used.
+
+    kind : one of `SENTENCES`
+    state : the best that a result with this reason may be
+    values : what the sentence names
+    run : name of the Run that it is about, where there are several
+    """
+
+    kind: str
+    state: State
+    values: Mapping[str, Value]
+    run: str = ""
+
+    def __str__(self) -> str:
+        text = SENTENCES[self.kind].text.format(**self.shown)
+        return f"Run {self.run}: {text}" if self.run else text
+
+    @property
+    def shown(self) -> dict[str, str]:
+        """What the sentence names, with units."""
+        return {name: _show(name, value) for name, value in self.values.items()}
+
+    @property
+    def severity(self) -> int:
+        """How bad it is: 0 where a result with this reason may be used."""
+        return STATES.index(self.state)
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; may be empty."""
+        return SENTENCES[self.kind].remedy
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a result may be used.
+
+    reasons : a usable result has some as well, where data were left out
+    """
+
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """The worst that any reason asks for."""
+        return STATES[max((reason.severity for reason in self.reasons), default=0)]
+
+    @property
+    def title(self) -> str:
+        """The state in words."""
+        return TITLES[self.state]
+
+    @property
+    def objection(self) -> str:
+        """Why it is not simply usable, in a line; empty where it is."""
+        if self.state == "usable":
+            return ""
+        grave = [str(reason) for reason in self.reasons if reason.severity]
+        more = [f"And {len(grave) - _NAMED} more."] if len(grave) > _NAMED else []
+        return f"{self.title.lower()}: {' '.join(grave[:_NAMED] + more)}"
+
+    def rank(self) -> Iterator[tuple[Reason, str]]:
+        """Yield the reasons, the worst first, each kind's remedy with its first."""
+        told: set[str] = set()
+        for reason in sorted(self.reasons, key=lambda reason: -reason.severity):
+            yield reason, "" if reason.kind in told else reason.remedy
+            told.add(reason.kind)
+
+    def require_usable(self, what: str) -> None:
+        """Raise NotUsable if it is not to be used; `what` names the result."""
+        if self.state == "not-usable":
+            raise NotUsable(f"{what} is {self.objection}")
+
+    @staticmethod
+    def merge(verdicts: Iterable[Verdict]) -> Verdict:
+        """Return the verdict for the reasons of all."""
+        return Verdict(tuple(reason for v in verdicts for reason in v.reasons))
+
+
+def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
+    """Return the verdict that a file states.
+
+    A file may be of another version, or written by hand: where its reasons cannot be
+    said, or do not carry its state, its sentences are kept as they are.
+    """
+    state, texts = content["state"], list(content["reasons"])
+    restored = _restore(content.get("details"))
+    said = [_say(reason) for reason in restored.reasons]
+    if said == texts and restored.state == state:
+        return restored
+    texts = texts or ["The file states no reason."]
+    return Verdict(tuple(Reason(STATED, state, {"text": text}) for text in texts))
+
+
+def verdict_json(verdict: Verdict) -> dict[str, Any]:
+    """Return the key `verdict` of a result: state, sentences, and what they are of."""
+    return {
+        "state": verdict.state,
+        "reasons": [str(reason) for reason in verdict.reasons],
+        "details": [
+            {
+                "kind": reason.kind,
+                "state": reason.state,
+                "run": reason.run,
+                "values": dict(reason.values),
+                "remedy": reason.remedy,
+            }
+            for reason in verdict.reasons
+        ],
+    }
+
+
+def _restore(details: Any) -> Verdict:
+    names = "kind", "state", "values", "run"
+    try:
+        given = [{name: detail[name] for name in names} for detail in details or ()]
+        reasons = tuple(Reason(**each) for each in given)
+    except (KeyError, TypeError):
+        return Verdict()
+    return Verdict(tuple(r for r in reasons if r.state in STATES))
+
+
+def _say(reason: Reason) -> str | None:
+    try:
+        return str(reason)
+    except (AttributeError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _show(name: str, value: Value) -> str:
+    if isinstance(value, str):
+        return value
+    usual = 0 if isinstance(value, int) else 2
+    decimals, sign = _SHOWN.get(name.rsplit("_", 1)[-1], (usual, ""))
+    return f"{value:.{decimals}f}{sign}"

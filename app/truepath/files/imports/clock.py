@@ -1,0 +1,237 @@
+"""Cells to seconds: numbers in a unit, a time of day, or a date with a time.
+
+Stamps that were rounded, or set in bursts, become the times of rows that come evenly.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import date
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath.errors import BundleError
+from truepath.files.imports.cells import Cells
+from truepath.files.imports.columns import DATE, Column
+from truepath.files.imports.numbers import find_decimal, read_numbers
+from truepath.files.imports.options import TextOptions
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_DAY_S = 86400.0
+_OF_DAY = re.compile(
+    r"(?<![\d:])(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
+    r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
+    re.IGNORECASE,
+)
+_RATES_HZ = (0.9, 20_000.0)  # of a stream
+_LONGEST = 400.0  # times what the motion takes: so long a recording may go on
+_COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
+_COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
+_WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
+_SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
+_AT_ONCE = 0.2  # of the mean step
+_LONG = (3.0, 1.5)  # times the usual way between stamps: a gap; the second if need be
+_LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
+_LATE_S = 0.02  # and of a computer that was busy
+_ROUND = 0.005  # of a rate: so far it may be off a whole number of rows a second
+_LEAST = 100  # rows that determine a rate
+
+
+def read_clock(
+    cells: Cells,
+    time: Column,
+    date_column: Column | None,
+    options: TextOptions,
+    decimal: str,
+    least_s: float,
+) -> tuple[NDArray[np.float64], str]:
+    """Return seconds since the first row, and how they were read.
+
+    decimal : of the positions
+    least_s : what the commanded motion takes
+    """
+    texts = cells.columns[time.index]
+    if not any(":" in text for text in texts[:: len(texts) // 100 + 1]):
+        return _read_counted(cells, time, options, decimal, least_s)
+    time_s = _read_of_day(cells, time)
+    days = texts if date_column is None else cells.columns[date_column.index]
+    if DATE.search(days[0]):
+        time_s += _DAY_S * _read_days(cells, days, options)
+        how = "date and time"
+    else:
+        time_s, how = _unwrap_midnight(cells, time, time_s, options), "time of day"
+    return time_s - time_s[0], how
+
+
+def even_out(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Return times of rows that come evenly between gaps, and words on it, or neither.
+
+    The words are empty where the stamps are not of that kind, or rows are missing.
+    """
+    step = np.diff(time_s)
+    if len(step) < _LEAST or (step < 0).any() or not (step > 0).any():
+        return time_s, ""
+    mean = float(step[step <= np.percentile(step, 99.9)].mean())
+    tied = bool((step == 0).any())
+    if not tied and (step < _AT_ONCE * mean).mean() < _SHARE:
+        return time_s, ""
+    heads = np.flatnonzero(step > (0.0 if tied else mean)) + 1
+    if len(heads) < 3:
+        return time_s, ""
+    way = float(np.median(np.diff(time_s[heads])))
+    for long in _LONG:
+        part = np.append(0, np.cumsum(step > long * way))
+        begin, count = np.unique(part, return_index=True, return_counts=True)[1:]
+        row = np.arange(len(time_s), dtype=float)
+        row -= (np.bincount(part, row) / count)[part]
+        middle = (np.bincount(part, time_s) / count)[part]
+        usual = float(row @ (time_s - middle) / (row @ row))
+        whole = np.rint(1.0 / usual)
+        choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
+        for each in (*choices, usual):
+            even = middle + each * row
+            late = time_s - even
+            spread = np.maximum.reduceat(late, begin) - np.minimum.reduceat(late, begin)
+            if spread.max() < _LATE * way + max(_LATE_S, 2.0 * each):
+                words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
+                return even - even[0], words + f"rows come at {1 / each:.6g} Hz"
+    return time_s, ""
+
+
+def _read_counted(
+    cells: Cells, time: Column, options: TextOptions, decimal: str, least_s: float
+) -> tuple[NDArray[np.float64], str]:
+    unit = options.time_unit or time.unit
+    decimal = options.decimal or find_decimal(cells, [time.index], decimal)
+    values, wraps = _unwrap_counter(read_numbers(cells, time.index, decimal))
+    values -= values[0]
+    if unit in SECONDS:
+        return SECONDS[unit] * values, unit + wraps
+    span = float(values[-1])
+    rate = (len(values) - 1) / span if span > 0 else 0.0
+    fitting = [
+        u
+        for u, f in SECONDS.items()
+        if _RATES_HZ[0] < rate / f < _RATES_HZ[1]
+        and 0.5 * least_s < f * span < _LONGEST * least_s
+    ]
+    rates = {
+        u: f"{u}: {rate / f:.4g} Hz for {f * span:.4g} s" for u, f in SECONDS.items()
+    }
+    if len(fitting) == 1:
+        how = f"{rates[fitting[0]]}, as no other unit fits what was commanded{wraps}"
+        return SECONDS[fitting[0]] * values, how
+    told = ", ".join(rates.values())
+    raise BundleError(
+        f"states no unit of time ({told}; motion: {least_s:.4g} s)",
+        file=cells.file,
+        column=time.name,
+        remedy="say --time-unit s, ms or us",
+    )
+
+
+def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Return times that go on where their counter begins anew, and words on it."""
+    step = np.diff(values)
+    back = np.flatnonzero(step < 0)
+    if not len(back) or not (step > 0).any():
+        return values, ""
+    usual = float(np.median(step[step > 0]))
+    reach = _WRAP_STEPS * usual
+    before, after = values[back], values[back + 1]
+    for size in _COUNTERS:
+        ends = (np.abs(before - size) < reach) | (np.abs(before - size / 2) < reach)
+        if (ends & (np.abs(after + size - before) < reach)).all():
+            turns = np.append(0.0, np.cumsum(step < 0))
+            return (
+                values + size * turns,
+                f", its counter began anew at {before[0]:.12g}",
+            )
+    return values, ""
+
+
+def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
+    texts = cells.columns[time.index]
+    found = [_OF_DAY.search(text) for text in texts]
+    if None in found:
+        row = found.index(None)
+        shown = f"is {texts[row][:40]!r}, no time"
+        remedy = "a time is HH:MM:SS.fff, with or without a date before it"
+        raise cells.error(shown, row, time.index, remedy)
+    read = [match.groups() for match in found if match]
+    hour, minute, second, half, sign, zone_hours, zone_minutes = zip(*read, strict=True)
+    hours, minutes = np.array(hour, float), np.array(minute, float)
+    joined = "\n".join(second).replace(",", ".").replace(":", ".")
+    seconds = np.array(joined.split("\n"), float)
+    if any(half):
+        is_pm = np.array([(word or "a")[0].lower() == "p" for word in half])
+        hours = np.where([bool(w) for w in half], hours % 12, hours) + 12.0 * is_pm
+    time_s = 3600.0 * hours + 60.0 * minutes + seconds
+    if any(sign):  # ahead of UTC; summer time may begin within a recording
+        ahead = [
+            float(f"{s}1") * (60 * int(h) + int(m)) if s else 0.0
+            for s, h, m in zip(sign, zone_hours, zone_minutes, strict=True)
+        ]
+        time_s -= 60.0 * np.array(ahead)
+    return time_s
+
+
+def _unwrap_midnight(
+    cells: Cells, time: Column, time_s: NDArray[np.float64], options: TextOptions
+) -> NDArray[np.float64]:
+    back = np.diff(time_s) < -0.5 * _DAY_S
+    if back.any() and not options.across_midnight:
+        row = int(np.argmax(back)) + 1
+        shown = f"goes back from {cells.columns[time.index][row - 1]}"
+        remedy = "say --across-midnight if the recording ran into the next day"
+        raise cells.error(shown, row, time.index, remedy)
+    return time_s + _DAY_S * np.append(0, np.cumsum(back))
+
+
+def _read_days(
+    cells: Cells, texts: Sequence[str], options: TextOptions
+) -> NDArray[np.float64]:
+    """Return the day of each row; the order of day and month must not matter."""
+    short = [found[0] if (found := DATE.search(text)) else text for text in texts]
+    words = list(dict.fromkeys(short))
+    orders = [options.date_order] if options.date_order else ["dmy", "mdy"]
+    readings = [_order_days(words, order) for order in orders]
+    fitting = [days for days in readings if days is not None]
+    if not fitting:
+        raise BundleError(
+            f"{words[0]!r} is no date that is read here",
+            file=cells.file,
+            remedy="export dates as YYYY-MM-DD, or say --date-order dmy or mdy",
+        )
+    steps = {tuple(b - a for a, b in pairwise(days)) for days in fitting}
+    if len(steps) > 1:
+        raise BundleError(
+            f"{words[0]} to {words[1]}: day and month could be either",
+            file=cells.file,
+            remedy="say --date-order dmy or mdy",
+        )
+    day_of = dict(zip(words, fitting[0], strict=True))
+    return np.array([day_of[word] - fitting[0][0] for word in short], float)
+
+
+def _order_days(words: list[str], order: str) -> list[int] | None:
+    days: list[int] = []
+    for word in words:
+        found = DATE.search(word)
+        if found is None:
+            return None
+        a, mark, b, c = found.groups()
+        if len(a) == 4:
+            year, month, day = a, b, c
+        elif order == "dmy" or mark == ".":
+            day, month, year = a, b, c
+        else:
+            month, day, year = a, b, c
+        try:
+            days.append(date(int(year), int(month), int(day)).toordinal())
+        except ValueError:
+            return None
+    return days

@@ -1,0 +1,1 @@
+"""Requests to jobs: arming, the dispatcher, deletion, what happens after a restart."""

@@ -1,0 +1,117 @@
+"""Tokens that let a machine move once: asked for, shown to a person, used.
+
+A token is bound to job, version, user, machine and rows. Only its hash is kept, in
+memory: a service that was started anew knows none, so a restart disarms.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from truepath.catalogue.errors import ArmTokenExpired, ArmTokenOther, ArmTokenUsed
+
+VALID_S = 60.0
+MAX_TOKENS = 1024  # of all jobs; the oldest are forgotten
+_BYTES = 24
+
+
+@dataclass(frozen=True, slots=True)
+class ArmingPurpose:
+    """What a token is good for.
+
+    version : of the job; machine_version : of the machine's configuration
+    user : name of who asked; None where nobody logs in
+    plan_sha256 : of the rows that are commanded
+    """
+
+    job_id: str
+    version: int
+    user: str | None
+    machine_id: str
+    machine_version: int
+    plan_sha256: str
+
+
+@dataclass(slots=True)
+class _Issued:
+    sha256: bytes
+    purpose: ArmingPurpose
+    expires_s: float
+    is_used: bool = False
+
+
+class ArmTokens:
+    """The tokens of a service; any thread may call it.
+
+    valid_s : how long a token can be used
+    clock : monotonic, s
+    """
+
+    def __init__(
+        self, valid_s: float = VALID_S, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.valid_s, self._clock = valid_s, clock
+        self._lock = threading.Lock()
+        self._issued: list[_Issued] = []
+
+    def issue(self, purpose: ArmingPurpose) -> str:
+        """Return a new token for one purpose."""
+        token = secrets.token_urlsafe(_BYTES)
+        issued = _Issued(_hash(token), purpose, self._clock() + self.valid_s)
+        with self._lock:
+            self._issued = [*self._issued[1 - MAX_TOKENS :], issued]
+        return token
+
+    def use(self, token: str, purpose: ArmingPurpose) -> None:
+        """Use a token up.
+
+        Raises ArmTokenOther, ArmTokenUsed, ArmTokenExpired; it is kept then.
+        """
+        with self._lock:
+            issued = self._find(token)
+            if issued is None:
+                raise ArmTokenOther("the service knows no such token")
+            if different := _name_difference(issued.purpose, purpose):
+                raise ArmTokenOther(f"the token was given for another {different}")
+            if issued.is_used:
+                raise ArmTokenUsed("the token has let the machine move already")
+            if self._clock() >= issued.expires_s:
+                raise ArmTokenExpired(
+                    f"the token was good for {self.valid_s:g} s, which have passed"
+                )
+            issued.is_used = True
+
+    def _find(self, token: str) -> _Issued | None:
+        """Return the token's record; compares with every one, in constant time."""
+        wanted = _hash(token)
+        found = None
+        for issued in self._issued:
+            if hmac.compare_digest(issued.sha256, wanted):
+                found = issued
+        return found
+
+
+def _hash(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()
+
+
+def _name_difference(given: ArmingPurpose, wanted: ArmingPurpose) -> str:
+    """Return in what two purposes differ, the most telling first; empty if nothing."""
+    pairs = (
+        ("user", given.user == wanted.user),
+        ("machine", given.machine_id == wanted.machine_id),
+        ("job", given.job_id == wanted.job_id),
+        (
+            "configuration of the machine",
+            given.machine_version == wanted.machine_version,
+        ),
+        ("plan", given.plan_sha256 == wanted.plan_sha256),
+        ("state of the job", given.version == wanted.version),
+    )
+    return next((name for name, is_same in pairs if not is_same), "")

@@ -1,0 +1,89 @@
+"""What certificates state of a machine, kept in the registry of machines.
+
+Maker, model, serial number, control, customer and place are the machine's own; what
+else people state (tracker, operator, laboratory, …) is kept beside them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import structlog
+
+from truepath.catalogue.job import Job
+from truepath.catalogue.machine_registry import MachineRecord, MachineRegistry
+from truepath.errors import NotFound
+from truepath.files.bundle.identity_file import (
+    OF_ONE_MEASUREMENT,
+    Identity,
+    read_kept_identities,
+    write_kept_identities,
+)
+
+log = structlog.get_logger(__name__)
+
+_OWN = {
+    "machine_maker": "maker",
+    "machine_model": "model",
+    "machine_serial": "serial_number",
+    "control": "control",
+    "customer": "customer",
+    "place": "place",
+}
+"""Fields of an identity that are columns of the registry."""
+
+
+def find_machine(
+    job: Job, name: str, registry: MachineRegistry
+) -> MachineRecord | None:
+    """Return the machine of a result: the job's, else the one of that name."""
+    if job.machine is not None:
+        try:
+            return registry.get(job.machine)
+        except NotFound:
+            return None
+    return registry.find_by_name(name)
+
+
+def describe_identity(record: MachineRecord | None) -> Identity:
+    """Return what is kept of a machine; nothing of one that is not registered."""
+    if record is None:
+        return {}
+    own = {field: getattr(record, column) for field, column in _OWN.items()}
+    return {**record.stated, **{field: text for field, text in own.items() if text}}
+
+
+def keep_identity(
+    record: MachineRecord | None, given: Identity, registry: MachineRegistry
+) -> Identity:
+    """Keep what was stated beside what was before; return both together.
+
+    What holds for one measurement alone is returned and not kept; so is all that is
+    stated of a machine that is not registered.
+    """
+    before = describe_identity(record)
+    lasting = {k: v for k, v in given.items() if k not in OF_ONE_MEASUREMENT}
+    if record is not None and lasting.items() - before.items():
+        own = {_OWN[field]: text for field, text in lasting.items() if field in _OWN}
+        other = {k: v for k, v in lasting.items() if k not in _OWN}
+        registry.change(record.id, **own, stated={**record.stated, **other})
+    return {**before, **given}
+
+
+def take_over_identities(data_folder: Path, registry: MachineRegistry) -> None:
+    """Move what earlier versions kept in `identities.json` into the registry.
+
+    The registry's own word stands where both have one. Machines that are not
+    registered stay in the file until they are. Raises BundleError on a damaged file.
+    """
+    file = data_folder / "identities.json"
+    kept = read_kept_identities(file)
+    left = dict(kept)
+    for name, stated in kept.items():
+        record = registry.find_by_name(name)
+        if record is not None:
+            keep_identity(record, {**stated, **describe_identity(record)}, registry)
+            del left[name]
+            log.info("identity taken over", machine=record.id)
+    if left != kept:
+        write_kept_identities(file, left)

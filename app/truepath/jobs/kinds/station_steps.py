@@ -1,0 +1,272 @@
+"""Measuring from several places of the tracker, one Run each.
+
+From every station the known points come first: they show that the tracker was moved,
+sees what it has to see, and agrees with the station before. Between stations the job
+waits, nothing moves, and a person moves the tracker and arms the job again. A station
+that the known points contradict is asked for again, with the reason. What each station
+has recorded is in the catalogue, and with the plan, before the next one is asked for:
+a job that ended early is continued from there. One that was cut short goes on with the
+rows that are left of its station (`station_resumption`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from truepath.catalogue.errors import MachineFault, MeasurementEnded
+from truepath.catalogue.job import (
+    Job,
+    Json,
+    Stage,
+    StationCheck,
+    StationProgress,
+    make_id,
+)
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.running.active_job import ActiveJob
+from truepath.jobs.running.arming import hash_commanded, list_commanded
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.row_measurement import measure_rows
+from truepath.jobs.running.station_resumption import (
+    list_kept_ids,
+    make_resumption,
+    select_left,
+)
+from truepath.motion.configurations import Commanded
+
+_UNSEEN = frozenset({"beam-lost", "not-resumed"})
+_ASKED = frozenset({"moved", "residual"})
+_MOVED = "Put it back, or arm as it stands: the rest is then measured as a new station."
+
+log = structlog.get_logger(__name__)
+
+
+def begin_at_station(active: ActiveJob, store: Store) -> None:
+    """Show the first station that is still to be measured, if there are several."""
+    plan = store.read_plan(active.job_id) or {}
+    stations = plan.get("stations", ())
+    for number, station in enumerate(stations, start=1):
+        if not station.get("measured"):
+            active.store_values(station=_show(stations, number))
+            return
+
+
+def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
+    """Return the Runs of stations of a plan, made or about to be made.
+
+    key : `points_id` for those of the known points
+    """
+    stations = plan.get("stations", ())
+    made = (one.get(key) for s in stations for one in (*s.get("parts", ()), s))
+    return list(dict.fromkeys(run_id for run_id in made if run_id))
+
+
+def list_analysed_ids(plan: Json) -> list[str]:
+    """Return the Runs of the stations of a plan that are measured."""
+    measured = [s for s in plan.get("stations", ()) if s.get("measured")]
+    return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
+
+
+def count_measured(plan: Json) -> int:
+    """Return how many stations of a plan are measured."""
+    return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
+
+
+def _show(stations: list[Json], number: int) -> StationProgress:
+    place_mm = tuple(stations[number - 1]["position_mm"])
+    return StationProgress(number, len(stations), place_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class StationSteps:
+    """The stations of one job, armed once for the first that is to be measured.
+
+    compute : lets the executor compute a task
+    look : at the devices, again and again while the tracker is moved
+    show_path : shows what waits to be armed; nothing once it has been
+    """
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+    compute: Callable[..., Any]
+    look: Callable[[], None]
+    show_path: Callable[[Sequence[Commanded]], None]
+
+    def prepare(self) -> None:
+        """Find how far the station has got that was cut short; keep it in the plan."""
+        plan = self._read_plan()
+        number, runs = count_measured(plan) + 1, self.context.runs
+        station = plan["stations"][number - 1]
+        made = station.get("parts", ())
+        known = set(runs.find(list_run_ids(plan) + list_run_ids(plan, "points_id")))
+        parts = [p for p in made if {p["run_id"], p["points_id"]} <= known]
+        ids = [part[key] for key in ("run_id", "points_id") for part in parts]
+        found = self.compute(
+            State.PREPARING,
+            Stage.PLANNING,
+            self.context.resumer,
+            [str(runs.file(run_id)) for run_id in ids],
+            self.context.require_machine(),
+        )
+        resumption = make_resumption(station, parts, found)
+        self._keep(number, parts=list(made), resumption=resumption)
+        log.info("the station can go on", station=number, resumption=resumption)
+
+    def run(self) -> tuple[str, ...]:
+        """Measure from every station that is left; return the Runs of all."""
+        plan = self._read_plan()
+        first = count_measured(plan) + 1
+        for number in range(first, len(plan["stations"]) + 1):
+            if number > first:
+                self._await_move(number)
+            while not self._agrees(number):
+                self._await_move(number)
+            self._measure(number)
+        return tuple(list_analysed_ids(self._read_plan()))
+
+    def _await_move(self, number: int) -> None:
+        """Ask for the tracker at a station; wait until the job is armed again."""
+        progress = _show(self._read_plan()["stations"], number)
+        checks = self._read_progress(number).checks
+        self.active.store_values(
+            station=StationProgress(
+                progress.number, progress.total, progress.position_mm, checks
+            )
+        )
+        log.info("the tracker is to be moved", station=number)
+        parts = list_commanded(self._read_plan())
+        self.show_path(parts)
+        self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
+        try:
+            self.active.wait_until_armed(hash_commanded(parts), self.look)
+        finally:
+            self.show_path(())
+
+    def _agrees(self, number: int) -> bool:
+        """Measure the known points; tell whether the station can be used."""
+        plan, points_id = self._read_plan(), make_id()
+        self._keep(number, points_id=points_id)
+        points = decode_commanded_json(plan["known_points"])
+        try:
+            name = f"known points, station {number}"
+            self._drive(points, points_id, name, gives_up=True)
+            check = self._compare(number)
+        except MachineFault:
+            raise
+        except MeasurementEnded as error:
+            self.active.checkpoint()
+            if error.code not in _UNSEEN:
+                raise
+            check = StationCheck(number, problem="not-seen", text=str(error))
+        progress = self._read_progress(number).add_check(check)
+        self.active.store_values(station=progress)
+        log.info("station checked", station=number, problem=check.problem or "none")
+        return not check.problem
+
+    def _compare(self, number: int) -> StationCheck:
+        plan, runs = self._read_plan(), self.context.runs
+        here = plan["stations"][number - 1]
+        if here.get("resumption") is not None:
+            return self._compare_with_itself(number, here)
+        other = plan["stations"][number - 2 if number > 1 else 1]
+        before = str(runs.file(other["points_id"])) if number > 1 else None
+        asked_mm = math.dist(other["position_mm"], here["position_mm"])
+        return self._check(number, before, asked_mm)
+
+    def _compare_with_itself(self, number: int, here: Json) -> StationCheck:
+        """Compare a station that goes on with itself as it was.
+
+        Where it was moved since, somebody is asked; left there, it is a new station.
+        """
+        resumption, file = here["resumption"], self.context.runs.file
+        closure = self.compute(
+            State.RUNNING,
+            Stage.ALIGNING,
+            self.context.closer,
+            str(file(here["points_id"])),
+            resumption["place_mm"],
+        )
+        by = {"residual_um": closure["step_um"], "allowed_um": closure["allowed_um"]}
+        if not closure["problem"]:
+            return StationCheck(number, **by)
+        checks = self._read_progress(number).checks
+        if any(c.station == number and c.problem in _ASKED for c in checks):
+            return self._check(number, str(file(resumption["points_id"])), 0.0)
+        text = f"{closure['problem']}: tracker or reflector was moved. {_MOVED}"
+        return StationCheck(number, problem="moved", text=text, **by)
+
+    def _check(self, number: int, before: str | None, asked_mm: float) -> StationCheck:
+        plan = self._read_plan()
+        here = plan["stations"][number - 1]
+        found = self.compute(
+            State.RUNNING,
+            Stage.ALIGNING,
+            self.context.checker,
+            str(self.context.runs.file(here["points_id"])),
+            before,
+            here["position_mm"],
+            asked_mm,
+            plan["specification"],
+        )
+        return StationCheck(number, **found)
+
+    def _measure(self, number: int) -> None:
+        """Make the Run of a station, or a further one for what is left of it."""
+        station = self._read_plan()["stations"][number - 1]
+        is_first = number == 1 and not station.get("run_id")
+        run_id = self.job.id if is_first else make_id()
+        part = {
+            "run_id": run_id,
+            "points_id": station["points_id"],
+            "first_row": (station.get("resumption") or {}).get("first_row", 0),
+        }
+        self._keep(number, run_id=run_id, parts=[*station.get("parts", ()), part])
+        run_ids = [*list_kept_ids(station), run_id]
+        try:
+            self._drive(
+                select_left(station), run_id, f"station {number}", gives_up=False
+            )
+            self._keep(number, measured=True, run_ids=run_ids)
+        finally:
+            self._store_runs()
+
+    def _drive(
+        self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
+    ) -> None:
+        measure_rows(
+            self.job,
+            self.active,
+            self.context,
+            commanded,
+            run_id,
+            what=what,
+            gives_up=_UNSEEN if gives_up else (),
+        )
+
+    def _store_runs(self) -> None:
+        known = self.context.runs.find(list_run_ids(self._read_plan()))
+        if known:
+            self.active.store_values(run_id=known[0], further_run_ids=tuple(known[1:]))
+
+    def _read_plan(self) -> Json:
+        return self.context.store.read_plan(self.job.id) or {}
+
+    def _read_progress(self, number: int) -> StationProgress:
+        now = self.context.store.get(self.job.id).station
+        return now or _show(self._read_plan()["stations"], number)
+
+    def _keep(self, number: int, **values: Any) -> None:
+        plan = dict(self._read_plan())
+        plan["stations"] = [
+            {**station, **values} if k == number else station
+            for k, station in enumerate(plan["stations"], start=1)
+        ]
+        self.context.store.keep_plan(self.job.id, plan)

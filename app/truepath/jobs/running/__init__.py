@@ -1,0 +1,1 @@
+"""One job while it runs: state, measurement, live estimate, resumption."""

@@ -1,0 +1,355 @@
+"""One job under way: state that its own thread and request threads share."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any
+
+import structlog
+
+from truepath.catalogue.errors import (
+    Aborted,
+    Cancelled,
+    Interrupted,
+    StorageUnavailable,
+)
+from truepath.catalogue.job import (
+    Failure,
+    Health,
+    Job,
+    JobEvent,
+    Json,
+    Progress,
+    Stage,
+    encode_job,
+)
+from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.store.job_changes import (
+    ask_for,
+    end_job,
+    enter_state,
+    put_back,
+    set_failure,
+)
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import MOVE_STATES, State, Verb
+from truepath.errors import MeasurementFailed
+from truepath.jobs.running.event_bus import EventBus
+from truepath.jobs.workers.executor import Computing
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.measurement.messages import CellVerb
+
+log = structlog.get_logger(__name__)
+
+LOOK_AGAIN_S = 3.0
+STORE_EVERY_S = 1.0
+PUBLISH_EVERY_S = 0.1
+
+
+class ActiveJob:
+    """One job under way. Request threads ask, the job's thread obeys at checkpoints.
+
+    job, state : stored last
+    wants_pause : whether a user has asked for a pause and for nothing since, stored or
+        not
+    controller : name of who may let the machine move; None where nobody logs in
+    wants_cancel : whether it is to end in order, after the line or point under way
+    """
+
+    def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
+        self.job, self.job_id, self.kind = job, job.id, job.kind
+        self._store, self._event_bus = store, event_bus
+        self._changed = threading.Condition()
+        self.state, self._since = job.state, time.monotonic()
+        self.wants_pause = job.wants_pause
+        self._armed: str | None = None
+        self._aborted = self._interrupted = False
+        self.wants_cancel = False
+        self.controller = job.owner
+        self._wish: OnNotice | None = None
+        self._computation: Computing | None = None
+        self._stage, self._progress, self._health = job.stage, job.progress, job.health
+        self._stored_at = self._published_at = -float("inf")
+        self._unstored: Failure | None = None
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether the job has to end now."""
+        return self._aborted or self._interrupted
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the service ends."""
+        return self._interrupted
+
+    def forget_end(self) -> None:
+        """Leave the end of the job to the next start of the service."""
+        self._store.forget_end(self.job_id)
+
+    @property
+    def is_aborted(self) -> bool:
+        """Whether a user has asked for an abort, stored or not."""
+        return self._aborted
+
+    @property
+    def stage(self) -> Stage:
+        """The newest, stored or not."""
+        return self._stage
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the cell moves the machine for it, or may go on by itself."""
+        return self.stage is Stage.MEASURING and self.state in MOVE_STATES
+
+    @property
+    def state_lasts_s(self) -> float:
+        """How long the job has been in that state."""
+        return time.monotonic() - self._since
+
+    def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
+        """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
+        seen = self._store.see(self.job)
+        if seen.is_final:  # whether that could be stored or not
+            return ask_for(seen, verb)
+        return self._change(lambda job: ask_for(job, verb), version)
+
+    def arm(self, plan_sha256: str) -> None:
+        """Let a job that waits for it move the machine, as that plan commands."""
+        with self._changed:
+            self._armed = plan_sha256
+            self._changed.notify_all()
+
+    def pause(self, cell: CellSupervisor) -> Job:
+        """Hold the feed, then store that it was asked for.
+
+        The cell gets the command even if it has paused: it might continue by itself.
+        A pause that cannot be stored is wanted until the state changes.
+
+        Raises IllegalTransition, StorageUnavailable; the cell has been asked even then.
+        """
+        if self.may_move:
+            cell.send(CellVerb.PAUSE)
+        try:
+            return self.apply_verb(Verb.PAUSE)
+        except StorageUnavailable:
+            with self._changed:
+                self.wants_pause = True
+            raise
+
+    def wish(self, what: OnNotice) -> None:
+        """Say what is to be done about the newest notice."""
+        self._wish = what
+
+    def take_wish(self) -> OnNotice | None:
+        """Return what a user has said, once."""
+        wish, self._wish = self._wish, None
+        return wish
+
+    def abort(self) -> None:
+        """End the job because a user asked. Does not wait for the catalogue."""
+        self._aborted = True
+        self._wake()
+
+    def cancel(self) -> None:
+        """End the job in order: a measurement after its line or point."""
+        self.wants_cancel = True
+        self._wake()
+
+    def interrupt(self) -> None:
+        """End the job because the service ends."""
+        self._interrupted = True
+        self._wake()
+
+    def checkpoint(self) -> None:
+        """Raise Aborted, Interrupted or Cancelled if the job has to end."""
+        if self._aborted:
+            raise Aborted("aborted")
+        if self._interrupted:
+            raise Interrupted("the service was ended while the job was under way")
+        if self.wants_cancel:
+            raise Cancelled("cancelled")
+
+    def wait_until_armed(self, plan_sha256: str, look: Callable[[], None]) -> None:
+        """Wait for `arm`. Raises as `checkpoint`, MeasurementFailed for another plan.
+
+        plan_sha256 : of what the job is about to command
+        look : at the devices, again and again meanwhile
+        """
+        while not self._wait_for_word(LOOK_AGAIN_S):
+            look()
+        with self._changed:
+            armed, self._armed = self._armed, None
+        self.checkpoint()
+        if armed != plan_sha256:
+            raise MeasurementFailed(
+                "the plan is not the one that the job was armed for; nothing has moved"
+            )
+
+    def _wait_for_word(self, timeout_s: float) -> bool:
+        """Tell whether the job is armed, or has to end; wait a while for that."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
+                timeout_s,
+            )
+
+    def compute(self, computation: Computing) -> Any:
+        """Wait for a computation; it is cancelled when the job is."""
+        with self._changed:
+            self._computation = computation
+        try:
+            self.checkpoint()
+            return computation.result()
+        except Aborted:
+            self.checkpoint()
+            raise
+        finally:
+            with self._changed:
+                self._computation = None
+
+    def enter(self, state: State, stage: Stage, *, unless_pausing: bool = False) -> Job:
+        """Enter a state or a stage; what the table does not allow changes nothing.
+
+        unless_pausing : keep a pause that the cell has not confirmed yet
+        """
+
+        def change(job: Job) -> Job:
+            if unless_pausing and job.state is State.PAUSING and job.wants_pause:
+                return job
+            return enter_state(job, state, stage, self._progress, self._health)
+
+        if stage is not self._stage:
+            self._stage, self._progress = stage, Progress()
+        return self._change(change)
+
+    def show_failure(self, failure: Failure | None) -> None:
+        """Store why the machine stands, held if it was resuming; None when it moves."""
+        self._change(lambda job: set_failure(job, failure))
+
+    def end(self, state: State, failure: Failure | None) -> Job:
+        """Enter a final state; an abort or cancelling under way wins over success."""
+
+        def change(job: Job) -> Job:
+            return end_job(
+                job, state, failure, self._stage, self._progress, self._health
+            )
+
+        def ask(job: Job) -> Job:
+            return ask_for(job, Verb.ABORT) if state is State.ABORTED else job
+
+        try:
+            if state is State.ABORTED:
+                self._change(ask, ends=True)
+            return self._change(change, ends=True)
+        except StorageUnavailable as error:
+            # A success is seen when it is stored: its result is found by it.
+            if state is not State.SUCCEEDED:
+                ended = self._store.keep_end(self.job, change(ask(self.job)))
+                with self._changed:
+                    if self.state is not ended.state:  # once; it is shown again then
+                        self.state, self._unstored = ended.state, None
+            self.show_unstored(error)
+            raise
+
+    def put_back(self) -> None:
+        """Let the job be begun again at the next start of the service."""
+        self._change(lambda job: put_back(job, in_order=True))
+
+    def add_run(self, run_id: str) -> None:
+        """Store a Run that the job has made, unless it has ended."""
+        self._change(lambda job: job if job.is_final else job.add_run(run_id))
+
+    def store_values(self, **values: Any) -> None:
+        """Store fields of the job, unless it has ended."""
+        self._change(lambda job: job if job.is_final else replace(job, **values))
+
+    def report_progress(
+        self,
+        progress: Progress,
+        *,
+        stage: Stage | None = None,
+        health: Health | None = None,
+    ) -> None:
+        """Publish how far the job is, and store it once a second."""
+        is_new_stage = stage is not None and stage is not self._stage
+        self._stage = stage or self._stage
+        self._progress, self._health = progress, health or self._health
+        now = time.monotonic()
+        if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
+            self._published_at = now
+            body = {
+                "stage": str(self._stage),
+                "progress": asdict(self._progress),
+                "health": asdict(self._health),
+            }
+            self.publish("progress", body)
+        if is_new_stage or now - self._stored_at >= STORE_EVERY_S:
+            self._stored_at = now
+            try:
+                self._store.keep_progress(
+                    self.job_id, self._stage, progress, self._health
+                )
+            except StorageUnavailable as error:
+                # Progress is a convenience: the measurement goes on without it.
+                self.show_unstored(error)
+            else:
+                if self._unstored is not None:
+                    self._show_unstored(None)
+
+    def set_sample_counts(self, samples: int, lost_samples: int) -> None:
+        """Set what the Run holds: the last progress may be a little older."""
+        self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
+
+    def publish(self, type_: str, body: Json) -> None:
+        """Publish an event that is not stored: `live`, `estimate`, `plan`."""
+        self._event_bus.publish(JobEvent(type_, self.job_id, body))
+
+    def show(self, job: Job) -> Job:
+        """Return the job as stored with what could not be stored of it since."""
+        seen = self._store.see(job)
+        if seen.is_final or self._unstored is None:
+            return seen
+        return replace(seen, failure=self._unstored)
+
+    def show_unstored(self, error: StorageUnavailable) -> None:
+        """Show at once that the catalogue cannot be written."""
+        unstored = Failure(type(error).__name__, str(error))
+        if unstored != self._unstored:
+            log.warning("job not stored", job_id=self.job_id, reason=str(error))
+            self._show_unstored(unstored)
+
+    def _show_unstored(self, unstored: Failure | None) -> None:
+        self._unstored = unstored
+        self.publish("job", encode_job(self.show(self.job)))
+
+    def _change(
+        self,
+        change: Callable[[Job], Job],
+        version: int | None = None,
+        *,
+        ends: bool = False,
+    ) -> Job:
+        try:
+            job = self._store.change(self.job_id, change, version=version, ends=ends)
+        except StorageUnavailable as error:
+            if not ends:
+                self.show_unstored(error)
+            raise
+        self._unstored = None
+        with self._changed:
+            self.job = job
+            is_other = job.state is not self.state
+            self.wants_pause = job.wants_pause or (self.wants_pause and not is_other)
+            if is_other:
+                self.state, self._since = job.state, time.monotonic()
+        return job
+
+    def _wake(self) -> None:
+        with self._changed:
+            computation = self._computation
+            self._changed.notify_all()
+        if computation is not None:
+            computation.cancel()

@@ -1,0 +1,89 @@
+"""What every job works with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from truepath.catalogue.calibrations import Calibrations
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.jobs.running.cell_measurement import CONFIRM_S
+from truepath.jobs.running.live_estimation import LiveEstimation, Show
+from truepath.jobs.running.live_process import LiveEstimateOrder
+from truepath.jobs.running.plan_orders import plan_measurement
+from truepath.jobs.workers.executor import ProcessExecutor, Task
+from truepath.jobs.workers.science import (
+    check_closure,
+    check_station,
+    discover_recorded,
+    find_committed_rows,
+    follow_recorded,
+    reanalyse_run,
+    verify_recorded,
+)
+from truepath.jobs.workers.workers import Workers
+from truepath.kinematics.machine.machine import Machine
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath.machines.setup.simulated_controls import LoadedFiles
+
+
+@dataclass(frozen=True, slots=True)
+class JobContext:
+    """What every job works with.
+
+    machines : those that the service drives
+    driven : that of the job; None of a job that drives and plans for none
+    planner, science, discoverer, follower, checker, reanalyser, verifier : called as
+        `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
+        `check_station`, `reanalyse_run`, `verify_recorded`
+    resumer, closer : called as `find_committed_rows`, `check_closure`
+    workers : who computes what an analysis can cut into blocks
+    results : folder of results, one folder a job
+    calibrations : of all machines; None where nobody asks how they stand
+    registry : the configurations that machines had; None where none are kept
+    read_loaded_files : which files a simulated control has; nothing of a real one
+    confirm_s : time in which the cell has to confirm each state
+    live : makes what estimates while the machine moves; None for no live estimate
+    """
+
+    store: Store
+    runs: RunCatalogue
+    results: Path
+    executor: ProcessExecutor
+    science: Task
+    workers: Workers = field(default_factory=Workers)
+    machines: Machines = field(default_factory=Machines)
+    driven: MachineCell | None = None
+    confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
+    calibrations: Calibrations | None = None
+    registry: MachineRegistry | None = None
+    read_loaded_files: Callable[[str], LoadedFiles] = lambda _: LoadedFiles()
+    live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
+    planner: Task = plan_measurement
+    discoverer: Task = discover_recorded
+    follower: Task = follow_recorded
+    verifier: Task = verify_recorded
+    checker: Task = check_station
+    reanalyser: Task = reanalyse_run
+    resumer: Task = find_committed_rows
+    closer: Task = check_closure
+
+    def of_machine(self, machine_id: str | None) -> JobContext:
+        """Return it for a job on a machine; without a name on the only one.
+
+        Raises NotFound, NoMachine, UnnamedMachine.
+        """
+        return replace(self, driven=self.machines.choose(machine_id))
+
+    def require_machine(self) -> Machine:
+        """Return the machine that the job is for. Raises NoMachine, UnnamedMachine."""
+        return (self.driven or self.machines.choose(None)).machine
+
+    def require_cell(self) -> CellSupervisor:
+        """Return the cell that drives it. Raises NoMachine, UnnamedMachine."""
+        return (self.driven or self.machines.choose(None)).cell

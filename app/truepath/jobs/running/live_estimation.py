@@ -1,0 +1,282 @@
+"""The estimate of a measurement under way, made by a process of its own.
+
+Committed blocks go in through a short queue that drops what the process cannot take in
+time, and counts it: a slow estimate never delays the measurement, and the analysis of
+the closed Run misses nothing. What fails in there ends the live estimate and nothing
+else.
+
+An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age
+until there is a newer one.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import structlog
+
+from truepath.child_process import BACKGROUND_NICENESS, ChildProcess
+from truepath.files.bundle.run import PointBlock
+from truepath.jobs.running.live_process import (
+    Estimated,
+    EstimateFailed,
+    LiveCommand,
+    LiveEstimateOrder,
+    PartChosen,
+    estimate_live,
+)
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.measurement.messages import (
+    BlockRecorded,
+    CellEvent,
+    CellVerb,
+    LinesDamaged,
+    PartRequested,
+)
+from truepath.measurement.process.cell import Cell
+from truepath.motion.configurations import Commanded, append_part
+from truepath.motion.paths.planned_rows import PlannedRows
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+
+if TYPE_CHECKING:
+    from truepath.planning.adaptive_plan import Part
+
+log = structlog.get_logger(__name__)
+
+PERIOD_S = 0.25
+WAITING_BLOCKS = 100  # about ten seconds of the stream
+FINISH_S = 20.0
+ANSWER_S = 60.0
+_MICRO = 1e3  # mm to µm
+
+Show = Callable[[Mapping[str, Any]], None]
+
+
+class LiveEstimation:
+    """One measurement followed by one process, from `start` to `close`.
+
+    show : receives every estimate in the words of `GET /jobs/{id}/estimate`, from a
+        thread of its own; must return at once
+    newest : the newest estimate in the same words, None before the first
+    """
+
+    def __init__(self, order: LiveEstimateOrder, show: Show) -> None:
+        self._process = ChildProcess(
+            "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
+        )
+        self._queue: queue.Queue[TrackerSamples | PointBlock | LiveCommand | Commanded]
+        self._queue = queue.Queue(WAITING_BLOCKS)
+        self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
+        self._show, self._ended = show, threading.Event()
+        self._threads = (
+            threading.Thread(target=self._feed, name="live-feeder", daemon=True),
+            threading.Thread(target=self._listen, name="live-listener", daemon=True),
+        )
+        self.dropped_blocks = 0
+        self.newest: Mapping[str, Any] | None = None
+
+    def start(self) -> None:
+        """Start the process."""
+        self._process.start()
+        for thread in self._threads:
+            thread.start()
+
+    def offer(self, block: TrackerSamples | PointBlock) -> None:
+        """Hand over a committed block. Never waits: what has no room is dropped."""
+        try:
+            self._queue.put_nowait(block)
+        except queue.Full:
+            self.dropped_blocks += 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no estimate and no part follows."""
+        return self._ended.is_set()
+
+    def ask(self) -> None:
+        """Ask what to drive next, once the blocks so far have been looked at."""
+        with suppress(queue.Full):
+            self._queue.put(LiveCommand.CHOOSE_PART, timeout=FINISH_S)
+
+    def take_part(self) -> Part | None:
+        """Return the answer to `ask` as soon as there is one. Never waits."""
+        with suppress(queue.Empty):
+            return self._parts.get_nowait()
+        return None
+
+    def extend(self, part: Commanded) -> None:
+        """Say what is driven next, beside the rows so far."""
+        with suppress(queue.Full):
+            self._queue.put(part, timeout=FINISH_S)
+
+    def finish(self) -> None:
+        """Nothing follows: wait for the last estimate, at most so long."""
+        with suppress(queue.Full):
+            self._queue.put(LiveCommand.END, timeout=FINISH_S)
+            self._ended.wait(FINISH_S)
+
+    def close(self) -> None:
+        """End the process, whatever it does. Idempotent."""
+        if self._process.process_id is None:
+            self._process.close()
+            return
+        self._process.kill()
+        with suppress(queue.Full):
+            self._queue.put_nowait(LiveCommand.END)  # ends the feeder
+        for thread in self._threads:
+            thread.join(FINISH_S)
+        self._process.close()
+
+    def _feed(self) -> None:
+        """Send what waits to the process. Body of a thread."""
+        with suppress(OSError):
+            while True:
+                message = self._queue.get()
+                self._process.link.send(message)
+                if message is LiveCommand.END:
+                    return
+
+    def _listen(self) -> None:
+        """Show each estimate, again until there is a newer one. Body of a thread."""
+        link, made_s = self._process.link, 0.0
+        with suppress(EOFError, OSError):
+            while True:
+                if not link.poll(PERIOD_S):
+                    self._show_newest(time.monotonic() - made_s)
+                    continue
+                match link.recv():
+                    case Estimated(body):
+                        self.newest, made_s = body, time.monotonic()
+                        self._show_newest(0.0)
+                    case PartChosen(part):
+                        self._parts.put(part)
+                    case EstimateFailed(reason):
+                        log.warning("no live estimate any more", reason=reason)
+        self._ended.set()
+
+    def _show_newest(self, age_s: float) -> None:
+        if self.newest is not None:
+            more = {"age_s": round(age_s, 3), "dropped_blocks": self.dropped_blocks}
+            self._show({**self.newest, **more})
+
+
+@dataclass(slots=True)
+class LiveSteering:
+    """Steers a measurement by its live estimate: further parts, or an early end.
+
+    Where the estimate has nothing to add, or says nothing in time, the measurement ends
+    in order; one that is not simply usable has reached no target. One thread.
+
+    commanded : the first part of an adaptive measurement; None for one planned whole
+    target_um : volumetric uncertainty (k = 1) at which the rest is left out
+    on_part : receives all rows after each part, and the body of the event `plan`
+    on_again : receives all rows, where some are about to be driven again
+    on_target : receives the estimate that has reached the target
+    on_notices : receives all that has been noticed so far
+    planned : rows that are driven part by part
+    """
+
+    live: LiveEstimation
+    cell: Cell | CellSupervisor
+    commanded: Commanded | None
+    target_um: float | None
+    on_part: Callable[[Commanded, Mapping[str, Any]], None]
+    on_target: Show = lambda _: None
+    on_notices: Callable[[Sequence[Mapping[str, Any]]], object] = lambda _: None
+    planned: PlannedRows | None = None
+    on_again: Callable[[Commanded], object] = lambda _: None
+    _is_next_due: bool = False
+    _answer_by: float | None = None
+    _parts: int = 1
+    _is_concluded: bool = False
+
+    def handle(self, event: CellEvent) -> None:
+        """Pass recorded blocks on; ask for the part that the machine waits for."""
+        match event:
+            case BlockRecorded(block):
+                self.live.offer(block)
+            case LinesDamaged(_, again) if again is not None:
+                self.live.extend(again)
+            case LinesDamaged(row) if self.planned is not None:
+                self.planned.repeat(row)
+            case PartRequested() if self.planned is not None:
+                self._is_next_due = True
+            case PartRequested() if self.commanded is not None:
+                self._answer_by = time.monotonic() + ANSWER_S
+                self.live.ask()
+            case _:
+                pass
+
+    def advance(self, *, may_conclude: bool = True) -> None:
+        """Tell what is noticed; conclude at the target, else pass on the next part.
+
+        Never waits.
+        """
+        if self.live.newest:
+            self.on_notices(self.live.newest.get("notices", ()))
+        if self._is_concluded:
+            return
+        newest = self.live.newest if may_conclude else None
+        if newest and self._has_reached(newest):
+            self._is_concluded = True
+            self.cell.send(CellVerb.CONCLUDE)
+            self.on_target(newest)
+        elif self._answer_by is not None and self.commanded is not None:
+            self._pass_on_part(self.commanded, self._answer_by)
+        elif self._is_next_due and self.planned is not None and may_conclude:
+            self._is_next_due = False
+            self._drive_next(self.planned)
+
+    def count_total(self, total: int) -> int:
+        """Return how many lines or points there will be, of those known so far."""
+        return total if self.planned is None else max(total, self.planned.total)
+
+    def _drive_next(self, planned: PlannedRows) -> None:
+        total = planned.total
+        part = planned.next()
+        if part is None:
+            self.cell.send(CellVerb.CONCLUDE)
+            return
+        if planned.total > total:  # what goes on after an interruption counts by them
+            self.on_again(planned.rows)
+        self.live.extend(part)
+        self.cell.extend(part)
+
+    def _has_reached(self, estimate: Mapping[str, Any]) -> bool:
+        reached_um = estimate["volumetric_uncertainty_um"]
+        is_usable = estimate["verdict"]["state"] == "usable"
+        return is_usable and reached_um <= (self.target_um or 0.0)
+
+    def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
+        part = self.live.take_part()
+        if part is not None:
+            self._answer_by = None
+            self._add(part, commanded)
+        elif self.live.is_over or time.monotonic() > answer_by:
+            self._answer_by = None
+            log.warning("nobody says what to measure next; the measurement ends")
+            self.cell.send(CellVerb.CONCLUDE)
+
+    def _add(self, part: Part, commanded: Commanded) -> None:
+        if part.commanded is None:
+            log.info("no further part", parts=self._parts)
+            self.cell.send(CellVerb.CONCLUDE)
+            return
+        self.commanded = commanded = append_part(commanded, part.commanded)
+        self._parts += 1
+        body = {
+            "part": self._parts,
+            "rows": part.rows,
+            "total": len(commanded) - isinstance(commanded, Path),
+            "duration_s": round(part.duration_s, 3),
+            "predicted_um": round(_MICRO * part.predicted_sigma_mm, 4),
+        }
+        log.info("further part", **body)
+        self.on_part(commanded, body)  # kept first: what is driven is in the plan
+        self.cell.extend(part.commanded)

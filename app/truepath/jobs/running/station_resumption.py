@@ -1,0 +1,57 @@
+"""How a station goes on whose Run was cut short: what is kept of it, what is left.
+
+The known points come first, as at every station. Where the target is seen at them where
+it was, the station stands as it did. Where it is not, the tracker or the reflector was
+moved: that is said, and somebody decides. Measured on from there, the rest is a station
+of its own, for every Run has a pose of its own; the known points have to fit to those
+before by a rigid motion, as between any two stations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from truepath.catalogue.job import Json
+from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.running.resumption import choose_first_row
+from truepath.motion.configurations import Commanded, select_rows
+
+
+def select_left(station: Json) -> Commanded:
+    """Return the rows of a station that are left, as the plan keeps it."""
+    commanded, resumption = decode_commanded_json(station), station.get("resumption")
+    if resumption is None:
+        return commanded
+    return select_rows(commanded, slice(resumption["first_row"], None))
+
+
+def list_kept_ids(station: Json) -> list[str]:
+    """Return the Runs of a station that the analysis takes beside its last."""
+    return list((station.get("resumption") or {}).get("kept_run_ids", ()))
+
+
+def make_resumption(
+    station: Json, parts: Sequence[Json], found: Sequence[Json | None]
+) -> dict[str, Any] | None:
+    """Return how a station goes on; None where all its rows are to be driven again.
+
+    `first_row` of the station, `kept_run_ids`, and of the known points before the last
+    of these `points_id` and `place_mm`, where the target stood at the last of them.
+
+    parts : `run_id`, `points_id` and `first_row` of each Run of the station
+    found : how far each Run has got, then each of the known points, as
+        `find_committed_rows` returns it
+    """
+    pairs = zip(parts, found[: len(parts)], found[len(parts) :], strict=True)
+    usable = [(part, run, points) for part, run, points in pairs if run and points]
+    if not usable:
+        return None
+    last, run, points = usable[-1]
+    reached = last["first_row"] + run["next_row"]
+    return {
+        "first_row": choose_first_row(decode_commanded_json(station), reached),
+        "kept_run_ids": [part["run_id"] for part, _, _ in usable],
+        "points_id": last["points_id"],
+        "place_mm": points["place_mm"],
+    }

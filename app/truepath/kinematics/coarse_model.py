@@ -1,0 +1,244 @@
+"""The models of several Runs, and the coarse one that their noise is estimated with.
+
+The splines of the coarse model are fine enough that shapes of the errors do not pass
+for noise. It has every lost motion and, where slow changes are structure to be
+explained, splines of time: neither must pass for noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import null_space
+
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.backlash import make_half_shape, make_half_width
+from truepath.kinematics.effects.base import (
+    Effect,
+    EffectOfRun,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    SplineEffect,
+    columns_along,
+)
+from truepath.kinematics.effects.inertial_bend import InertialBend
+from truepath.kinematics.identifiable import (
+    build_identifiable_model,
+    list_partly_told_effects,
+    list_untold_effects,
+)
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.splines import CubicSpline, natural_spline
+from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
+
+LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
+_KNOT_SPACING_MM = 35.0
+_USUAL_MM = 0.005  # of a slow shift
+_POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
+
+
+@dataclass(frozen=True)
+class TimeSpline(SplineEffect):
+    """A slow shift of everything with time: a natural spline without its mean."""
+
+    kind = "time-spline"
+    role = Role.NUISANCE
+    direction: str
+    spline: CubicSpline
+    gauge: Float64[np.ndarray, "k p"]
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction times the spline's rows."""
+        return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the mean square over the run."""
+        return self.charge_square(_USUAL_MM, "time")
+
+
+@dataclass(frozen=True)
+class LineShift(Effect):
+    """Another shift of everything on each line.
+
+    lines : numbers of the lines
+    """
+
+    kind = "line-shift"
+    role = Role.NUISANCE
+    direction: str
+    lines: tuple[int, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One a line."""
+        return tuple(Parameter(f"{self.name}[{n}]", "mm") for n in self.lines)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction on each line."""
+        on_line = at.line[:, None] == np.array(self.lines)
+        return columns_along(self.direction, on_line.astype(np.float64))
+
+    def prior(self) -> QuadraticPrior:
+        """Return the sum of squares."""
+        count = len(self.lines)
+        return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
+
+
+@dataclass(frozen=True)
+class NestedModels:
+    """Models of Runs that differ in what the direction of approach may do.
+
+    alone : error motions, and effects known before
+    confounded : further effects of the machine, that the targets do not tell
+    """
+
+    alone: MachineModel
+    confounded: tuple[Effect, ...] = ()
+
+    @cached_property
+    def whole(self) -> MachineModel:
+        """With all that the targets do not tell."""
+        return self.alone.with_confounded(self.confounded)
+
+    @cached_property
+    def constant(self) -> MachineModel:
+        """With a half width of each error motion."""
+        return add_half_widths(self.alone)
+
+    @cached_property
+    def tables(self) -> MachineModel:
+        """With a table of half differences of each error motion as well."""
+        motions = self.alone.identifiable_motions
+        shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
+        return self.constant.with_effects(*shapes)
+
+
+def build_baseline_models(
+    machine: Machine,
+    conditions: Sequence[Conditions],
+    reference: MachineModel | None = None,
+) -> tuple[NestedModels, MachineModel]:
+    """Return the model that Runs are compared with, and the coarse one for their noise.
+
+    conditions : of each Run
+    reference : the model; all that the Runs can identify of a rigid body if None
+    """
+    offsets_mm = [at.offset_mm for at in conditions]
+    slow = [shift for at in conditions for shift in _list_slow_shifts(at)]
+    nested = NestedModels(reference) if reference else _nest(machine, offsets_mm)
+    model = nested.alone
+    beside = (*slow, *model.catalogue_effects)
+    return nested, build_coarse_model(model.machine, offsets_mm, (), beside)
+
+
+def _nest(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+) -> NestedModels:
+    model, _ = build_identifiable_model(machine, *offsets_mm)
+    partly = list_partly_told_effects(machine, *offsets_mm)
+    untold = list_untold_effects(machine, *offsets_mm)
+    return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
+
+
+def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
+    """Yield what shifts lines of a Run, and all with time, in each direction.
+
+    Knots of time are too far apart for one point. Lines of rotary axes are arcs that
+    each show other errors: a shift of each would leave nothing to place the tracker by.
+    """
+    spacing_s = LONGEST_NOISE_S
+    first, last = float(at.time_s.min()), float(at.time_s.max())
+    if (at.line < 0).all():
+        spacing_s = max(spacing_s, _POINTS_PER_KNOT * (last - first) / len(at))
+    count = max(3, int(np.ceil((last - first) / spacing_s)) + 1)
+    spline = natural_spline(np.linspace(first, last, count))
+    gauge = null_space((spline.gram() @ np.ones(spline.size))[None, :])
+    lines = tuple(np.unique(at.line[at.line >= 0]).tolist())
+    for direction in LINEAR:
+        yield EffectOfRun(TimeSpline(direction, spline, gauge), at.run)
+        if lines and not at.machine.rotary_axes:
+            yield EffectOfRun(LineShift(direction, lines), at.run)
+
+
+@dataclass(frozen=True)
+class RunModels:
+    """The models that Runs of one machine are solved with.
+
+    coarse : for their noise; shapes : for what they determine
+    """
+
+    nested: NestedModels
+    coarse: MachineModel
+    shapes: ShapeModel
+
+    def add_bends(self) -> RunModels:
+        """Return the models for Runs that are measured on ramps as well."""
+        alone = add_bends(self.nested.alone)
+        return replace(self, nested=replace(self.nested, alone=alone))
+
+
+def build_run_models(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+) -> RunModels:
+    """Return the models of Runs.
+
+    offsets_mm : of the targets in each Run
+    known : effects of the machine from an earlier measurement
+    """
+    return RunModels(
+        _nest(machine, offsets_mm, known),
+        build_coarse_model(machine, offsets_mm, known),
+        build_shape_model(machine, *offsets_mm),
+    )
+
+
+def build_coarse_model(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+    beside: Sequence[Effect] = (),
+) -> MachineModel:
+    """Return a model of error motions, lost motions and further effects.
+
+    offsets_mm : of the targets in each Run
+    known : effects of the machine from an earlier measurement
+    beside : further effects; those that the model has already are left out
+    """
+    model, _ = build_identifiable_model(
+        machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
+    )
+    partly = list_partly_told_effects(machine, *offsets_mm)
+    model = model.with_effects(*known).with_confounded(partly)
+    return add_effects(add_half_widths(model), beside)
+
+
+def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:
+    """Return the model with the effects that it does not have already."""
+    return model.with_effects(*(e for e in effects if e.name not in model.slices))
+
+
+def add_bends(model: MachineModel) -> MachineModel:
+    """Return the model with what acceleration does to the carriages."""
+    axes = model.machine.linear_axes
+    return add_effects(model, [InertialBend(axis) for axis in axes])
+
+
+def add_half_widths(model: MachineModel) -> MachineModel:
+    """Return the model with a half width for each of its error motions.
+
+    None for a motion whose lost motion is an effect of the model already.
+    """
+    lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
+    motions = [m for m in model.identifiable_motions if m.symbol not in lost]
+    return model.with_effects(*(make_half_width(m.symbol, m.axis) for m in motions))

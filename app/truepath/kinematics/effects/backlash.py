@@ -1,0 +1,266 @@
+"""Error motions that depend on the direction of approach: backlash and its kin.
+
+Going up an axis errs by E + h, coming down by E − h. The 2023 paper leaves both ways of
+modelling h to the future: one number an error motion (14 of them with one target), or
+tables of both directions. Here h is a constant, and for tables a spline besides. As
+families, it is the lost motion of an axis in its own direction, and across it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import null_space
+
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import (
+    Effect,
+    ErrorCurve,
+    QuadraticPrior,
+    Role,
+    columns_along,
+)
+from truepath.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    Scan,
+    read_words,
+)
+from truepath.kinematics.effects.error_motion import (
+    find_arm,
+    find_usual_size,
+)
+from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
+from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
+from truepath.kinematics.machine.symbols import (
+    is_positioning,
+    is_turn,
+    list_error_motions,
+)
+from truepath.kinematics.splines import CubicSpline, natural_spline
+
+_SHARE = 0.3  # usual size of h, in usual errors
+_INTERVALS = 5  # h changes slowly along an axis
+_USUAL_RAD = 1e-5
+
+
+@dataclass(frozen=True)
+class Backlash(ErrorCurve):
+    """Half the difference between both directions of approach of an error motion.
+
+    varies : the part that changes along the axis and has no mean; else the constant
+    """
+
+    role = Role.DIRECTION
+    varies: bool
+
+    def compose_name(self, digits: str) -> str:
+        """Return `backlash` with the symbol."""
+        del digits
+        return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
+
+    @property
+    def half_difference(self) -> Backlash:
+        """Itself."""
+        return self
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the error's arm times h, with the sign of its axis' last motion."""
+        rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
+        sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
+        arm = find_arm(self.symbol, at) * sign[:, None]
+        return columns_along(arm, rows)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the mean square of h over the travel."""
+        return self.charge_square(_SHARE * find_usual_size(self.symbol))
+
+
+def make_half_width(symbol: str, axis: Axis) -> Backlash:
+    """Return the half difference that is the same everywhere."""
+    spline = _few_knots(axis)
+    return Backlash(symbol, axis, spline, np.ones((spline.size, 1)), False)
+
+
+def make_half_shape(symbol: str, axis: Axis) -> Backlash:
+    """Return what the half difference does beyond its mean over the travel."""
+    spline = _few_knots(axis)
+    mean = spline.gram() @ np.ones(spline.size)
+    return Backlash(symbol, axis, spline, null_space(mean[None, :]), True)
+
+
+def _few_knots(axis: Axis) -> CubicSpline:
+    return natural_spline(np.linspace(axis.low, axis.high, _INTERVALS + 1))
+
+
+def _lost_positioning(axis: Axis) -> Backlash:
+    return make_half_width(f"E{axis.name}{axis.name}", axis)
+
+
+class BacklashFamily(Family):
+    """One candidate an axis, straight or rotary."""
+
+    name = "backlash"
+    varies_with = "way"
+    makes = _lost_positioning
+    keys = {"axis": ANY_AXIS}
+    # Coming from below, the axis stops short by half the width.
+    stated = {"width_um": -2e3}
+    words = read_words("""
+        [en]
+        title = Backlash
+        cause = Play or wind-up in screw, nut, thrust bearing or rack.
+        looks_like = An axis stops short by the same width whenever it comes from the
+            other side: lines lie apart by direction of travel.
+        remedy = Enter the width as the axis' backlash compensation; check nut preload
+            and thrust bearing, or measure with a scale.
+        [de]
+        title = Umkehrspiel
+        cause = Spiel oder Verdrillung in Spindel, Mutter, Axiallager oder Zahnstange.
+        looks_like = Eine Achse bleibt immer um dieselbe Breite zurück, wenn sie von der
+            anderen Seite kommt: Die Geraden liegen je nach Fahrtrichtung auseinander.
+        remedy = Die Breite als Losekompensation der Achse eintragen; Vorspannung der
+            Mutter und Axiallager prüfen oder mit einem Maßstab messen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one an axis."""
+        effects = [_lost_positioning(axis) for axis in at.machine.axes]
+        usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
+        return [self.offer(e, [usual[is_turn(e.symbol)]]) for e in effects]
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return the width; of a rotary axis without a sign.
+
+        There it depends on the side that carries the axis.
+        """
+        if not is_turn(f"E{2 * found.candidate.keys['axis']}"):
+            return super().state(found)
+        (half,) = found.parameters
+        return {"width_urad": Quantity(abs(half.value), half.uncertainty).scale(2e6)}
+
+
+@dataclass(frozen=True)
+class TurningOver(Backlash):
+    """An error motion that goes from one side to the other within some travel.
+
+    turnover_mm : travel after a reversal in which it turns over
+    """
+
+    turnover_mm: float = 0.0
+
+    def compose_name(self, digits: str) -> str:
+        """Return that of the half difference, and the travel."""
+        return f"{super().compose_name(digits)}-{self.turnover_mm:{digits}}"
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the error's arm times the side that each cell is on, on average."""
+        whole = super().jacobian(at)
+        if at.recorded is None:
+            return whole
+        column = at.machine.axis_names.index(self.axis.name)
+        gone = at.recorded.since_reversal[:, column]
+        width = np.abs(at.recorded.rate[:, column]) * at.recorded.span_s
+        return whole * _side(gone, width, self.turnover_mm)[:, None, None]
+
+
+def _side(
+    gone_mm: Float64[np.ndarray, " n"],
+    width_mm: Float64[np.ndarray, " n"],
+    turnover_mm: float,
+) -> Float64[np.ndarray, " n"]:
+    """Return the mean of min(2 s / turnover − 1, 1) for s within width about gone."""
+    half = 0.5 * np.maximum(width_mm, 1e-6)
+    low, high = np.maximum(gone_mm - half, 0.0), gone_mm + half
+    early = low < turnover_mm
+    side = np.ones(len(gone_mm))
+    a, b = low[early], high[early]
+    within = np.minimum(b, turnover_mm)
+    turning = (within**2 - a**2) / turnover_mm - (within - a)
+    side[early] = (turning + np.maximum(b - turnover_mm, 0.0)) / (b - a)
+    return side
+
+
+_TURNOVERS_MM = np.array([0.02, 0.25, 0.5, 1.0, 2.0])
+
+
+class LateralBacklashFamily(Family):
+    """One candidate an error motion across or about an axis, its turnover scanned."""
+
+    name = "lateral-backlash"
+    varies_with = "way"
+    value_name = "turnover_mm"
+    numbers = ("turnover_mm",)
+    is_smooth = False
+    makes = TurningOver
+    keys = {"axis": replace(AXIS, phrase=""), "motion": MOTION}
+    words = read_words("""
+        [en]
+        title = Lateral backlash
+        cause = A carriage has play in its guide, or is pushed aside by a nut or chain
+            that is off centre: it tilts or shifts as it turns back.
+        looks_like = A straightness or an angle has two values at each place, one for
+            each direction of approach.
+        remedy = Check guide clearance, gibs and preload; approach from one side, or
+            enter tables of both directions.
+        [de]
+        title = Seitliches Umkehrspiel
+        cause = Ein Schlitten hat Spiel in seiner Führung oder wird von einer
+            außermittigen Mutter oder Kette zur Seite gedrückt: Er kippt oder versetzt
+            sich beim Umkehren.
+        looks_like = Eine Geradheit oder ein Winkel hat an jedem Ort zwei Werte, einen
+            je Anfahrrichtung.
+        remedy = Führungsspiel, Keilleisten und Vorspannung prüfen; von einer Seite
+            anfahren oder Tabellen beider Richtungen eintragen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each error motion but positioning."""
+        first = float(_TURNOVERS_MM[0])
+        return [
+            Candidate(
+                self.name,
+                {"axis": axis.name, "motion": symbol},
+                _turning_over(symbol, axis, first),
+                np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
+                first,
+            )
+            for axis in at.machine.linear_axes
+            for symbol in list_error_motions(axis.name)
+            if not is_positioning(symbol)
+        ]
+
+    def restore(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        axis, symbol = machine.linear(keys["axis"]), keys["motion"]
+        if symbol not in list_error_motions(axis.name):
+            raise KeyError(symbol)
+        return _turning_over(symbol, axis, numbers.get(self.value_name, 0.0))
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return turnovers, where it is known how far each axis has gone."""
+        return None if at.recorded is None else Scan(self.value_name, _TURNOVERS_MM)
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return half the difference between both directions, in µm or µrad.
+
+        And the travel that it takes to turn over.
+        """
+        scale = 1e6 if is_turn(found.candidate.keys["motion"]) else 1e3
+        half_width = found.parameters[0].scale(scale)
+        return {"half_width": half_width, self.value_name: found.value}
+
+
+def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:
+    plain = make_half_width(symbol, axis)
+    return TurningOver(
+        plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
+    )

@@ -1,0 +1,194 @@
+"""What every effect and family keeps, as checks that any author can run.
+
+A check takes a family and conditions in which it proposes something; it returns
+nothing, or raises NotConforming, which says what was not kept. With pytest:
+
+    from truepath.kinematics.effects.conformance import CHECKS, example_conditions
+
+    @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+    def test_my_effect_conforms(check):
+        check(MyFamily(), example_conditions())
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from truepath.kinematics.conditions import (
+    Conditions,
+    RecordedState,
+    make_standstill,
+)
+from truepath.kinematics.effects.base import Effect, Role
+from truepath.kinematics.effects.catalogue import (
+    LANGUAGES,
+    Candidate,
+    CandidateEstimate,
+    Family,
+)
+from truepath.kinematics.machine.machine import (
+    Axis,
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    Target,
+    TrackerNoise,
+)
+
+UNITS = ("mm", "rad", "s", "mm/s", "1/mm", "1/s", "1/K", "1")
+_STEP = 1e-3
+_CLOSE = 1e-9
+
+
+class NotConforming(AssertionError):
+    """An effect does not keep what `Effect` and `Family` promise."""
+
+
+def require(kept: bool, otherwise: str) -> None:
+    """Raise NotConforming if something was not kept."""
+    if not kept:
+        raise NotConforming(otherwise)
+
+
+def example_conditions(count: int = 400) -> Conditions:
+    """Return cells of a machine of four axes that moves, turns and warms."""
+    axes: tuple[Axis, ...] = tuple(LinearAxis(name, 0.0, 500.0) for name in "XYZ")
+    axes += (RotaryAxis("C", 0.0, 500.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),)
+    target = Target("T", "tool", (20.0, 30.0, -100.0))
+    chain = ("X", "Y", "Z", "C")
+    machine = Machine("example", (), chain, axes, (target,), TrackerNoise())
+    rng = np.random.default_rng(1)
+    still = make_standstill(machine, rng.uniform(0.0, 500.0, (count, 4)))
+    rate = rng.uniform(-100.0, 100.0, (count, 4))
+    recorded = RecordedState(
+        rate,
+        np.full(count, 0.05),
+        rng.uniform(0.0, 200.0, (count, 4)),
+        still.position_mm[:, :3] + np.array([1500.0, -800.0, 300.0]),
+        np.eye(3),
+        ("X", "Y", "Z"),
+        20.0 + np.linspace(0.0, 3.0, count)[:, None] * np.ones(3),
+    )
+    return replace(
+        still,
+        time_s=np.linspace(0.0, 120.0, count),
+        line=np.arange(count) // 20,
+        velocity_mm_s=rate[:, :3],
+        approach=np.sign(rate),
+        recorded=recorded,
+    )
+
+
+def jacobian_is_the_slope_of_the_displacement(family: Family, at: Conditions) -> None:
+    """The Jacobian equals differences of the displacement, which is 0 at θ = 0."""
+    for effect in _effects(family, at):
+        J = effect.jacobian(at)
+        size = int(J.shape[2])
+        require(bool(np.isfinite(J).all()), f"{effect.name} has columns not finite")
+        zero = effect.displacement_mm(at, np.zeros(size))
+        require(not zero.any(), f"{effect.name} moves the target at θ = 0")
+        for k in range(size):
+            theta = np.zeros(size)
+            theta[k] = _STEP
+            up = effect.displacement_mm(at, theta)
+            down = effect.displacement_mm(at, -theta)
+            apart = np.abs((up - down) / (2.0 * _STEP) - J[:, :, k]).max()
+            limit = _CLOSE * max(float(np.abs(J).max()), 1.0)
+            require(apart < limit, f"{effect.name}: column {k} is not the slope")
+
+
+def each_cell_is_for_itself(family: Family, at: Conditions) -> None:
+    """Columns of some cells are those rows of the columns of all."""
+    rows = np.arange(0, len(at), 3)
+    for effect in _effects(family, at):
+        same = np.allclose(effect.jacobian(at.select(rows)), effect.jacobian(at)[rows])
+        require(same, f"{effect.name} depends on which other cells are asked for")
+
+
+def parameters_have_names_and_units(family: Family, at: Conditions) -> None:
+    """There is a parameter a column, each with a name of its own and a known unit."""
+    for candidate in _propose(family, at):
+        effect = candidate.effect
+        names = [p.name for p in effect.parameters]
+        columns = effect.jacobian(at).shape[2]
+        require(len(names) == columns, f"{effect.name}: {len(names)} parameters")
+        require(len(candidate.usual) == columns, f"{effect.name}: usual sizes")
+        require(len(set(names)) == columns, f"{effect.name}: {names} repeat")
+        for p in effect.parameters:
+            require(p.unit in UNITS, f"{p.name} has the unit {p.unit}; known: {UNITS}")
+
+
+def effects_are_values(family: Family, at: Conditions) -> None:
+    """Equal effects have one hash; different ones have different names."""
+    effects = _effects(family, at)
+    for effect in effects:
+        again = pickle.loads(pickle.dumps(effect))  # noqa: S301 (made on this line)
+        require(again == effect, f"{effect.name} is not equal to its copy")
+        require(hash(again) == hash(effect), f"{effect.name} has a hash by identity")
+    names = {effect.name for effect in effects}
+    require(len(names) == len(effects), f"effects of {family.name} share names")
+
+
+def files_bring_it_back(family: Family, at: Conditions) -> None:
+    """What a file states of an effect makes it again, if it outlasts its Run."""
+    for candidate in _propose(family, at):
+        numbers = family.list_numbers(candidate)
+        keys, numbers = json.loads(json.dumps([candidate.keys, numbers]))
+        require(list(keys) == list(family.keys), f"{candidate.label}: keys {keys}")
+        again = family.restore(at.machine, keys, numbers)
+        if again is not None:
+            require(again == candidate.effect, f"{candidate.label} comes back changed")
+            require(
+                family.role is not Role.MEASUREMENT, f"{family.name} outlasts a Run"
+            )
+
+
+def it_states_its_numbers(family: Family, at: Conditions) -> None:
+    """Every stated number is finite and has an uncertainty."""
+    for candidate in _propose(family, at):
+        found = CandidateEstimate(
+            candidate, candidate.usual, np.diag((0.1 * candidate.usual) ** 2), 0.1
+        )
+        stated = family.state(found)
+        require(bool(stated), f"{candidate.label} states nothing")
+        for name, quantity in stated.items():
+            both = np.array([quantity.value, quantity.uncertainty])
+            fine = bool(np.isfinite(both).all()) and quantity.uncertainty >= 0.0
+            require(fine, f"{candidate.label}: {name} is {quantity}")
+
+
+def words_are_there(family: Family, at: Conditions) -> None:
+    """Title and sentences stand in every language; a title holds every key."""
+    for language in LANGUAGES:
+        require(language in family.words, f"{family.name} has no words in {language}")
+        for what, text in asdict(family.words[language]).items():
+            place = f"{family.name}, {language}: {what}"
+            require(bool(text), f"{place} is empty")
+            require((what == "title") != text.endswith("."), f"{place} is {text!r}")
+    titles = [family.title(candidate.keys) for candidate in _propose(family, at)]
+    require(len(set(titles)) == len(titles), f"titles repeat: {titles}")
+
+
+CHECKS = (
+    jacobian_is_the_slope_of_the_displacement,
+    each_cell_is_for_itself,
+    parameters_have_names_and_units,
+    effects_are_values,
+    files_bring_it_back,
+    it_states_its_numbers,
+    words_are_there,
+)
+
+
+def _propose(family: Family, at: Conditions) -> list[Candidate]:
+    found = list(family.propose(at))
+    require(bool(found), f"{family.name} proposes nothing in these conditions")
+    return found
+
+
+def _effects(family: Family, at: Conditions) -> list[Effect]:
+    return [candidate.effect for candidate in _propose(family, at)]

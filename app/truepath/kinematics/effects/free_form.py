@@ -1,0 +1,285 @@
+"""Free functions of what an error may depend on: structure that no cause is known for.
+
+Each moves the point along one arm by a sum of smooth shapes of time, positions, or
+direction of approach. They describe what no catalogued cause explains, and a cause has
+to explain more than they do.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect, Role, columns_along
+from truepath.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    read_words,
+)
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.keys import AXIS, DIRECTION, MOTION
+from truepath.kinematics.effects.polynomials import expand_share, multiply_shares
+from truepath.kinematics.machine.machine import LinearAxis, Machine
+from truepath.kinematics.machine.symbols import LINEAR, is_turn, list_error_motions
+
+_HALF_WAVES = 8
+_SIDE_DEGREES = 5
+_TURN_PAIRS = [(i, j) for i, j in product(range(3), range(1, 4)) if i + j < 5]
+
+
+class FreeForm(Effect):
+    """Shapes along one arm; θ in mm, at the usual length of the arm."""
+
+    role = Role.STRUCTURE
+
+    @abstractmethod
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        """Return the direction, about as long as 1."""
+
+    @abstractmethod
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        """Return the shapes, each at most about 1."""
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the arm times the shapes."""
+        return columns_along(self.arm(at), self.shapes(at))
+
+
+class FreeFormFamily(Family):
+    """Structure that is stated by its root mean square."""
+
+    role = Role.STRUCTURE
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return the root mean square over what it depends on."""
+        usual = found.candidate.usual
+        even = np.full(len(usual), self.mean_square)
+        return {"rms_um": found.root_mean_square(even).scale(1e3)}
+
+    mean_square = 0.5
+
+
+@dataclass(frozen=True)
+class TiltWander(FreeForm):
+    """All points turn to and fro about one direction, as a cosine series of time.
+
+    middle_mm : that they turn about; reach_mm : from there to the points, about
+    """
+
+    kind = "tilt-wander"
+    units = {f"{k}": "mm" for k in range(1, _HALF_WAVES + 1)}
+    direction: str
+    first_s: float
+    span_s: float
+    middle_mm: tuple[float, float, float]
+    reach_mm: float
+
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        """Return what a turn moves the points by."""
+        turn = np.eye(3)[LINEAR.index(self.direction)]
+        return np.cross(turn, at.point_mm - self.middle_mm) / self.reach_mm
+
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        """Return the cosines."""
+        angle = np.pi * (at.time_s - self.first_s) / self.span_s
+        return np.cos(angle[:, None] * np.arange(1, _HALF_WAVES + 1))
+
+
+class TiltWanderFamily(FreeFormFamily):
+    """Every direction to turn about."""
+
+    name = "tilt-wander"
+    varies_with = "time"
+    keys = {"direction": replace(DIRECTION, phrase="about {}")}
+    covariates = ("t",)
+    sentence = (
+        "everything turns slowly to and fro about {direction}, by {rms_um:.2g} µm at "
+        "usual reach (root mean square)"
+    )
+    words = read_words("""
+        [en]
+        title = Slow tilt in time
+        cause = The tracker's stand, the table or the floor tilts: it settles, or the
+            hall warms it on one side.
+        looks_like = All points turn slowly with time, whatever axis moves: the farther
+            from the middle, the more they move.
+        remedy = Let the stand settle, put it on firm floor, shield it from sun and
+            draught; repeat lines to see it.
+        [de]
+        title = Langsames Kippen mit der Zeit
+        cause = Stativ, Tisch oder Boden kippt: Er setzt sich, oder die Halle wärmt ihn
+            einseitig.
+        looks_like = Alle Punkte drehen sich mit der Zeit langsam, gleich welche Achse
+            fährt: je weiter von der Mitte, desto mehr.
+        remedy = Das Stativ sich setzen lassen, auf festen Boden stellen, vor Sonne und
+            Zugluft schützen; Geraden wiederholen, um es zu sehen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one a direction; the slower a wave, the higher it usually is."""
+        if at.recorded is None:
+            return []
+        first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
+        x, y, z = at.point_mm.mean(axis=0).tolist()
+        off = at.point_mm - np.array([x, y, z])
+        about = (first_s, span_s, (x, y, z), float(np.sqrt(3.0 * np.mean(off**2))))
+        usual = USUAL_MM / np.array([*range(1, _HALF_WAVES + 1)])
+        return [self.offer(TiltWander(d, *about), usual) for d in LINEAR]
+
+
+@dataclass(frozen=True)
+class PlaneTurn(FreeForm):
+    """A turn of one axis that depends on where it and another stand.
+
+    reach_mm : of the turn's lever, about
+    """
+
+    kind = "plane-turn"
+    units = {f"{i}{j}": "mm" for i, j in _TURN_PAIRS}
+    symbol: str
+    axis: LinearAxis
+    by: LinearAxis
+    reach_mm: float
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        """Both axes."""
+        return self.axis.name, self.by.name
+
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        """Return the turn's lever."""
+        return find_arm(self.symbol, at) / self.reach_mm
+
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        """Return products of polynomials of both positions."""
+        shares = (at.axis_share(axis) for axis in (self.axis, self.by))
+        return multiply_shares(shares, _TURN_PAIRS)
+
+
+class PlaneTurnFamily(FreeFormFamily):
+    """Every turn of an axis, by every other."""
+
+    name = "plane-turn"
+    makes = PlaneTurn
+    numbers = ("reach_mm",)
+    varies_with = "place"
+    keys = {"motion": MOTION, "by": replace(AXIS, phrase="with {}")}
+    covariates = ("{motion[2]}", "{by}")
+    mean_square = 0.2
+    sentence = (
+        "a turn in {motion} of {rms_um:.2g} µm at the point (root mean square) that "
+        "depends on where {by} stands"
+    )
+    words = read_words("""
+        [en]
+        title = Turn of one axis by another
+        cause = Column, ram or table twists or leans as another carriage loads it: no
+            rigid body does it.
+        looks_like = Pitch, yaw or roll of one axis differs with the place of another.
+        remedy = Compensate with a grid of the volume; check levelling, counterbalance
+            and the mounting of the bed.
+        [de]
+        title = Drehung einer Achse, die von einer anderen abhängt
+        cause = Ständer, Ausleger oder Tisch verdreht oder neigt sich, wenn ein anderer
+            Schlitten ihn belastet: kein starrer Körper tut das.
+        looks_like = Nicken, Gieren oder Rollen einer Achse ist je nach Ort einer
+            anderen verschieden.
+        remedy = Mit einem Gitter des Raums kompensieren; Nivellierung,
+            Gewichtsausgleich und Aufstellung des Betts prüfen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each turn and other axis."""
+        if at.recorded is None:
+            return []
+        found: list[Candidate] = []
+        for axis, by in permutations(at.machine.linear_axes, 2):
+            for symbol in filter(is_turn, list_error_motions(axis.name)):
+                lever = find_arm(symbol, at)
+                reach_mm = max(float(np.sqrt(3.0 * np.mean(lever**2))), 1.0)
+                falling = [1.0 / ((i + 1) * j) for i, j in _TURN_PAIRS]
+                usual = USUAL_MM * np.array(falling)
+                keys = {"motion": symbol, "by": by.name}
+                turn = PlaneTurn(symbol, axis, by, reach_mm)
+                found.append(Candidate(self.name, keys, turn, usual))
+        return found
+
+    def restore(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        symbol, by = keys["motion"], machine.linear(keys["by"])
+        axis = machine.linear(symbol[2])
+        if symbol not in list_error_motions(axis.name):
+            raise KeyError(symbol)
+        return PlaneTurn(symbol, axis, by, numbers["reach_mm"])
+
+
+@dataclass(frozen=True)
+class SideShape(FreeForm):
+    """A displacement by side of approach that varies along the axis, without mean."""
+
+    kind = "side-shape"
+    units = {f"{k}": "mm" for k in range(1, _SIDE_DEGREES + 1)}
+    axis: LinearAxis
+    direction: str
+
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        """Return the direction, by the side that the axis came from."""
+        side = at.approach[:, at.machine.axis_names.index(self.axis.name)]
+        return find_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
+
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        """Return polynomials of the position."""
+        return expand_share(at.axis_share(self.axis), _SIDE_DEGREES)[:, 1:]
+
+
+class SideShapeFamily(FreeFormFamily):
+    """Every axis and direction."""
+
+    name = "side-shape"
+    makes = SideShape
+    varies_with = "way"
+    keys = {"axis": AXIS, "direction": DIRECTION}
+    covariates = ("direction({axis})", "{axis}")
+    mean_square = 0.2
+    sentence = (
+        "a displacement along {direction} of {rms_um:.2g} µm (root mean square) that "
+        "changes side with the direction of {axis} and varies along it"
+    )
+    words = read_words("""
+        [en]
+        title = Lost motion that varies along an axis
+        cause = A screw, nut or guide that is worn or tight in places.
+        looks_like = Both directions of travel lie apart by more at some places of the
+            axis than at others.
+        remedy = Look for wear and tight places; enter tables of both directions.
+        [de]
+        title = Umkehrfehler, der sich entlang einer Achse ändert
+        cause = Eine Spindel, Mutter oder Führung, die stellenweise verschlissen oder
+            schwergängig ist.
+        looks_like = Beide Fahrtrichtungen liegen an manchen Orten der Achse weiter
+            auseinander als an anderen.
+        remedy = Nach Verschleiß und schwergängigen Stellen suchen; Tabellen beider
+            Richtungen eintragen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each axis and direction."""
+        if at.recorded is None:
+            return []
+        usual = USUAL_MM / np.array([*range(1, _SIDE_DEGREES + 1)])
+        return [
+            self.offer(SideShape(axis, direction), usual)
+            for axis in at.machine.linear_axes
+            for direction in LINEAR
+        ]

@@ -1,0 +1,100 @@
+"""A displacement that depends on how fast an axis moves, whichever way it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect, Role, columns_along
+from truepath.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    read_words,
+)
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.keys import AXIS, DIRECTION
+from truepath.kinematics.machine.machine import LinearAxis
+
+_LEAST_SPREAD = 0.1  # of the highest speed: less tells nothing of speed
+
+
+@dataclass(frozen=True)
+class SpeedError(Effect):
+    """An error motion as speed and square of the speed.
+
+    fastest_mm_s : the highest speed that is usual for the axis
+    θ : displacement at the highest speed by speed, and by its square
+    """
+
+    kind = "speed-error"
+    role = Role.STRUCTURE
+    units = {"v": "mm", "v2": "mm"}
+    axis: LinearAxis
+    direction: str
+    fastest_mm_s: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times speed and its square."""
+        speed = np.abs(at.axis_rate(self.axis.name)) / self.fastest_mm_s
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        return columns_along(arm, np.stack([speed, speed**2], axis=1))
+
+
+class SpeedErrorFamily(Family):
+    """Every axis that goes at several speeds, and every direction."""
+
+    name = "speed-error"
+    varies_with = "way"
+    role = Role.STRUCTURE
+    makes = SpeedError
+    keys = {"axis": AXIS, "direction": DIRECTION}
+    numbers = ("fastest_mm_s",)
+    covariates = ("v({axis})",)
+    sentence = (
+        "a displacement along {direction} that depends on how fast {axis} moves, "
+        "whichever way: {amplitude_um:.2g} µm at {fastest_mm_s:.3g} mm/s"
+    )
+    words = read_words("""
+        [en]
+        title = Error that depends on speed
+        cause = A slide that floats up on its oil, or a drive that pulls it aside, the
+            more the faster it goes.
+        looks_like = Lines lie apart by the speed of an axis, alike on the way there and
+            back.
+        remedy = Measure at the feed that parts are finished at; check way oil and the
+            preload of the guide.
+        [de]
+        title = Fehler, der von der Geschwindigkeit abhängt
+        cause = Ein Schlitten, der auf seinem Öl aufschwimmt, oder ein Antrieb, der ihn
+            zur Seite zieht, je schneller, desto mehr.
+        looks_like = Die Geraden liegen je nach Geschwindigkeit einer Achse auseinander,
+            auf Hin- und Rückweg gleich.
+        remedy = Mit dem Vorschub messen, mit dem Teile geschlichtet werden; Bettbahnöl
+            und Vorspannung der Führung prüfen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each axis and direction."""
+        found: list[Candidate] = []
+        for axis in at.machine.linear_axes:
+            speed = np.abs(at.axis_rate(axis.name))
+            fastest = float(speed.max(initial=0.0))
+            if np.std(speed) <= _LEAST_SPREAD * fastest:
+                continue
+            found += [
+                self.offer(SpeedError(axis, other.name, fastest), [USUAL_MM] * 2)
+                for other in at.machine.linear_axes
+            ]
+        return found
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return the displacement at the highest speed."""
+        sigma = float(np.sqrt(found.covariance.sum()))
+        return {"amplitude_um": Quantity(float(found.theta.sum()), sigma).scale(1e3)}

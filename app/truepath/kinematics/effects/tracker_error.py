@@ -1,0 +1,219 @@
+"""Errors of the tracker: circles off their axis or zero, a wrong distance.
+
+No time averages them, and a tracker within its maker's specification has all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions, RecordedState
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Quantity,
+    read_words,
+)
+from truepath.kinematics.effects.keys import choose_from
+from truepath.kinematics.effects.sinusoid import (
+    find_amplitude_and_phase,
+    sine_and_cosine,
+)
+from truepath.kinematics.effects.tracker_air import BeamBending
+from truepath.kinematics.effects.tracker_beam import (
+    BeamEffect,
+    BeamFamily,
+    raise_beam,
+)
+
+_USUAL_RAD = 2e-5
+CIRCLES = ("azimuth", "elevation")
+
+
+@dataclass(frozen=True)
+class TrackerEccentricity(BeamEffect):
+    """The measured angle errs as sin and cos of itself, once a turn."""
+
+    kind = "tracker-eccentricity"
+    units = {"sin": "rad", "cos": "rad"}
+    circle: str
+
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return what a turn about the circle's axis moves the target by."""
+        if self.circle == "elevation":
+            return raise_beam(recorded)
+        x, y, _ = recorded.tracker_mm.T
+        return np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+    def sizes(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Float64[np.ndarray, "n 2"]:
+        """Return sine and cosine of the angle."""
+        del at
+        x, y, z = recorded.tracker_mm.T
+        sides = (y, x) if self.circle == "azimuth" else (z, np.hypot(x, y))
+        return sine_and_cosine(np.arctan2(*sides))
+
+
+class TrackerEccentricityFamily(BeamFamily):
+    """Both circles."""
+
+    name = "tracker-eccentricity"
+    varies_with = "place"
+    keys = {"circle": choose_from("({})", CIRCLES)}
+    words = read_words("""
+        [en]
+        title = Eccentric circle of the tracker
+        cause = The encoder circle of the tracker sits off its axis, or was shaken.
+        looks_like = Points are turned about the tracker by an angle that follows a sine
+            of the direction looked in, whatever axis moves.
+        remedy = Run the tracker's own compensation (two-face and circle tests); measure
+            from a second place to separate it from the machine.
+        [de]
+        title = Exzentrischer Teilkreis des Trackers
+        cause = Der Teilkreis des Trackers sitzt neben seiner Achse oder hat einen Stoß
+            bekommen.
+        looks_like = Die Punkte sind um den Tracker um einen Winkel gedreht, der einem
+            Sinus der Blickrichtung folgt, gleich welche Achse fährt.
+        remedy = Die eigene Kompensation des Trackers durchführen (Zweilagen- und
+            Kreistest); von einem zweiten Standort messen, um es von der Maschine zu
+            trennen.
+        """)
+
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
+        """Return one a circle."""
+        del at, recorded
+        effects = map(TrackerEccentricity, CIRCLES)
+        return [self.offer(effect, [_USUAL_RAD] * 2) for effect in effects]
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return amplitude and phase."""
+        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
+        return {"amplitude_urad": amplitude.scale(1e6), "phase_rad": phase}
+
+
+@dataclass(frozen=True)
+class TrackerRangeOffset(BeamEffect):
+    """Every distance is too long by the same amount."""
+
+    kind = "tracker-range-offset"
+    units = {"": "mm"}
+
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return the unit beam."""
+        beam = recorded.tracker_mm
+        return beam / np.linalg.norm(beam, axis=1, keepdims=True)
+
+
+class TrackerRangeOffsetFamily(BeamFamily):
+    """One candidate."""
+
+    name = "tracker-range-offset"
+    varies_with = "place"
+    stated = {"offset_um": 1e3}
+    words = read_words("""
+        [en]
+        title = Range offset of the tracker
+        cause = The tracker's home distance, or the constant of the reflector in use, is
+            wrong.
+        looks_like = All points lie too far from the tracker by the same amount: the
+            volume looks bent about it.
+        remedy = Set the home distance again with the reflector in its nest; choose the
+            right reflector in the tracker's software.
+        [de]
+        title = Distanzversatz des Trackers
+        cause = Die Nulldistanz des Trackers oder die Konstante des verwendeten
+            Reflektors ist falsch.
+        looks_like = Alle Punkte liegen um denselben Betrag zu weit vom Tracker: Der
+            Raum wirkt um ihn gebogen.
+        remedy = Die Nulldistanz mit dem Reflektor in seiner Aufnahme neu setzen; in der
+            Software des Trackers den richtigen Reflektor wählen.
+        """)
+
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
+        """Return the offset."""
+        del at, recorded
+        return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
+
+
+@dataclass(frozen=True)
+class ElevationIndex(BeamEffect):
+    """Every elevation is read too high by the same angle."""
+
+    kind = "elevation-index"
+    units = {"": "rad"}
+
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return how the target seems to rise."""
+        return raise_beam(recorded)
+
+
+class ElevationIndexFamily(BeamFamily):
+    """One candidate."""
+
+    name = "tracker-index"
+    varies_with = "place"
+    stated = {"index_urad": 1e6}
+    words = read_words("""
+        [en]
+        title = Index error of the tracker's elevation
+        cause = The zero of the tracker's elevation circle is off.
+        looks_like = All points seem raised by the same angle: the volume looks like
+            part of a cone about the tracker.
+        remedy = Run the tracker's own compensation (two-face test); measure in both
+            faces.
+        [de]
+        title = Indexfehler der Trackerhöhe
+        cause = Die Null des Höhenkreises des Trackers stimmt nicht.
+        looks_like = Alle Punkte scheinen um denselben Winkel gehoben: Der Raum wirkt
+            wie Teil eines Kegels um den Tracker.
+        remedy = Die eigene Kompensation des Trackers durchführen (Zweilagentest); in
+            beiden Lagen messen.
+        """)
+
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
+        """Return the index."""
+        del at, recorded
+        return [self.offer(ElevationIndex(), [_USUAL_RAD])]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSpecification:
+    """Standard uncertainties of what a tracker in order may be off by.
+
+    eccentricity_rad : amplitude of each circle; index_rad : of the elevation's zero
+    range_offset_mm : of the home distance, with the reflector
+    bending_rad_per_mm : curvature of the beam; 0.9e-9 for each kelvin a metre of height
+    """
+
+    eccentricity_rad: float = 1e-6
+    index_rad: float = 1e-6
+    range_offset_mm: float = 1e-3
+    bending_rad_per_mm: float = 0.3e-9
+
+    def list_effects(self) -> tuple[tuple[Effect, float, bool], ...]:
+        """Return each cause, its standard uncertainty, and whether stations share it.
+
+        Circles lie about the plumb line anyhow at each station: the azimuth's phase is
+        another every time. All else stays with the tracker, and the air with the hall.
+        """
+        part = self.eccentricity_rad / 2.0**0.5
+        return (
+            (TrackerEccentricity("azimuth"), part, False),
+            (TrackerEccentricity("elevation"), part, True),
+            (ElevationIndex(), self.index_rad, True),
+            (TrackerRangeOffset(), self.range_offset_mm, True),
+            (BeamBending(), self.bending_rad_per_mm, True),
+        )

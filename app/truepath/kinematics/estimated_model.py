@@ -1,0 +1,66 @@
+"""A model with what was found of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import cho_factor, cho_solve
+
+from truepath.kinematics.effects.base import Effect, Role
+from truepath.kinematics.model import MachineModel
+
+
+@dataclass(frozen=True)
+class EstimatedModel:
+    """A model with its parameters and their covariance."""
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+
+    def part(
+        self, name: str
+    ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
+        """Return parameters and covariance of one effect."""
+        part = self.model.slices[name]
+        return self.theta[part], self.covariance[part, part]
+
+    @cached_property
+    def at_targets(self) -> EstimatedModel:
+        """What the measured targets show: tables that hold for them state it.
+
+        Confounded turns that a displacement makes up for are set to 0, and all others
+        are what they are then.
+        """
+        rows = self.target_rows
+        kept = tuple(
+            e for e in self.model.effects if e.name not in self.model.made_up_for
+        )
+        covariance = rows @ self.covariance @ rows.T
+        model = replace(self.model, effects=kept)
+        return EstimatedModel(model, rows @ self.theta, covariance)
+
+    @cached_property
+    def target_rows(self) -> Float64[np.ndarray, "k p"]:
+        """The parameters of `at_targets`, linear in these: a regression."""
+        own = np.zeros(self.model.size, bool)
+        for name in self.model.made_up_for:
+            own[self.model.slices[name]] = True
+        rows = np.eye(self.model.size)[~own]
+        if own.any():
+            scale = np.sqrt(np.diag(self.covariance)[own])
+            among = self.covariance[np.ix_(own, own)] / scale / scale[:, None]
+            across = self.covariance[np.ix_(own, ~own)] / scale[:, None]
+            rows[:, own] = -(cho_solve(cho_factor(among), across).T / scale)
+        return rows
+
+    def effects(self) -> dict[str, Effect]:
+        """Return the machine's own effects by name."""
+        return {
+            e.name: e
+            for e in self.model.effects
+            if e.role in (Role.MACHINE, Role.DIRECTION)
+        }

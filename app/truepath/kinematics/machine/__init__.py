@@ -1,0 +1,1 @@
+"""The machine's chain of axes and its symbols. What moves it off is `effects`."""

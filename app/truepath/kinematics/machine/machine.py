@@ -1,0 +1,216 @@
+"""The machine as `machine.json` states it: chain, axes, targets, tracker noise.
+
+A rotary axis on the workpiece side turns the workpiece by its angle, so what is seen
+from the workpiece turns back; one on the tool side turns the tool.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.machine.symbols import TURNS
+
+SAME_TARGET_MM = 1e-6  # rounding
+SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known
+
+
+@dataclass(frozen=True, slots=True)
+class LinearAxis:
+    """A straight axis and its travel, from low to high, mm."""
+
+    name: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryAxis:
+    """A rotary axis: travel, a point on its axis and its direction (right-handed).
+
+    low, high : ends of the travel, deg
+    """
+
+    name: str
+    low: float
+    high: float
+    origin_mm: tuple[float, float, float]
+    direction: tuple[float, float, float]
+
+    @property
+    def turns_fully(self) -> bool:
+        """Whether the travel is a full turn, so that errors repeat."""
+        return self.high - self.low >= 360.0 - 1e-9
+
+
+Axis = LinearAxis | RotaryAxis
+
+
+def position_unit(axis: Axis) -> str:
+    """Return the unit of an axis' positions."""
+    return "deg" if isinstance(axis, RotaryAxis) else "mm"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A reflector and the side that carries it: `tool` or `workpiece`.
+
+    seat_sigma_mm : how well its place is known, each coordinate
+    """
+
+    name: str
+    on: str
+    offset_mm: tuple[float, float, float]
+    seat_sigma_mm: float = SEAT_SIGMA_MM
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerNoise:
+    """Standard deviations of one sample, its rate, and where the tracker stands."""
+
+    range_sigma_um: float = 1.0
+    range_ppm: float = 0.3
+    angle_sigma_urad: float = 3.0
+    transverse_sigma_um: float = 4.0
+    rate_hz: float = 500.0
+    stands_on: str = "workpiece"
+
+    def sigma_mm(
+        self, distance_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 2"]:
+        """Return one sample's standard deviation along and across the beam, in mm."""
+        along = self.range_sigma_um + self.range_ppm * distance_mm * 1e-3
+        across = np.hypot(
+            self.angle_sigma_urad * distance_mm * 1e-3, self.transverse_sigma_um
+        )
+        return np.stack([along, across], axis=1) * 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """What the machine can along a line.
+
+    assumed : names of those that nobody has stated and that are the usual ones
+    """
+
+    max_feed_mm_min: float = 10_000.0
+    acceleration_mm_s2: float = 1000.0
+    jerk_mm_s3: float = float("inf")
+    assumed: tuple[str, ...] = ("max_feed_mm_min", "acceleration_mm_s2", "jerk_mm_s3")
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Nominal machine. The chain runs from workpiece to tool around the base `b`.
+
+    workpiece_side : axes that move the workpiece, in chain order from `w` to `b`
+    tool_side : axes that move the tool, in chain order from `b` to `t`
+    altitude_m : of its site; None where it is not stated
+    """
+
+    name: str
+    workpiece_side: tuple[str, ...]
+    tool_side: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    targets: tuple[Target, ...]
+    tracker: TrackerNoise
+    motion: MotionLimits = MotionLimits()
+    altitude_m: float | None = None
+
+    @property
+    def chain(self) -> str:
+        """Kinematic chain in the notation of ISO 10791-6, `w-…-b-…-t`."""
+        return "-".join(["w", *self.workpiece_side, "b", *self.tool_side, "t"])
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Axes from workpiece to tool."""
+        return self.workpiece_side + self.tool_side
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Axes in the order of position columns: X, Y, Z, then A, B, C."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def linear_axes(self) -> tuple[LinearAxis, ...]:
+        """The straight axes, in column order."""
+        return tuple(a for a in self.axes if isinstance(a, LinearAxis))
+
+    @property
+    def rotary_axes(self) -> tuple[RotaryAxis, ...]:
+        """The rotary axes, in column order."""
+        return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
+
+    def axis(self, name: str) -> Axis:
+        """Return the axis called `name`."""
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
+    def rotary(self, name: str) -> RotaryAxis:
+        """Return the rotary axis called `name`."""
+        for axis in self.rotary_axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
+    def linear(self, name: str) -> LinearAxis:
+        """Return the straight axis called `name`."""
+        for axis in self.linear_axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
+    def target(self, name: str = "") -> Target:
+        """Return the target called `name`; the first where no name is given."""
+        for target in self.targets:
+            if target.name == name or not name:
+                return target
+        raise KeyError(name)
+
+
+def remove_rotary_axes(machine: Machine) -> Machine:
+    """Return the machine without its rotary axes, as while they stand."""
+    names = {axis.name for axis in machine.linear_axes}
+    return replace(
+        machine,
+        axes=machine.linear_axes,
+        workpiece_side=tuple(n for n in machine.workpiece_side if n in names),
+        tool_side=tuple(n for n in machine.tool_side if n in names),
+    )
+
+
+def compute_turns(
+    axis: RotaryAxis, angle_rad: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 3 3"]:
+    """Return the right-handed turns about the direction of the axis (Rodrigues)."""
+    K = _across(np.array(axis.direction))
+    sine, cosine = np.sin(angle_rad)[:, None, None], np.cos(angle_rad)[:, None, None]
+    return np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
+
+
+@lru_cache(maxsize=64)
+def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
+    """Return the directions that X, Y, Z in its symbols mean, as columns.
+
+    They are those of the machine, turned the shortest way that brings the letter's own
+    direction (A: X, B: Y, C: Z) onto the direction of the axis.
+    """
+    own = np.eye(3)[TURNS.index(axis.name)]
+    direction = np.array(axis.direction)
+    cosine = float(own @ direction)
+    if cosine < -1.0 + 1e-12:  # half a turn, about the next direction
+        other = np.eye(3)[(TURNS.index(axis.name) + 1) % 3]
+        return 2.0 * np.outer(other, other) - np.eye(3)
+    K = _across(np.cross(own, direction))
+    return np.eye(3) + K + K @ K / (1.0 + cosine)
+
+
+def _across(v: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Return K with K p = v × p."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,0 +1,195 @@
+"""A machine together with everything that moves its measured point off its nominal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect, ErrorCurve, Parameter
+from truepath.kinematics.effects.catalogue import (
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    find_family,
+)
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.machine.machine import LinearAxis, Machine
+
+
+@dataclass(frozen=True)
+class CatalogueEffect(Effect):
+    """An effect that knows its family, its keys and the numbers that make it again."""
+
+    family: str
+    keys: tuple[tuple[str, str], ...]
+    numbers: tuple[tuple[str, float], ...]
+    effect: Effect
+
+    def compose_name(self, digits: str) -> str:
+        """Return family, keys and numbers in one line."""
+        numbers = (format(value, digits) for _, value in self.numbers)
+        return " ".join([self.family, *(key for _, key in self.keys), *numbers])
+
+    @property
+    def title(self) -> str:
+        """The effect in words: `Backlash of Y`."""
+        return find_family(self.family).title(dict(self.keys))
+
+    def state(
+        self,
+        theta: Float64[np.ndarray, " p"],
+        covariance: Float64[np.ndarray, "p p"],
+    ) -> dict[str, Quantity]:
+        """Return what files state of it; the numbers that make it as they are."""
+        family, usual = find_family(self.family), np.ones(len(theta))
+        value = dict(self.numbers).get(family.value_name)
+        known = Candidate(self.family, dict(self.keys), self.effect, usual, value)
+        return family.state(CandidateEstimate(known, theta, covariance))
+
+    @property
+    def half_difference(self) -> ErrorCurve | None:
+        """That of the effect."""
+        return self.effect.half_difference
+
+    @property
+    def lag_axis(self) -> str:
+        """That of the effect."""
+        return self.effect.lag_axis
+
+    @property
+    def axis_pair(self) -> tuple[str, str] | None:
+        """That of the effect."""
+        return self.effect.axis_pair
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of the effect."""
+        return self.effect.parameters
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return that of the effect."""
+        return self.effect.jacobian(at)
+
+
+@dataclass(frozen=True)
+class MachineModel:
+    """A nominal machine and effects; θ is their parameters one after another.
+
+    confounded : names of effects that the measured targets do not tell from others;
+        what is known of them comes from a prior
+    """
+
+    machine: Machine
+    effects: tuple[Effect, ...]
+    confounded: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        """Refuse effects of one name: their parameters would share a place in θ."""
+        names = [effect.name for effect in self.effects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"a model has one effect of a name; twice: {twice}")
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where each effect's parameters lie in θ, by the effect's name."""
+        found: dict[str, slice] = {}
+        begin = 0
+        for effect in self.effects:
+            end = begin + len(effect.parameters)
+            found[effect.name] = slice(begin, end)
+            begin = end
+        return found
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters in the order of θ."""
+        return tuple(p for effect in self.effects for p in effect.parameters)
+
+    @property
+    def size(self) -> int:
+        """Length of θ."""
+        return len(self.parameters)
+
+    @cached_property
+    def error_motions(self) -> tuple[ErrorMotion, ...]:
+        """The error motions, in the order of θ."""
+        return tuple(e for e in self.effects if isinstance(e, ErrorMotion))
+
+    @property
+    def knows_all_motions(self) -> bool:
+        """Whether all error motions of all axes are told: it holds for any tool."""
+        return len(self.identifiable_motions) == 6 * len(self.machine.axes)
+
+    @cached_property
+    def identifiable_motions(self) -> tuple[ErrorMotion, ...]:
+        """The error motions that the measured targets tell."""
+        return tuple(m for m in self.error_motions if m.name not in self.confounded)
+
+    @cached_property
+    def made_up_for(self) -> frozenset[str]:
+        """Names of the confounded motions that others make up for at the targets.
+
+        A turn of a linear axis that is confounded has a constant arm at the measured
+        targets: a displacement of the axis makes up for it. What is confounded of a
+        rotary axis is not among them: no one displacement makes up for it.
+        """
+        return frozenset(
+            m.name
+            for m in self.error_motions
+            if m.name in self.confounded and isinstance(m.axis, LinearAxis)
+        )
+
+    @cached_property
+    def catalogue_effects(self) -> tuple[CatalogueEffect, ...]:
+        """The effects of the catalogue, in the order of θ."""
+        return tuple(e for e in self.effects if isinstance(e, CatalogueEffect))
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return ∂(displacement in the workpiece frame, mm)/∂θ."""
+        columns = np.zeros((len(at), 3, self.size))
+        for effect in self.effects:
+            columns[:, :, self.slices[effect.name]] = effect.jacobian(at)
+        return columns
+
+    def displacement_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return how far all effects together move the measured point."""
+        moved = np.zeros((len(at), 3))
+        for effect in self.effects:
+            moved += effect.displacement_mm(at, theta[self.slices[effect.name]])
+        return moved
+
+    def with_effects(self, *more: Effect) -> MachineModel:
+        """Return this model with further effects at the end."""
+        return replace(self, effects=(*self.effects, *more))
+
+    def with_confounded(self, effects: Sequence[Effect]) -> MachineModel:
+        """Return this model with effects at the end that the targets do not tell."""
+        names = self.confounded.union(effect.name for effect in effects)
+        return replace(self.with_effects(*effects), confounded=names)
+
+
+def restore_effect(
+    family: Family,
+    machine: Machine,
+    keys: Mapping[str, str],
+    numbers: Mapping[str, float],
+) -> Effect | None:
+    """Return the effect as part of a model; None if it ends with its Run.
+
+    What has an ISO symbol is part of every model and stays what it is. Raises KeyError
+    as `Family.restore`.
+    """
+    effect = family.restore(machine, keys, numbers)
+    if effect is None or effect.iso_symbol:
+        return effect
+    fixed = tuple(keys.items()), tuple(numbers.items())
+    return CatalogueEffect(family.name, *fixed, effect)

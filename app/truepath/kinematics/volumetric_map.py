@@ -1,0 +1,206 @@
+"""The volumetric error anywhere, without the rigid motion of the whole volume.
+
+Where the tracker stands is not the machine's error: the map is stated after its best-
+fit rigid motion over the axis travel (uniform weight) is removed, and so is its
+uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions, make_standstill
+from truepath.kinematics.effects.base import Role
+from truepath.kinematics.identifiable import Confounded, build_identifiable_model
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.numerics.rigid import cross_matrix
+
+# Shapes down to a fifth of the travel; finer ones the prior bridges.
+SHAPE_INTERVALS = 5
+_SOBOL = 11  # 2^11 points where there are rotary axes
+_ROUNDING = 1e-12  # of the largest singular value: a motion that does not show
+_NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
+
+
+@dataclass(frozen=True, slots=True)
+class VolumetricMap:
+    """Linear map from θ to the volumetric error less its rigid motion.
+
+    rigid : (6, p) rigid motion of the whole volume that each parameter brings with it
+    volume, weight : points all over the travel, and what each counts
+    """
+
+    model: MachineModel
+    rigid: Float64[np.ndarray, "6 p"]
+    centre_mm: Float64[np.ndarray, "3"]
+    volume: Conditions
+    weight: Float64[np.ndarray, " n"]
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return ∂(volumetric error, mm)/∂θ."""
+        return (
+            _machine_columns(self.model, at)
+            - _rigid_columns(at, self.centre_mm) @ self.rigid
+        )
+
+    def error_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the volumetric error δ = actual − nominal, of motions composed."""
+        linear = self.jacobian(at) @ theta
+        if adds_up(self.model, self.volume, theta):
+            return linear
+        added = compute_second_order_mm(self.model, at, theta)
+        everywhere = compute_second_order_mm(self.model, self.volume, theta)
+        rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, everywhere)
+        return linear + added - _rigid_columns(at, self.centre_mm) @ rigid
+
+    def displacement_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return δ in the gauge of the error motions: rigid motion left where it is.
+
+        Locations of rotary axes are stated in that gauge.
+        """
+        moved = _machine_columns(self.model, at) @ theta
+        if adds_up(self.model, self.volume, theta):
+            return moved
+        return moved + compute_second_order_mm(self.model, at, theta)
+
+    def sigma_mm(
+        self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the standard uncertainty of each component."""
+        # Two-dimensional, so that one product of matrices serves all points.
+        J = self.jacobian(at).reshape(-1, self.model.size)
+        variance = np.einsum("mp,mp->m", J @ covariance, J)
+        return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3)
+
+
+def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
+    """Return the map of one target's volumetric error over the axis travel."""
+    at, weight = _quadrature(model.machine, target)
+    centre = weight @ at.point_mm
+    fit = _fit_rigid(at, weight, centre, _machine_columns(model, at))
+    return VolumetricMap(model, fit, centre, at, weight)
+
+
+def compute_volumetric_gram(
+    model: MachineModel, target: str = ""
+) -> Float64[np.ndarray, "p p"]:
+    """Return G with E|δ|² = tr(G C): mean square length over the axis travel, mm².
+
+    C is the covariance of θ. It is the integral of the Gram matrix in closed form
+    (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
+    """
+    return compute_component_grams(model, target).sum(axis=0)
+
+
+def compute_component_grams(
+    model: MachineModel, target: str = ""
+) -> Float64[np.ndarray, "3 p p"]:
+    """Return Gₖ with E δₖ² = tr(Gₖ C), k in x, y, z, as `compute_volumetric_gram`."""
+    at, weight = _quadrature(model.machine, target)
+    columns, centre = _machine_columns(model, at), weight @ at.point_mm
+    columns -= _rigid_columns(at, centre) @ _fit_rigid(at, weight, centre, columns)
+    columns *= np.sqrt(weight)[:, None, None]
+    return np.array([columns[:, k].T @ columns[:, k] for k in range(3)])
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeModel:
+    """Error motions in few shapes each, by which measurements are judged.
+
+    confounded : what the targets do not tell
+    gram : θᵀ G θ is the mean square of the volumetric error over the travel
+    """
+
+    model: MachineModel
+    confounded: tuple[Confounded, ...]
+    gram: Float64[np.ndarray, "p p"]
+
+
+def build_shape_model(
+    machine: Machine,
+    *offsets_mm: Float64[np.ndarray, "_ 3"],
+    intervals: int = SHAPE_INTERVALS,
+) -> ShapeModel:
+    """Return the model of what targets can tell, in shapes of some intervals an axis.
+
+    offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
+    """
+    model, confounded = build_identifiable_model(
+        machine, *offsets_mm, intervals=intervals
+    )
+    return ShapeModel(model, confounded, compute_volumetric_gram(model))
+
+
+def _machine_columns(
+    model: MachineModel, at: Conditions
+) -> Float64[np.ndarray, "n 3 p"]:
+    """Return the Jacobian of the machine alone: how targets sit is no error of it."""
+    columns = model.jacobian(at)
+    for effect in model.effects:
+        if effect.role is Role.NUISANCE:
+            columns[:, :, model.slices[effect.name]] = 0.0
+    return columns
+
+
+def _quadrature(
+    machine: Machine, target: str
+) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
+    if machine.rotary_axes:
+        return _evenly_spread(machine, target)
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    axes = machine.linear_axes
+    grid = np.meshgrid(*[node] * len(axes), indexing="ij")
+    weights = np.meshgrid(*[weight] * len(axes), indexing="ij")
+    low = np.array([a.low for a in axes])
+    high = np.array([a.high for a in axes])
+    unit = np.stack([g.ravel() for g in grid], axis=1)
+    position = low + (unit + 1.0) / 2.0 * (high - low)
+    total = np.prod([w.ravel() for w in weights], axis=0)
+    offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
+    return make_standstill(machine, position, offset), total / total.sum()
+
+
+def _evenly_spread(
+    machine: Machine, target: str
+) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
+    """Return points of a Sobol sequence: a grid of five axes would have too many."""
+    # Imported where it is used: the library takes a third of a second to come up.
+    from scipy.stats import qmc
+
+    unit = qmc.Sobol(len(machine.axes), seed=0).random_base2(_SOBOL)
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
+    at = make_standstill(machine, low + unit * (high - low), offset)
+    return at, np.full(len(unit), 1.0 / len(unit))
+
+
+def _fit_rigid(
+    at: Conditions,
+    weight: Float64[np.ndarray, " n"],
+    centre_mm: Float64[np.ndarray, "3"],
+    moved: Float64[np.ndarray, "n 3 ..."],
+) -> Float64[np.ndarray, "6 ..."]:
+    root = np.repeat(np.sqrt(weight), 3)
+    rigid = _rigid_columns(at, centre_mm).reshape(-1, 6) * root[:, None]
+    # A pseudo-inverse of six columns: quick, however many displacements there are.
+    fit = np.linalg.pinv(rigid, rcond=_ROUNDING) * root
+    return fit @ moved.reshape(3 * len(at), *moved.shape[2:])
+
+
+def _rigid_columns(
+    at: Conditions, centre_mm: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "n 3 6"]:
+    columns = np.zeros((len(at), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:] = cross_matrix(at.point_mm - centre_mm)
+    return columns

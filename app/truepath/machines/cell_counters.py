@@ -1,0 +1,138 @@
+"""What a cell has counted since the service began, over all its measurements.
+
+Each measurement, and each new cell process, counts from nothing; a plant that watches
+the service needs sums that only grow.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+from truepath.measurement.durations import Durations
+from truepath.measurement.measurement_state import ENDS
+from truepath.measurement.messages import (
+    CellEvent,
+    CellState,
+    CellVerb,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
+
+_CONFIRMED_BY = {
+    CellVerb.PAUSE: {CellState.PAUSED, *ENDS},
+    CellVerb.RESUME: {CellState.RUNNING, *ENDS},
+    CellVerb.ABORT: ENDS,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CellCounts:
+    """Sums since the service began.
+
+    queue_depth : what waits to be written now
+    commits : how long each commit of a Run took
+    commands : how long each command took until it was confirmed
+    """
+
+    samples: int = 0
+    lost_samples: int = 0
+    gaps: int = 0
+    crc_errors: int = 0
+    queue_depth: int = 0
+    commits: Durations = field(default_factory=Durations)
+    commands: dict[str, Durations] = field(default_factory=dict)
+
+
+class CellCounters:
+    """Follows the events of a cell. Any thread may ask or count."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._before, self._now = CellCounts(), CellCounts()
+        self._commands: dict[str, Durations] = {}
+        self._expected: dict[CellVerb, float] = {}
+
+    def read(self) -> CellCounts:
+        """Return the sums so far."""
+        with self._lock:
+            joined = _join(self._before, self._now)
+            return replace(joined, commands=dict(self._commands))
+
+    def begin_measurement(self) -> None:
+        """Count on: what follows counts from nothing, but for the tracker's errors."""
+        with self._lock:
+            self._close_measurement()
+            self._expected.clear()
+
+    def count(self, event: CellEvent) -> None:
+        """Follow an event."""
+        with self._lock:
+            match event:
+                case MeasurementProgress():
+                    self._follow(event)
+                case RunClosed(samples=samples, lost_samples=lost):
+                    closed = {"samples": samples, "lost_samples": lost}
+                    self._now = replace(self._now, queue_depth=0, **closed)
+                case StateChanged(state):
+                    self._confirm(state)
+                case _:
+                    pass
+
+    def expect_answer(self, verb: CellVerb) -> None:
+        """Begin to time a verb, unless an earlier one still waits for its answer."""
+        if verb in _CONFIRMED_BY:
+            with self._lock:
+                self._expected.setdefault(verb, time.monotonic())
+
+    @contextmanager
+    def time_command(self, name: str) -> Iterator[None]:
+        """Time a command that is answered at the end of the block."""
+        begun_s = time.monotonic()
+        yield
+        with self._lock:
+            self._add_command(name, time.monotonic() - begun_s)
+
+    def _follow(self, progress: MeasurementProgress) -> None:
+        if progress.crc_errors < self._now.crc_errors:  # connected anew
+            crc_errors = self._before.crc_errors + self._now.crc_errors
+            self._before = replace(self._before, crc_errors=crc_errors)
+        self._now = CellCounts(
+            progress.samples,
+            progress.lost_samples,
+            progress.gaps,
+            progress.crc_errors,
+            progress.queue_depth,
+            progress.commits,
+        )
+
+    def _close_measurement(self) -> None:
+        crc_errors = self._now.crc_errors
+        ended = replace(self._now, crc_errors=0)
+        self._before = _join(self._before, ended)
+        self._now = CellCounts(crc_errors=crc_errors)
+
+    def _confirm(self, state: CellState) -> None:
+        for verb, states in _CONFIRMED_BY.items():
+            if state in states and verb in self._expected:
+                begun_s = self._expected.pop(verb)
+                self._add_command(str(verb), time.monotonic() - begun_s)
+
+    def _add_command(self, name: str, duration_s: float) -> None:
+        before = self._commands.get(name, Durations())
+        self._commands[name] = before.add(duration_s)
+
+
+def _join(before: CellCounts, now: CellCounts) -> CellCounts:
+    return CellCounts(
+        before.samples + now.samples,
+        before.lost_samples + now.lost_samples,
+        before.gaps + now.gaps,
+        before.crc_errors + now.crc_errors,
+        now.queue_depth,
+        before.commits.join(now.commits),
+    )

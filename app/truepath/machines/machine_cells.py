@@ -1,0 +1,107 @@
+"""The machines that the service drives, each with the cell that holds its devices."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from truepath.catalogue.errors import NoMachine, UnnamedMachine
+from truepath.errors import NotFound
+from truepath.kinematics.machine.machine import Machine
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.conditions.condition_board import ConditionBoard
+
+
+@dataclass(frozen=True, slots=True)
+class MachineCell:
+    """One machine, its cell and what is known of both.
+
+    id : by which jobs name it
+    conditions : what has to be so before it moves
+    version : of its configuration, as the registry counts them
+    """
+
+    id: str
+    machine: Machine
+    cell: CellSupervisor
+    conditions: ConditionBoard | None = None
+    version: int = 1
+
+    def start(self) -> None:
+        """Start the cell process and the look at the conditions."""
+        if self.conditions is not None:
+            self.conditions.start()
+        self.cell.start()
+
+    def close(self) -> None:
+        """End both. What moves is held by the cell on its way out."""
+        if self.conditions is not None:
+            self.conditions.close()
+        self.cell.close()
+
+
+class Machines:
+    """The machines in order; any thread may ask while one is put in another's place."""
+
+    def __init__(self, cells: Iterable[MachineCell] = ()) -> None:
+        self._lock = threading.Lock()
+        self._cells = {cell.id: cell for cell in cells}
+
+    def list_all(self) -> list[MachineCell]:
+        """Return all of them, the first one first."""
+        with self._lock:
+            return list(self._cells.values())
+
+    def put(self, cell: MachineCell) -> MachineCell | None:
+        """Add a machine, or put it in another's place; return that one."""
+        with self._lock:
+            before = self._cells.get(cell.id)
+            self._cells[cell.id] = cell
+            return before
+
+    def take_out(self, machine_id: str) -> MachineCell | None:
+        """Drive a machine no more; return what is to be closed, if it was driven."""
+        with self._lock:
+            return self._cells.pop(machine_id, None)
+
+    @property
+    def first(self) -> MachineCell | None:
+        """The only or first machine; None where the service drives none."""
+        return next(iter(self.list_all()), None)
+
+    def get(self, machine_id: str) -> MachineCell:
+        """Return a machine. Raises NotFound."""
+        with self._lock:
+            found = self._cells.get(machine_id)
+        if found is None:
+            known = ", ".join(cell.id for cell in self.list_all()) or "none"
+            raise NotFound(
+                f"this service drives no machine {machine_id}; it drives {known}"
+            )
+        return found
+
+    def choose(self, machine_id: str | None) -> MachineCell:
+        """Return the machine that a job is for; without a name the only one.
+
+        Raises NotFound, NoMachine, UnnamedMachine.
+        """
+        if machine_id is not None:
+            return self.get(machine_id)
+        cells = self.list_all()
+        if not cells:
+            raise NoMachine
+        if len(cells) > 1:
+            raise UnnamedMachine([cell.id for cell in cells])
+        return cells[0]
+
+    def close(self) -> None:
+        """End all cells, at the same time: each may have to wait for its feed hold."""
+        closing = [
+            threading.Thread(target=cell.close, name=f"close-{cell.id}")
+            for cell in self.list_all()
+        ]
+        for thread in closing:
+            thread.start()
+        for thread in closing:
+            thread.join()

@@ -1,0 +1,1 @@
+"""The measurement itself: steps along a path or from point to point."""

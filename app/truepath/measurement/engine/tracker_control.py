@@ -1,0 +1,250 @@
+"""What the tracker is asked for: its stream, its target, its points.
+
+All of it takes a while; the monitor looks on meanwhile, so that the controller's
+watchdog is fed. What the tracker cannot do at once holds the feed, is tried again, or
+ends the measurement.
+"""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath.driver_border import Call
+from truepath.measurement.engine.measurement_monitor import MeasurementMonitor
+from truepath.measurement.faults import (
+    HOMED,
+    POINTS_ONLY,
+    Fault,
+    classify_fault,
+    make_beam_fault,
+    make_silence_fault,
+    make_target_fault,
+)
+from truepath.measurement.measurement_state import HoldReason
+from truepath.measurement.monitors.stream_reader import StreamReader
+from truepath.measurement.target.target_check import BOUND_MM, TargetCheck
+from truepath.measurement.target.target_search import TargetSearch
+from truepath_drivers.interfaces.errors import (
+    BeamLost,
+    ConnectionLost,
+    DeviceTimeout,
+    NotHomed,
+    NotOffered,
+)
+from truepath_drivers.interfaces.records import MotionState, MotionStatus, is_seen
+from truepath_drivers.interfaces.tracker import (
+    AnyTracker,
+    ByteLink,
+    PolledTracker,
+    TargetChoice,
+    TargetFinder,
+    Tracker,
+)
+from truepath_drivers.interfaces.tracker_records import Clock, PointMeasurement
+
+_JOIN_S = 5.0
+
+
+class TrackerControl:
+    """The tracker of one measurement. Belongs to the thread of the engine.
+
+    targets : where there are several; search : where the tracker can
+    """
+
+    def __init__(
+        self,
+        tracker: AnyTracker,
+        monitor: MeasurementMonitor,
+        targets: TargetCheck | None = None,
+        search: TargetSearch | None = None,
+    ) -> None:
+        self._tracker, self._monitor = tracker, monitor
+        self._settings, self._clock = monitor.settings, monitor.clock
+        self._targets, self._search = targets, search
+        self._chooses, self._is_homed = True, False
+        self._failures = 0  # of a polled tracker, one after another
+        self._point_s = 0.0
+
+    @property
+    def is_polled(self) -> bool:
+        """Whether the tracker measures point by point, and there is no stream."""
+        return isinstance(self._tracker, PolledTracker)
+
+    @property
+    def stamps_arrival(self) -> bool:
+        """Whether samples bear the time of their arrival, which blurs all motion."""
+        tracker = self._tracker
+        return isinstance(tracker, Tracker) and tracker.capabilities.clock is Clock.HOST
+
+    @property
+    def can_choose(self) -> bool:
+        """Whether the tracker goes from target to target by itself, as far as known."""
+        return self._chooses and isinstance(self._tracker, TargetChoice)
+
+    @property
+    def device_s(self) -> float:
+        """The tracker's clock at its newest sample or point, 0 before the first."""
+        return self._monitor.stream.device_time_s or self._point_s
+
+    def begin_stream(self, rate_hz: float) -> None:
+        """Start the stream; return at its first valid sample, or raise Fault."""
+        if isinstance(self._tracker, PolledTracker):
+            raise POINTS_ONLY
+        stream = StreamReader(
+            self._tracker,
+            self._monitor.recorder,
+            self._settings.timeouts,
+            self._clock,
+        )
+        try:
+            self._start(stream, rate_hz)
+        finally:
+            self._monitor.stream.watch(stream)  # which ends what has begun
+        self._wait_for_sample(stream)
+
+    def _start(self, stream: StreamReader, rate_hz: float) -> None:
+        try:
+            stream.start(rate_hz)
+        except NotHomed as error:
+            self._home(error)
+            stream.start(rate_hz)
+
+    def _wait_for_sample(self, stream: StreamReader) -> None:
+        deadline_s = self._clock() + self._settings.first_sample_s
+        while not stream.has_valid:
+            if self._clock() > deadline_s:
+                if stream.device_time_s is None:
+                    raise make_silence_fault(self._settings.first_sample_s)
+                text = "the tracker sends no valid sample"
+                action = "lock the beam on the reflector, then measure again"
+                raise Fault("beam-lost", text, action)
+            self._monitor.tick()
+
+    def select_target(self, name: str) -> bool:
+        """Have the tracker choose its target; tell whether it is chosen.
+
+        One that cannot choose measures what it is aimed at: the check of its points
+        asks for another where that is needed.
+        """
+        tracker = self._tracker
+        if not (self._chooses and isinstance(tracker, TargetChoice)):
+            return True
+        failure = self._monitor.wait_for_tracker(
+            lambda: tracker.select_target(name), tracker.verb_limit_s
+        )
+        if isinstance(failure, NotOffered):
+            self._chooses = False
+            self._monitor.events.record("target", str(failure))
+        elif isinstance(failure, NotHomed):
+            self._home(failure)
+            return False
+        elif failure is not None:
+            self._bear(failure)
+            return False
+        else:
+            self._monitor.events.record("target", f"{name} was selected")
+        return True
+
+    def _home(self, refusal: NotHomed) -> None:
+        """Home a tracker that asks for it, once; that moves no machine."""
+        tracker = self._tracker
+        if self._is_homed or not isinstance(tracker, TargetFinder):
+            raise classify_fault(refusal) from refusal
+        self._is_homed = True
+        failure = self._monitor.wait_for_tracker(tracker.home, tracker.verb_limit_s)
+        if failure is not None:
+            raise classify_fault(failure) from failure
+        self._monitor.events.report_fault(HOMED)
+
+    def holds_target(self, name: str, place_mm: NDArray[np.float64] | None) -> bool:
+        """Tell whether a point is of this target; hold and say so if it is not.
+
+        place_mm : the newest of the stream where left out
+        """
+        if place_mm is None:
+            place_mm = self._monitor.stream.place_mm
+        if self._targets is None or not name or place_mm is None:
+            return True
+        here = self._monitor.position_by_axis
+        misfit_mm = self._targets.measure_misfit(here, name, place_mm)
+        if misfit_mm > BOUND_MM:
+            fault = make_target_fault(name, misfit_mm)
+            self._monitor.feed.hold(HoldReason.TARGET, fault)
+        return misfit_mm <= BOUND_MM
+
+    def measure_point(self, row: int, dwell_s: float, target: str = "") -> bool:
+        """Measure a point that the machine stands at and record it.
+
+        Tells whether it was; else the machine moved, the feed is held, or the tracker
+        was out of reach. Raises Fault once that was so too often.
+        """
+        tracker = self._tracker
+        if not isinstance(tracker, PolledTracker):
+            raise POINTS_ONLY
+        late_s = self._clock() + dwell_s + self._settings.timeouts.point_s
+        self._monitor.tick()
+        here, stood = self._monitor.position, True
+        reader = Call(lambda: tracker.measure(dwell_s))
+        try:
+            while stood and not reader.is_over:
+                stood = self._stands(self._monitor.tick(), here)
+                if self._clock() > late_s:
+                    raise make_silence_fault(dwell_s + self._settings.timeouts.point_s)
+        finally:
+            tracker.stop()
+            reader.wait(_JOIN_S)
+        if not stood or not self._stands(self._monitor.tick(), here):
+            text = f"row {row + 1}: moved while it was measured"
+            self._monitor.events.record("point", text)
+            return False
+        return self._record_point(reader, row, here, target)
+
+    def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
+        """Whether the machine is where it was, and may be measured there."""
+        is_running = status is not None and status.state is MotionState.RUNNING
+        return not is_running and self._monitor.is_at(here)
+
+    def _record_point(
+        self, reader: Call, row: int, here: tuple[float, ...], target: str
+    ) -> bool:
+        if reader.failure is not None:
+            self._bear(reader.failure)
+            return False
+        point: PointMeasurement = reader.answer
+        if not is_seen(point.position_mm).all():
+            self._bear(BeamLost("the tracker shows a place that no beam reaches"))
+            return False
+        if not self.holds_target(target, point.position_mm):
+            return False
+        axes = dict(zip(self._monitor.motion.axes, here, strict=True))
+        good, fault = self._monitor.places.judge_point(axes, target, point.position_mm)
+        if fault is not None:
+            self._monitor.feed.hold(HoldReason.PLACE, fault)
+        if not good:
+            return False
+        if self._search is not None:
+            self._search.remember(axes, target, point.position_mm, stands=True)
+        tracker = self._tracker
+        data = tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
+        self._monitor.recorder.put_point(row, point, data)
+        self._failures, self._point_s = 0, point.time_s
+        return True
+
+    def _bear(self, failure: BaseException) -> None:
+        """Hold the feed where the beam is lost; connect anew where the link is."""
+        if isinstance(failure, BeamLost):
+            self._monitor.feed.hold(HoldReason.BEAM, make_beam_fault(str(failure)))
+            return
+        self._failures += 1
+        if (
+            not isinstance(failure, ConnectionLost | DeviceTimeout)
+            or self._failures > self._settings.point_tries
+        ):
+            raise classify_fault(failure) from failure
+        self._monitor.events.record("tracker", str(failure))
+        if isinstance(failure, ConnectionLost):
+            with contextlib.suppress(ConnectionLost, DeviceTimeout):
+                self._tracker.connect()

@@ -1,0 +1,1 @@
+"""What is looked at while a machine moves: stream, controller, disk, sensors."""

@@ -1,0 +1,187 @@
+"""Reads thermometers and air while a measurement runs, in threads of its own.
+
+Nothing waits for a sensor: neither the stream, nor the watchdog, nor the end.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from truepath.errors import MeasurementFailed
+from truepath.files.bundle.run import IMPLAUSIBLE
+from truepath.files.bundle.sensor_gate import ChannelGate
+from truepath.measurement.faults import Fault
+from truepath.measurement.monitors.channel_judge import ChannelJudge
+from truepath.measurement.run_file.recorder import Recorder
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath_drivers.interfaces.tracker import AirExchange, AnyTracker, PolledTracker
+
+log = logging.getLogger(__name__)
+
+JOIN_S = 0.5
+AIR_PERIOD_S = 5.0
+_FASTEST_S = 0.02
+
+OnReadings = Callable[[Mapping[str, float]], None]
+"""Takes what channels show, NaN for nothing. Called from any thread."""
+OnNotice = Callable[[Fault], None]
+"""Takes what is new of a sensor. Called from any thread."""
+
+
+class TrackerAir(Thermometers):
+    """The weather station of a tracker that streams, as a group of channels.
+
+    without : channels that another group has
+    """
+
+    def __init__(self, source: AirExchange, without: Sequence[str] = ()) -> None:
+        names = ("air_degC", "pressure_hPa", "humidity_percent")
+        self._source = source
+        self._names = [name for name in names if name not in without]
+        self._due_s = -math.inf
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Those that no other group has; what it sends may stand still for long."""
+        return tuple(Channel(name, stuck_s=0.0) for name in self._names)
+
+    @property
+    def period_s(self) -> float:
+        """Air changes slowly."""
+        return AIR_PERIOD_S
+
+    def connect(self) -> Identity:
+        """The tracker is connected already."""
+        return Identity("", "weather station of the tracker", "", "")
+
+    def close(self) -> None:
+        """The tracker is closed by its owner."""
+
+    def read(self) -> tuple[Reading, ...]:
+        """Ask the tracker for the air that it uses."""
+        begin_s = time.monotonic()
+        if begin_s < self._due_s:
+            return ()
+        self._due_s = begin_s + self.period_s
+        fault, shown = "", dict.fromkeys(self._names, math.nan)
+        try:
+            air = self._source.read_air()
+            shown["air_degC"] = air.temperature_degc
+            shown["pressure_hPa"] = air.pressure_hpa
+            shown["humidity_percent"] = air.humidity_percent
+        except DeviceError as error:
+            fault = str(error)
+        at_s = 0.5 * (begin_s + time.monotonic())
+        return tuple(Reading(n, at_s, shown[n], fault) for n in self._names)
+
+
+def list_groups(
+    tracker: AnyTracker, thermometers: Thermometers | None
+) -> tuple[Thermometers, ...]:
+    """Return the groups to read: thermometers, and the tracker's own station.
+
+    A tracker that is polled tells the air with each point.
+    """
+    groups = () if thermometers is None else (thermometers,)
+    if not isinstance(tracker, AirExchange) or isinstance(tracker, PolledTracker):
+        return groups
+    own = TrackerAir(tracker, name_channels(groups))
+    return (*groups, own) if own.channels else groups
+
+
+def name_channels(groups: Sequence[Thermometers]) -> tuple[str, ...]:
+    """Return the names of all channels, in order."""
+    return tuple(c.name for group in groups for c in group.channels)
+
+
+class EnvironmentReader:
+    """Reads groups until it is stopped; each has a thread, so that none waits."""
+
+    def __init__(
+        self,
+        groups: Sequence[Thermometers],
+        recorder: Recorder,
+        on_notice: OnNotice,
+        *,
+        on_readings: OnReadings = lambda _: None,
+        altitude_m: float | None = None,
+    ) -> None:
+        self._recorder, self._on_notice = recorder, on_notice
+        self._on_readings = on_readings
+        self._stopping = threading.Event()
+        self._gates: dict[str, ChannelGate] = {}
+        self._judges = {
+            c.name: ChannelJudge(c, altitude_m, self._gates)
+            for group in groups
+            for c in group.channels
+        }
+        self._threads = [
+            threading.Thread(
+                target=self._run, args=(group,), name="environment", daemon=True
+            )
+            for group in groups
+        ]
+
+    def start(self) -> None:
+        """Begin to read."""
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        """End; a driver that hangs is not waited for. Idempotent.
+
+        Tells how many readings of each sensor were left out, and why.
+        """
+        is_first = not self._stopping.is_set()
+        self._stopping.set()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join(JOIN_S)
+        for gate in self._gates.values() if is_first else ():
+            if gate.left_out:
+                text = gate.describe()
+                self._on_notice(Fault(IMPLAUSIBLE, text, ""))
+
+    def _run(self, group: Thermometers) -> None:
+        try:
+            period_s = max(group.period_s, _FASTEST_S)
+            while not self._stopping.is_set():
+                self._record(_read(group))
+                self._stopping.wait(period_s)
+        except MeasurementFailed as error:
+            log.warning("readings of sensors are not recorded any more: %s", error)
+        except Exception as error:
+            log.exception("the driver of the sensors has failed")
+            text = f"the driver of the sensors has failed: {error}"
+            action = "the measurement goes on without them; the log has the details"
+            self._on_notice(Fault("sensor-silent", text, action))
+
+    def _record(self, readings: Sequence[Reading]) -> None:
+        if not readings or self._stopping.is_set():
+            return
+        values: dict[str, float] = {}
+        for reading in readings:
+            judge = self._judges[reading.channel]
+            values[reading.channel], notice = judge.judge(reading)
+            if notice is not None:
+                self._on_notice(notice)
+        self._recorder.put_environment(readings[len(readings) // 2].host_time_s, values)
+        self._on_readings(values)
+
+
+def _read(group: Thermometers) -> tuple[Reading, ...]:
+    try:
+        try:
+            return group.read()
+        except ConnectionLost:
+            group.connect()
+            return group.read()
+    except DeviceError as error:
+        now_s, why = time.monotonic(), str(error)
+        return tuple(Reading(c.name, now_s, math.nan, why) for c in group.channels)

@@ -1,0 +1,274 @@
+"""Carries the tracker's stream from the driver to the disk, and assesses it."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath.errors import MeasurementFailed
+from truepath.measurement.messages import StreamTimeouts
+from truepath.measurement.monitors.plausibility import SeenPlace
+from truepath.measurement.monitors.tracker_trial import drop_earlier_samples
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.timing import RunningClock
+from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.tracker import ByteLink, Tracker
+
+BATCH_S = 0.1  # that is committed at once
+READ_S = 0.02  # between reads of the tracker
+TICK_S = 0.1
+
+
+class StreamState(Enum):
+    """How the stream is."""
+
+    GOOD = "good"
+    SILENT = "silent"  # nothing came for a while: hold the feed
+    DEAD = "dead"  # nothing came for so long that it will not come by itself
+    DAMAGED = "damaged"  # too many samples are bad or lost: hold the feed
+    BEAM_LOST = "beam-lost"  # samples come, none of them valid
+
+
+OnStreamState = Callable[[int, int, StreamState], None]
+"""Receives samples so far, samples lost and the stream's state, again and again."""
+
+
+class StreamReader:
+    """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder.
+
+    It has a thread of its own; any thread may call `assess` and read the properties.
+
+    failure : what ended the thread before it was stopped
+    device_time_s : device clock of the newest sample, None before the first
+    has_valid : a valid sample has come so far
+    seen : the newest valid sample, among others of it
+    place_mm : of the newest valid sample; is_seen : it is the newest of all
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        recorder: Recorder,
+        timeouts: StreamTimeouts,
+        clock: Callable[[], float],
+    ) -> None:
+        self._tracker, self._recorder, self._timeouts = tracker, recorder, timeouts
+        # A process that did not run has not read either: that is no silence.
+        self._clock = RunningClock(timeouts.late_s, clock)
+        self._lock = threading.Lock()
+        self._damage: StreamDamage | None = None
+        self._received_s = self._valid_s = self._clock()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(
+            target=self._run, name="stream-reader", daemon=True
+        )
+        self.failure: Exception | None = None
+        self.device_time_s: float | None = None
+        self.has_valid = self.is_seen = False
+        self.place_mm: NDArray[np.float64] | None = None
+        self.seen: SeenPlace | None = None
+        self._seen_s: float | None = None  # device time of the newest valid sample
+        self._gap_s = 0.0
+
+    def start(self, rate_hz: float) -> None:
+        """Start the stream. Raises as `Tracker.start`."""
+        drop_earlier_samples(self._tracker)
+        self._take_link_bytes()
+        self._damage = StreamDamage(rate_hz, self._timeouts.damaged_share)
+        self._tracker.start(rate_hz)
+        self._received_s = self._valid_s = self._clock()  # it took its time to start
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Hand over what has come, then end the stream. Idempotent."""
+        self._stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._tracker.stop()
+
+    def assess(self) -> StreamState:
+        """Assess the stream as it is now."""
+        now_s = self._clock()
+        with self._lock:
+            silence_s = now_s - self._received_s
+            # A beam is assessed by the samples that came, not by their absence.
+            without_beam_s = self._received_s - self._valid_s
+            is_damaged = self._damage is not None and self._damage.is_over_limit
+        if silence_s > self._timeouts.dead_s:
+            return StreamState.DEAD
+        if silence_s > self._timeouts.silent_s:
+            return StreamState.SILENT
+        if is_damaged:
+            return StreamState.DAMAGED
+        if without_beam_s > self._timeouts.beam_s:
+            return StreamState.BEAM_LOST
+        return StreamState.GOOD
+
+    def take_gap_s(self) -> float:
+        """Return the longest time of the tracker's clock without a valid sample.
+
+        Since the last call; a gap counts once a valid sample has ended it.
+        """
+        with self._lock:
+            gap_s, self._gap_s = self._gap_s, 0.0
+        return gap_s
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._fill_batch()
+            self._hand_over([self._tracker.read(0.0)])
+        except Exception as error:
+            self.failure = error
+
+    def _fill_batch(self) -> None:
+        blocks: list[TrackerSamples] = []
+        end_s = time.monotonic() + BATCH_S
+        while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
+            block = self._tracker.read(left_s)
+            if not (timed := np.isfinite(block.device_time_s)).all():
+                block = block.select(timed)  # its place in the stream is not known
+            self._note_arrival(block)
+            blocks.append(block)
+            self._stopping.wait(READ_S)
+        self._hand_over(blocks)
+
+    def _note_arrival(self, block: TrackerSamples) -> None:
+        now_s = self._clock()
+        if not len(block):
+            return
+        crc_errors = self._tracker.health.crc_errors
+        with self._lock:
+            self._received_s = now_s
+            if self._damage is not None:
+                self._damage.note(block, crc_errors)
+            self.device_time_s = float(block.device_time_s[-1])
+            valid = np.flatnonzero(block.status == 0)
+            self.is_seen = bool(block.status[-1] == 0)
+            if len(valid):
+                self._valid_s, self.has_valid = now_s, True
+                changes = 0
+                if self.seen is not None:
+                    same = block.position_mm[valid] == self.seen.place_mm
+                    changes = self.seen.changes + (not same.all())
+                newest = block.position_mm[valid[-1]]
+                self.seen = SeenPlace(self.device_time_s, newest, changes)
+                self.place_mm = block.position_mm[valid[-1]]
+                self._note_gaps(block.device_time_s[valid])
+
+    def _note_gaps(self, valid_s: NDArray[np.float64]) -> None:
+        before_s = valid_s[0] if self._seen_s is None else self._seen_s
+        longest_s = float(np.diff(valid_s, prepend=before_s).max())
+        self._gap_s, self._seen_s = max(self._gap_s, longest_s), float(valid_s[-1])
+
+    def _hand_over(self, blocks: list[TrackerSamples]) -> None:
+        self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())
+
+    def _take_link_bytes(self) -> bytes:
+        tracker = self._tracker
+        return tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
+
+
+def record_stream(
+    tracker: Tracker,
+    recorder: Recorder,
+    rate_hz: float,
+    is_over: Callable[[float], bool],
+    on_state: OnStreamState,
+) -> None:
+    """Record a connected tracker while a CNC without link drives its own program.
+
+    Nothing is known of the CNC meanwhile: what was driven when is found in the stream
+    afterwards. The caller closes the recorder.
+
+    is_over : waits at most so many seconds and tells whether the recording is to end
+
+    Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
+    DeviceError of the driver; what has been recorded by then is kept.
+    """
+    reader = StreamReader(tracker, recorder, StreamTimeouts(), time.monotonic)
+    reader.start(rate_hz)
+    try:
+        while not is_over(TICK_S):
+            _refuse_failures(reader, recorder)
+            state = reader.assess()
+            on_state(recorder.samples, recorder.lost_samples, state)
+            if state is StreamState.DEAD:
+                raise DeviceTimeout(
+                    "no sample has come for some seconds; check the tracker and its "
+                    "cable, then run the program again"
+                )
+    except BaseException:
+        # A tracker that is gone cannot be told to stop: what went wrong first counts.
+        with contextlib.suppress(DeviceError):
+            reader.stop()
+        raise
+    reader.stop()
+    _refuse_failures(reader, recorder)
+
+
+def _refuse_failures(reader: StreamReader, recorder: Recorder) -> None:
+    if reader.failure is not None:
+        raise reader.failure
+    if recorder.failure:
+        raise MeasurementFailed(recorder.failure)
+    if recorder.is_space_low:
+        raise MeasurementFailed("too little room is left on the disk; free some")
+
+
+_WINDOW_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What one block has shown: samples lost before or in it, in how many gaps."""
+
+    device_time_s: float
+    lost: int
+    gaps: int
+    crc_errors: int
+
+
+class StreamDamage:
+    """Counts what is bad or lost in the last second of the tracker's clock.
+
+    One gap alone is a silence, however long, and not counted here.
+
+    share : above it the stream is damaged
+    """
+
+    def __init__(self, rate_hz: float, share: float) -> None:
+        self._limit = max(share * rate_hz * _WINDOW_S, 1.0)
+        self._looks: deque[_Look] = deque()
+        self._sequence: int | None = None
+        self._crc_errors: int | None = None
+
+    def note(self, samples: TrackerSamples, crc_errors: int) -> None:
+        """Take note of a block that is not empty, and of all CRC errors so far."""
+        first = int(samples.sequence[0])
+        before = first - 1 if self._sequence is None else self._sequence
+        missing = np.diff(samples.sequence, prepend=before) - 1
+        bad = 0 if self._crc_errors is None else crc_errors - self._crc_errors
+        self._sequence, self._crc_errors = int(samples.sequence[-1]), crc_errors
+        now_s = float(samples.device_time_s[-1])
+        lost, gaps = int(missing.sum()), int((missing > 0).sum())
+        self._looks.append(_Look(now_s, lost, gaps, bad))
+        while self._looks[0].device_time_s <= now_s - _WINDOW_S:
+            self._looks.popleft()
+
+    @property
+    def is_over_limit(self) -> bool:
+        """Whether more than the allowed share of a second is bad or lost."""
+        lost = sum(look.lost for look in self._looks)
+        gaps = sum(look.gaps for look in self._looks)
+        bad = sum(look.crc_errors for look in self._looks)
+        return max(lost if gaps > 1 else 0, bad) > self._limit

@@ -1,0 +1,64 @@
+"""A moment of the tracker's stream, to see that it measures. Nothing moves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from truepath.measurement.messages import TrackerTrial, TrackerTried
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.tracker import AnyTracker, Tracker
+
+_READ_S = 0.2
+_FIRST_S = 2.0  # in which an instrument that has just been started sends
+_LEAST_TIMED = 20  # samples, for a rate
+
+
+def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
+    """Return what a connected tracker sends in a while. Raises DeviceError."""
+    if not isinstance(tracker, Tracker):
+        if trial.streams_only:
+            return TrackerTried(0, 0, 0, None, streams=False)
+        point = tracker.measure(trial.duration_s)
+        distance_mm = float(np.linalg.norm(point.position_mm))
+        return TrackerTried(point.count, point.count, 0, distance_mm)
+    drop_earlier_samples(tracker)
+    lost_before = tracker.health.lost_samples
+    blocks: list[TrackerSamples] = []
+    tracker.start(trial.rate_hz)
+    try:
+        end_s = time.monotonic() + _FIRST_S
+        while time.monotonic() < end_s:
+            block = tracker.read(_READ_S)
+            if len(block) and not blocks:
+                end_s = time.monotonic() + trial.duration_s
+            if len(block):
+                blocks.append(block)
+    finally:
+        tracker.stop()
+    lost = tracker.health.lost_samples - lost_before
+    usable_mm = [b.position_mm[b.status == 0] for b in blocks]
+    distances_mm = [np.linalg.norm(block, axis=1) for block in usable_mm]
+    found_mm = np.concatenate([*distances_mm, np.zeros(0)])
+    mean_mm = float(found_mm.mean()) if len(found_mm) else None
+    return TrackerTried(
+        sum(map(len, blocks)), len(found_mm), lost, mean_mm, _find_rate_hz(blocks)
+    )
+
+
+def drop_earlier_samples(tracker: Tracker) -> None:
+    """Read what an earlier stream has left: it tells nothing of now."""
+    while len(tracker.read(0.0)):
+        pass
+
+
+def _find_rate_hz(blocks: Sequence[TrackerSamples]) -> float | None:
+    """Return the rate at which the device counts, lost samples among them."""
+    joined = TrackerSamples.join(blocks)
+    if len(joined) < _LEAST_TIMED:
+        return None
+    span_s = float(joined.device_time_s[-1] - joined.device_time_s[0])
+    count = int(joined.sequence[-1] - joined.sequence[0])
+    return count / span_s if span_s > 0.0 and count > 0 else None

@@ -1,0 +1,1 @@
+"""The process that owns the devices, and its messages to the service."""

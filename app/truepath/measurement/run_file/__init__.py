@@ -1,0 +1,1 @@
+"""The Run on disk: recorded, read back, repaired."""

@@ -1,0 +1,1 @@
+"""Finding the reflector, and finding it again."""

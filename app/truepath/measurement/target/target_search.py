@@ -1,0 +1,266 @@
+"""Has a tracker that can find a lost target again, while the machine stands.
+
+It aims where the target should be and searches there. What is found elsewhere is
+another target. A beam that came back by itself is not its business.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath.driver_border import Call
+from truepath.kinematics.conditions import observe_targets
+from truepath.kinematics.machine.machine import Machine
+from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath.numerics.rigid import fit_rigid
+from truepath_drivers.interfaces.errors import DeviceError, NotOffered
+from truepath_drivers.interfaces.tracker import TargetFinder
+
+TRIES = 3  # for one loss
+MOST_FOUND = 3  # losses on a path, or at one point: more are for a person to look at
+_PAUSE_S = 1.0  # between tries
+_SEEN_S = 2.0  # after a search that has found, valid samples come by then
+
+Sight = Callable[[], NDArray[np.float64] | None]
+"""Returns the newest place of a target that is seen now, None where none is."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchStep:
+    """What a try has come to.
+
+    has_found : the target is seen again; is_last : nothing more is tried
+    """
+
+    text: str
+    has_found: bool = False
+    is_last: bool = False
+
+
+class TargetSearch:
+    """The tries to find a target again. One thread.
+
+    machine : whose targets they are
+    """
+
+    def __init__(
+        self, tracker: TargetFinder, machine: Machine, settings: EngineSettings
+    ) -> None:
+        self._tracker, self._settings = tracker, settings
+        self._places = SeenPlaces(machine)
+        self._lost, self._waiting = (Stopwatch(settings.clock) for _ in range(2))
+        self._found = Counter[int]()
+        self._task: Call | None = None
+        self._expected: ExpectedPlace | None = None
+        self._tries = 0
+        self._is_over, self._is_able = False, True
+
+    def remember(
+        self,
+        position: dict[str, float],
+        name: str,
+        place_mm: NDArray[np.float64],
+        *,
+        stands: bool,
+    ) -> None:
+        """Take note of where the target is seen; it is not lost."""
+        self._places.remember(position, name, place_mm, stands=stands)
+
+    def forget(self) -> None:
+        """Nothing is lost any more."""
+        self._lost.reset()
+        self._waiting.reset()
+        self._task, self._tries, self._is_over = None, 0, False
+
+    def advance(
+        self, position: dict[str, float], name: str, key: int, see: Sight | None
+    ) -> SearchStep | None:
+        """Try, or see what a try has come to. Never waits; the machine stands.
+
+        key : counts losses that belong together
+        see : None of a tracker that is polled
+        """
+        lost_s = self._lost.measure_s()
+        if self._is_over or not self._is_able:
+            return None
+        if self._task is not None:
+            return self._follow(self._task, key, see, lost_s)
+        if see is not None and see() is not None:
+            return None  # it is back by itself: a person resumes
+        if self._tries and self._waiting.measure_s() < _PAUSE_S:
+            return None
+        return self._try(position, name, key, lost_s)
+
+    def _try(
+        self, position: dict[str, float], name: str, key: int, lost_s: float
+    ) -> SearchStep | None:
+        expected = self._places.foretell(position, name)
+        is_late = lost_s > self._settings.timeouts.search_s
+        if expected is None or is_late or self._found[key] >= MOST_FOUND:
+            return self._give_up("the tracker is not asked to search again")
+        self._tries += 1
+        self._expected = expected
+        self._task = Call(lambda: self._aim_and_search(expected))
+        self._waiting.reset()
+        return None
+
+    def _aim_and_search(self, expected: ExpectedPlace) -> None:
+        self._tracker.aim(*expected.direction_rad)
+        self._tracker.search()
+
+    def _follow(
+        self, task: Call, key: int, see: Sight | None, lost_s: float
+    ) -> SearchStep | None:
+        if not task.is_over:
+            return None
+        if task.failure is not None:
+            if not isinstance(task.failure, DeviceError):
+                raise task.failure
+            if isinstance(task.failure, NotOffered):
+                self._task, self._is_over, self._is_able = None, True, False
+                return SearchStep(str(task.failure))
+            return self._fail(str(task.failure))
+        place = None if see is None else see()
+        if see is not None and place is None:
+            if self._waiting.measure_s() < _SEEN_S:
+                return None
+            return self._fail("it found one, and no valid sample came")
+        if lost_s > self._settings.timeouts.search_s:
+            return self._give_up("it was found too late to go on by itself")
+        away_mm = self._measure_away_mm(place)
+        if away_mm is not None:
+            self._leave_wrong_target()
+            return self._fail(f"it found another one, {away_mm:.0f} mm away")
+        self._found[key] += 1
+        return SearchStep(f"{self._describe_try()}: it was found", has_found=True)
+
+    def _measure_away_mm(self, place: NDArray[np.float64] | None) -> float | None:
+        """Return how far a place is off, None where it is where it should be."""
+        if place is None or self._expected is None:
+            return None
+        away_mm = float(np.linalg.norm(place - self._expected.place_mm))
+        return away_mm if away_mm > self._expected.reach_mm else None
+
+    def _leave_wrong_target(self) -> None:
+        """Turn the beam off it: whoever resumes must not measure it."""
+        expected, tracker = self._expected, self._tracker
+        if expected is not None:
+            Call(lambda: tracker.aim(*expected.direction_rad))
+
+    def _fail(self, text: str) -> SearchStep:
+        self._task = None
+        self._waiting.reset()
+        self._waiting.measure_s()
+        self._is_over = self._tries >= TRIES
+        text = f"{self._describe_try()}: {text}"
+        return SearchStep(text, is_last=self._is_over)
+
+    def _give_up(self, text: str) -> SearchStep:
+        self._task, self._is_over = None, True
+        return SearchStep(f"after {self._tries} tries: {text}", is_last=True)
+
+    def _describe_try(self) -> str:
+        if self._expected is None:
+            return f"try {self._tries} of {TRIES}"
+        azimuth, elevation = np.degrees(self._expected.direction_rad).tolist()
+        return (
+            f"try {self._tries} of {TRIES}, aimed at azimuth {azimuth:.2f}° and "
+            f"elevation {elevation:.2f}° ({self._expected.basis})"
+        )
+
+
+_KEPT = 50
+_APART_MM = 5.0  # nearer to another one it tells nothing new
+_FEWEST, _WIDE_MM = 4, 50.0  # places, and their spread across, that tell a pose
+_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a knock
+
+_Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedPlace:
+    """Where a target should be, in the tracker's frame.
+
+    reach_mm : how far from it the target may be
+    basis : what it is foretold from, in plain words
+    """
+
+    place_mm: _Vector
+    reach_mm: float
+    basis: str
+
+    @property
+    def direction_rad(self) -> tuple[float, float]:
+        """Azimuth from x towards y, elevation from the xy plane towards z."""
+        x, y, z = self.place_mm.tolist()
+        return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
+
+
+class SeenPlaces:
+    """Places of targets, where the machine stood and where it moved. One thread."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._standing, self._moving = _Pairs(), _Pairs()
+        self._newest: tuple[_Vector, _Vector] | None = None
+        self._step_mm = 0.0  # between the two newest: axes and place differ in time
+
+    def remember(
+        self, position: dict[str, float], name: str, place_mm: _Vector, *, stands: bool
+    ) -> None:
+        """Take note of where the target is seen.
+
+        position : of every axis, by name; stands : the machine stood there
+        """
+        stated, place = self._state_place(position, name), np.array(place_mm, float)
+        if self._newest is not None:
+            self._step_mm = float(np.linalg.norm(stated - self._newest[0]))
+        self._newest = stated, place
+        (self._standing if stands else self._moving).add(stated, place)
+
+    def foretell(self, position: dict[str, float], name: str) -> ExpectedPlace | None:
+        """Return where the target should be, None where none was ever seen."""
+        if self._newest is None:
+            return None
+        stated, (last, place) = self._state_place(position, name), self._newest
+        exact, rough = self._standing.foretell(stated), self._moving.foretell(stated)
+        if exact is not None:
+            return ExpectedPlace(exact, _ASTRAY_MM, "as the standstills have it")
+        reach_mm = _ASTRAY_MM + self._step_mm
+        if rough is not None:
+            return ExpectedPlace(rough, reach_mm, "as the lines have it")
+        away_mm = float(np.linalg.norm(stated - last))
+        return ExpectedPlace(place, reach_mm + away_mm, "where it was seen last")
+
+    def _state_place(self, position: dict[str, float], name: str) -> _Vector:
+        machine = self._machine
+        row = np.array([[position.get(axis, 0.0) for axis in machine.axis_names]])
+        return observe_targets(machine, row, [machine.target(name)]).point_mm[0]
+
+
+class _Pairs:
+    """Stated places and where they were seen."""
+
+    def __init__(self) -> None:
+        self._stated: deque[_Vector] = deque(maxlen=_KEPT)
+        self._seen: deque[_Vector] = deque(maxlen=_KEPT)
+
+    def add(self, stated: _Vector, seen: _Vector) -> None:
+        if all(np.linalg.norm(stated - other) > _APART_MM for other in self._stated):
+            self._stated.append(stated)
+            self._seen.append(seen)
+
+    def foretell(self, stated: _Vector) -> _Vector | None:
+        """Return where a stated place is seen, None where the pairs do not tell."""
+        if len(self._stated) < _FEWEST:
+            return None
+        known = np.array(self._stated)
+        across = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)[1]
+        if across < _WIDE_MM:
+            return None
+        return fit_rigid(known, np.array(self._seen)).apply(stated[None])[0]

@@ -1,0 +1,136 @@
+"""The interface of a control's program format: its content, the order of its blocks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
+
+_CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
+_START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
+_STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramRow:
+    """One row of the path.
+
+    number : from 1
+    position : rounded to what is printed, mm and deg
+    rotary_only : only rotary axes move
+    feed : of the linear axes, mm/min; of the rotary axes, deg/min, where only they move
+    path_feed : of all axes together, a degree counted as a millimetre
+    target_change : what the operator does before the motion, empty for nothing
+    """
+
+    number: int
+    position: tuple[float, ...]
+    rotary_only: bool
+    feed: float
+    path_feed: float
+    dwell_s: float
+    target_change: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramContent:
+    """A whole program: its name, its header in ASCII capitals, its rows."""
+
+    name: str
+    axes: tuple[str, ...]
+    linear: tuple[str, ...]
+    rotary: tuple[str, ...]
+    header: tuple[str, ...]
+    rows: tuple[ProgramRow, ...]
+
+
+class Dialect(ABC):
+    """One control: a writer and a reader that share nothing but this class.
+
+    control : its name for people
+    suffix : of program files
+    decimals : of positions, the finest that every control of this kind takes
+    most_rows : as many rows as block numbers can count
+    least_dwell_s, longest_dwell_s : of a row; shorter dwells are prolonged
+    counts_degrees : the feed is that of linear and rotary axes together, a degree being
+        counted as a millimetre; else it is that of the linear axes where one moves
+    frame : how the program ensures machine coordinates, for the header
+    """
+
+    control: ClassVar[str]
+    suffix: ClassVar[str]
+    decimals: ClassVar[int] = 4
+    most_rows: ClassVar[int] = 99_999
+    least_dwell_s: ClassVar[float] = 0.0
+    longest_dwell_s: ClassVar[float] = 3600.0
+    counts_degrees: ClassVar[bool] = False
+    frame: ClassVar[str]
+
+    def program_name(self, wanted: str, checksum: str) -> str:
+        """Return a name that the control accepts: the wanted one unless overridden.
+
+        wanted : in letters, digits and underscores, at most 16, a letter first
+        checksum : of the path, as `compute_checksum`
+        """
+        return wanted
+
+    @abstractmethod
+    def write(self, content: ProgramContent) -> str:
+        """Return the program in ASCII, every line ended by a line feed."""
+
+    @abstractmethod
+    def read(self, text: str) -> ProgrammedMotion:
+        """Return the motion of the control. Raises PlanningError naming the line.
+
+        A motion that is not in machine coordinates is an error, and so is one that
+        depends on a mode that this program did not set.
+        """
+
+
+def _write_nothing(_row: ProgramRow) -> Iterable[str]:
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class BlockForms:
+    """The blocks of a control, as formats, and their order.
+
+    motion : of a `row` to its `ends`; number : of a position in them
+    dwell : blocks of a dwell in s
+    message : to the operator; stop : until the operator continues
+    """
+
+    motion: str
+    dwell: tuple[str, ...]
+    message: str
+    stop: str = "M0"
+    number: str = ".4f"
+
+    def write_rows(
+        self,
+        content: ProgramContent,
+        write_before: Callable[[ProgramRow], Iterable[str]] = _write_nothing,
+    ) -> Iterator[str]:
+        """Yield the blocks of all rows, with the stops at which the operator acts.
+
+        write_before : blocks before the motion of a row
+        """
+        yield from self._write_stop(_CHECK_WAY)
+        for row in content.rows:
+            if row.target_change:
+                yield from self._write_stop(row.target_change)
+            yield from write_before(row)
+            words = zip(content.axes, row.position, strict=True)
+            ends = " ".join(f"{axis}{value:{self.number}}" for axis, value in words)
+            yield self.motion.format(row=row, ends=ends)
+            if row.number == 1:
+                yield from self._write_stop(_START_RECORDING)
+            if row.dwell_s > 0:
+                yield from (form.format(row.dwell_s) for form in self.dwell)
+        yield self.message.format(_STOP_RECORDING)
+
+    def _write_stop(self, message: str) -> tuple[str, str]:
+        return self.message.format(message), self.stop

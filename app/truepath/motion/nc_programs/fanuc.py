@@ -1,0 +1,143 @@
+"""Fanuc series 0i, 16i, 18i, 30i and later, milling (G-code system A of mills).
+
+Every number of a position, feed or dwell has a decimal point: without one a control of
+this make counts in its least increment, so that `X10` is 0.010 mm. Three decimals are
+what increment system IS-B takes. `G53` moves at rapid traverse only, so positions are
+in `G54`, and the control itself checks before it moves that no work offset is in the
+way: it compares the machine position (#5021 …) of each axis with the work position
+(#5041 …) and raises an alarm where they differ; this takes custom macro B. `G61` stops
+exactly. F is the feed of all axes together, a degree counted as a millimetre.
+Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61;
+feed per minute with rotary axes; system variables of the current position).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import ClassVar
+
+from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
+from truepath.motion.nc_programs.programmed_motion import (
+    ProgrammedMotion,
+    line_error,
+)
+
+_SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")
+_FORMS = BlockForms(
+    motion="N{row.number} G1 {ends} F{row.path_feed:.3f}",
+    dwell=("G4 X{:.3f}",),
+    message="({})",
+    number=".3f",
+)
+_MACHINE, _WORK = 5021, 5041  # position of the first axis; the others follow
+_LARGEST_NUMBER = 7999  # those above may be protected
+
+
+class Fanuc(Dialect):
+    """Programs between two `%`, called by an O-number."""
+
+    control = "Fanuc"
+    suffix = ".nc"
+    decimals = 3
+    most_rows = 9999
+    longest_dwell_s = 9999.0
+    counts_degrees = True
+    frame = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
+
+    def program_name(self, wanted: str, checksum: str) -> str:
+        """Return an O-number from the checksum: other paths have other numbers."""
+        return f"O{1 + int(checksum, 16) % _LARGEST_NUMBER:04d}"
+
+    def write(self, content: ProgramContent) -> str:
+        """Return the program from `%` to `%`."""
+        check_way, stop, *rows = _FORMS.write_rows(content)
+        guards = [_write_guard(*axis) for axis in enumerate(content.axes)]
+        head = ["%", f"{content.name} (TRUEPATH)", *(f"({s})" for s in content.header)]
+        head += [*_SAFE_START, check_way, stop, *guards]
+        return "\n".join([*head, *rows, "M30", "%", ""])
+
+    def read(self, text: str) -> ProgrammedMotion:
+        """Return the motion of the control."""
+        lines = text.rstrip().split("\n")
+        if len(lines) < 3 or lines[0].strip() != "%" or lines[-1].strip() != "%":
+            raise line_error(1, "a program stands between two lines of %")
+        blocks = [_COMMENT.sub(" ", line).strip() for line in lines]
+        reader = _Reader(text, _read_number(blocks[1]))
+        path = [(n, s) for n, s in enumerate(blocks[2:-1], 3) if s]
+        if not path or split_words(*path[-1])[-1].code != "M30":
+            raise line_error(0, "it has no M30 before its last %")
+        for line, block in path[:-1]:
+            reader.read_block(line, block)
+        return reader.control.finish()
+
+
+def _write_guard(index: int, name: str) -> str:
+    """Return the alarm where work and machine position of an axis differ."""
+    machine, work = _MACHINE + index, _WORK + index
+    return (
+        f"IF [ABS[#{machine}-#{work}] GT 0.001] "
+        f"THEN #3000={index + 1} (AXIS {index + 1} {name} HAS AN OFFSET)"
+    )
+
+
+_COMMENT = re.compile(r"\([^()]*\)")
+_NUMBER = re.compile(r"O(\d{1,8})")
+_GUARD = re.compile(r"IF\s*\[ABS\[#(\d+)-#(\d+)\]\s*GT\s*0?\.\d+\]\s*THEN\s*#3000=\d+")
+_INCREMENT = 0.001  # mm or deg; of a dwell in X, s
+
+
+class _Reader(GCodeReader):
+    groups: ClassVar[Groups] = {
+        "the unit": ("G21", "G20"),
+        "the plane": ("G17", "G18", "G19"),
+        "radius compensation": ("G40", "G41", "G42"),
+        "the tool length": ("G49", "G43", "G44"),
+        "the cycle": ("G80", "G81", "G82", "G83"),
+        "the dimension": ("G90", "G91"),
+        "the feed": ("G94", "G93", "G95"),
+        "the work offset": ("G54", "G55", "G56", "G57", "G58", "G59"),
+    }
+    path_modes = ("G61", "G62", "G64")
+    passive = ("G1", "G4")
+
+    def __init__(self, text: str, name: str) -> None:
+        super().__init__(text, name, counts_degrees=True)
+        self._checked: set[int] = set()  # axes, from 0, whose offset was checked
+
+    def read_block(self, line: int, block: str) -> None:
+        guard = _GUARD.fullmatch(block)
+        if guard:
+            self._note_guard(line, int(guard.group(1)), int(guard.group(2)))
+            return
+        super().read_block(line, block)
+
+    def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
+        if "X" in words:
+            return self.read_end(words.pop("X"))
+        if "P" in words and "." not in words["P"].digits:
+            return words["P"].value * 1e-3
+        raise line_error(
+            line, "a dwell needs X in seconds with a point, or P in milliseconds"
+        )
+
+    def read_end(self, word: Word) -> float:
+        """Return a length; without a decimal point it counts least increments."""
+        return word.value * (1.0 if "." in word.digits else _INCREMENT)
+
+    def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
+        if not set(range(len(ends))) <= self._checked:
+            raise line_error(line, "a position in G54 whose offset is not checked")
+
+    def _note_guard(self, line: int, machine: int, work: int) -> None:
+        if machine - _MACHINE != work - _WORK:
+            raise line_error(line, f"#{machine} and #{work} belong to different axes")
+        self._checked.add(machine - _MACHINE)
+
+
+def _read_number(block: str) -> str:
+    number = _NUMBER.fullmatch(block)
+    if number is None or int(number.group(1)) == 0:
+        raise line_error(2, "an O-number is needed after the first %")
+    return block

@@ -1,0 +1,154 @@
+"""What the readers of G-code (ISO 6983) share: words, modal groups, motions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from truepath.motion.nc_programs.programmed_motion import (
+    AXES,
+    ProgrammedMotion,
+    SimulatedControl,
+    line_error,
+)
+
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
+
+Groups = Mapping[str, Sequence[str]]
+"""Modal groups by name; the first code of each is the one a motion needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A letter and its number as written: `X10.` is not `X10` everywhere."""
+
+    letter: str
+    digits: str
+
+    @property
+    def value(self) -> float:
+        """The number."""
+        return float(self.digits)
+
+    @property
+    def code(self) -> str:
+        """A G or M word without leading zeros: `G1` for `G01`."""
+        whole, point, rest = self.digits.partition(".")
+        return f"{self.letter}{int(whole)}{point}{rest}"
+
+
+def split_words(line: int, text: str) -> list[Word]:
+    """Split a block without comments into its words."""
+    words: list[Word] = []
+    at = 0
+    block = text.strip().upper()
+    while at < len(block):
+        word = _WORD.match(block, at)
+        if word is None:
+            raise line_error(line, f"cannot be read at {block[at : at + 12]!r}")
+        words.append(Word(word.group(1), word.group(2)))
+        at = word.end()
+    return words
+
+
+class GCodeReader:
+    """Runs a program block by block.
+
+    groups : modal groups; no code is active until the program states it
+    path_modes : codes of one more group, which no motion needs, the exact stop first
+    frame : codes that make a position one of the machine, the usual first; each motion
+        needs one of them, unless there are none
+    passive : codes that change no mode
+    dwell_letter : of the seconds of a dwell
+    end : the code that ends the program, where it may stand in any block
+    modal, keywords : letters and words of codes
+    """
+
+    groups: ClassVar[Groups]
+    path_modes: ClassVar[Sequence[str]]
+    frame: ClassVar[Sequence[str]] = ()
+    passive: ClassVar[Sequence[str]]
+    dwell_letter: ClassVar[str]
+    end: ClassVar[str] = ""
+    modal: ClassVar[str] = "GM"
+    keywords: ClassVar[re.Pattern[str]] = re.compile(r"(?!)")
+
+    def __init__(self, text: str, name: str, *, counts_degrees: bool = False) -> None:
+        self.control = SimulatedControl(text, name, counts_degrees=counts_degrees)
+        groups = {**self.groups, "the path mode": self.path_modes}
+        self._group_of = {c: name for name, codes in groups.items() for c in codes}
+        self._active: dict[str, str] = {}
+        self.feed: float | None = None
+        self.ended = False
+
+    def read_block(self, line: int, block: str) -> None:
+        """Run a block without its comment; lines count from 1."""
+        every = split_words(line, self.keywords.sub("", block))
+        codes = {word.code for word in every if word.letter in self.modal}
+        codes |= set(self.keywords.findall(block))
+        words = {word.letter: word for word in every}
+        self.apply_codes(line, codes)
+        if "G4" in codes:
+            self.control.dwell(line, self.take_dwell_s(line, words))
+        if "F" in words:
+            self.feed = words["F"].value
+        ends = {n: self.read_end(word) for n, word in words.items() if n in AXES}
+        if ends:
+            self.check_motion(line, codes)
+            self.check_ends(line, ends)
+            exact_stop = self._active.get("the path mode") == self.path_modes[0]
+            row = int(words["N"].value) if "N" in words else 0
+            self.control.move(line, ends, self.feed, exact_stop=exact_stop, row=row)
+
+    def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
+        """Take the word of a dwell from the words of its block."""
+        word = words.pop(self.dwell_letter, None)
+        return -1.0 if word is None else word.value
+
+    def read_end(self, word: Word) -> float:
+        """Return the position that an axis word states, mm or deg."""
+        return word.value
+
+    def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
+        """Refuse a motion that this control does not drive as the path says."""
+
+    def apply_codes(self, line: int, codes: set[str]) -> None:
+        """Stop, end or change modes, as the codes of a block say."""
+        for code in codes.difference(self.passive, self.frame):
+            if code == self.end:
+                self.ended = True
+            elif code == "M0":
+                self.control.halt()
+            elif code in self._group_of:
+                self._active[self._group_of[code]] = code
+            else:
+                raise line_error(line, f"{code} has no place in a measuring path")
+
+    def check_motion(self, line: int, codes: set[str]) -> None:
+        """Refuse a motion that is not straight, or in another frame or mode."""
+        if "G1" not in codes:
+            raise line_error(line, "a motion without G1")
+        if self.frame and codes.isdisjoint(self.frame):
+            raise line_error(
+                line, f"a position in a work offset; {self.frame[0]} is needed"
+            )
+        for name, allowed in self.groups.items():
+            active = self._active.get(name, "not set")
+            if active != allowed[0]:
+                raise line_error(
+                    line, f"a motion while {name} is {active}; {allowed[0]} is needed"
+                )
+
+    def finish(self) -> ProgrammedMotion:
+        """Return what was driven. Raises PlanningError if the program has no end."""
+        if not self.ended:
+            raise line_error(0, f"it has no {self.end} at its end")
+        return self.control.finish()
+
+
+def find_name(text: str, comment: re.Pattern[str]) -> str:
+    """Return the name that a comment of the program states, empty without one."""
+    stated = comment.search(text)
+    return stated.group(1) if stated else ""

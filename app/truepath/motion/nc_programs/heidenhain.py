@@ -1,0 +1,127 @@
+"""Heidenhain TNC, Klartext.
+
+`M91` holds in its block: positions count from the machine datum, and the tool's length
+is left out; `R0` leaves its radius out. A TNC has no exact-stop mode, and it smooths
+transitions between lines, so each row has a dwell (cycle 9), a short one where the path
+has none: a dwell makes the axes stand. Rotary axes move at deg/min; on a line with both
+kinds a degree counts as a millimetre.
+Source: iTNC 530 and TNC 640 user's manuals (M91; cycle 9; M116 for the feed).
+"""
+
+from __future__ import annotations
+
+import re
+
+from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.programmed_motion import (
+    AXES,
+    ProgrammedMotion,
+    SimulatedControl,
+    line_error,
+)
+
+_FORMS = BlockForms(
+    motion="L {ends} R0 F{row.path_feed:.3f} M91 ; ROW {row.number}",
+    dwell=("CYCL DEF 9.0 DWELL TIME", "CYCL DEF 9.1 DWELL {:.3f}"),
+    message="; {}",
+    stop="STOP",
+    number="+.4f",
+)
+
+
+class Heidenhain(Dialect):
+    """Klartext programs, `.H`. A file and its program have one name."""
+
+    control = "Heidenhain TNC"
+    suffix = ".h"
+    least_dwell_s = 0.1
+    counts_degrees = True
+    frame = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
+
+    def write(self, content: ProgramContent) -> str:
+        """Return the program; blocks are numbered without a gap."""
+        blocks = [
+            f"BEGIN PGM {content.name} MM",
+            *(f"; {line}" for line in content.header),
+            *_FORMS.write_rows(content),
+            "M30",
+            f"END PGM {content.name} MM",
+        ]
+        return "".join(f"{number} {block}\n" for number, block in enumerate(blocks))
+
+    def read(self, text: str) -> ProgrammedMotion:
+        """Return the motion of the control."""
+        return _Reader(text).finish()
+
+
+_BLOCK = re.compile(r"(\d+) (.+)")
+_PROGRAM = re.compile(r"(BEGIN|END) PGM (\w+) (MM|INCH)")
+_LINE = re.compile(r"L((?: [A-Z][-+]\d+\.\d*)+) R0(?: F(\d+\.?\d*))? M91")
+_END = re.compile(r"([A-Z])([-+]\d+\.\d*)")
+_ROW = re.compile(r"ROW (\d+)")
+_DWELL = re.compile(r"CYCL DEF 9\.1 DWELL (\d+\.?\d*)")
+
+
+class _Reader:
+    def __init__(self, text: str) -> None:
+        self._control = SimulatedControl(text, counts_degrees=True)
+        self._feed: float | None = None
+        self._ended = False
+        for number, line in enumerate(text.splitlines(), 1):
+            numbered = _BLOCK.fullmatch(line.rstrip())
+            if numbered is None or int(numbered.group(1)) != number - 1:
+                raise line_error(
+                    number, f"does not begin with block number {number - 1}"
+                )
+            block, _, comment = numbered.group(2).partition(";")
+            self._read_block(number, block.strip(), comment)
+
+    def finish(self) -> ProgrammedMotion:
+        if not self._ended:
+            raise line_error(0, "it has no END PGM")
+        return self._control.finish()
+
+    def _read_block(self, line: int, block: str, comment: str) -> None:
+        straight, dwell = _LINE.fullmatch(block), _DWELL.fullmatch(block)
+        program = _PROGRAM.fullmatch(block)
+        if self._ended:
+            raise line_error(line, "a block after END PGM")
+        if program:
+            self._read_frame(line, *program.groups())
+        elif not self._control.name:
+            raise line_error(line, "it does not begin with BEGIN PGM")
+        elif straight:
+            self._drive(line, straight, comment)
+        elif dwell:
+            self._control.dwell(line, float(dwell.group(1)))
+        elif block == "STOP":
+            self._control.halt()
+        elif block.startswith("L "):
+            raise line_error(
+                line, "a straight line needs signed positions with a point, R0, M91"
+            )
+        elif block not in ("", "M30", "CYCL DEF 9.0 DWELL TIME"):
+            raise line_error(line, f"{block!r} has no place in a measuring path")
+
+    def _read_frame(self, line: int, word: str, name: str, unit: str) -> None:
+        if unit != "MM":
+            raise line_error(line, "the unit is INCH; MM is needed")
+        begins = word == "BEGIN"
+        if begins == bool(self._control.name) or (
+            not begins and name != self._control.name
+        ):
+            raise line_error(
+                line, f"{word} PGM {name} does not fit the lines before it"
+            )
+        self._control.name, self._ended = name, not begins
+
+    def _drive(self, line: int, straight: re.Match[str], comment: str) -> None:
+        ends = {name: float(value) for name, value in _END.findall(straight.group(1))}
+        odd = [name for name in ends if name not in AXES]
+        if odd:
+            raise line_error(line, f"{odd[0]} is no axis")
+        if straight.group(2):
+            self._feed = float(straight.group(2))
+        row = _ROW.search(comment)
+        number = int(row.group(1)) if row else 0
+        self._control.move(line, ends, self._feed, exact_stop=False, row=number)

@@ -1,0 +1,61 @@
+"""LinuxCNC (RS-274/NGC); `drivers.interfaces.rs274` says how it drives."""
+
+from __future__ import annotations
+
+import re
+from typing import ClassVar
+
+from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.gcode import GCodeReader, Groups, find_name
+from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
+from truepath_drivers.interfaces import rs274
+
+_FORMS = BlockForms(
+    motion=rs274.MOTION,
+    dwell=(rs274.DWELL,),
+    message="(MSG, {})",
+    number=f".{rs274.DECIMALS}f",
+)
+
+
+class LinuxCnc(Dialect):
+    """Programs of LinuxCNC, `.ngc`."""
+
+    control = "LinuxCNC"
+    suffix = ".ngc"
+    frame = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
+
+    def write(self, content: ProgramContent) -> str:
+        """Return the program; its name is that of its file and stands in a comment."""
+        lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
+        blocks = [*rs274.SAFE_START, *_FORMS.write_rows(content), rs274.END, ""]
+        return "\n".join([*lines, *blocks])
+
+    def read(self, text: str) -> ProgrammedMotion:
+        """Return the motion of the control."""
+        reader = _Reader(text, find_name(text, _NAME))
+        for number, line in enumerate(text.splitlines(), 1):
+            if not reader.ended:
+                reader.read_block(number, _COMMENT.sub(" ", line))
+        return reader.finish()
+
+
+_NAME = re.compile(r"^\(PROGRAM (\w+)\)$", re.MULTILINE)
+_COMMENT = re.compile(r"\([^()]*\)")
+
+
+class _Reader(GCodeReader):
+    groups: ClassVar[Groups] = {
+        "the unit": ("G21", "G20"),
+        "the plane": ("G17", "G18", "G19"),
+        "radius compensation": ("G40", "G41", "G42"),
+        "the tool length": ("G49", "G43", "G43.1"),
+        "the cycle": ("G80", "G81", "G82", "G83"),
+        "the dimension": ("G90", "G91"),
+        "the feed": ("G94", "G93", "G95"),
+    }
+    path_modes = ("G61.1", "G61", "G64")
+    frame = ("G53",)
+    passive = ("G1", "G4")
+    dwell_letter = "P"
+    end = rs274.END

@@ -1,0 +1,166 @@
+"""What a program makes the axes do: a simulated control runs it row by row."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from truepath.errors import PlanningError
+from truepath_drivers.interfaces.records import Path
+
+AXES = "XYZABC"
+_LINEAR = "XYZ"
+_CHECKSUM = re.compile(r"PATH CHECKSUM ([0-9A-F]{12})\b")
+_DIGITS = 12  # of a checksum: short enough to compare by eye
+
+
+@dataclass(frozen=True, slots=True)
+class ProgrammedMotion:
+    """Straight motions of a program, as a control would drive them.
+
+    name : of the program, as the control lists it
+    position : (n, axes) ends of the motions in machine coordinates, mm and deg
+    feed_mm_min : (n,) of the linear axes; deg/min where rotary axes move alone
+    dwell_s : (n,) standing after each motion
+    exact_stop : (n,) whether the axes come to a stand at the end of the motion
+    row : (n,) row of the path, from 1; 0 where the program states none
+    stated_checksum : of the path that the program was made from, empty if unstated
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    position: Float64[np.ndarray, "n a"]
+    feed_mm_min: Float64[np.ndarray, " n"]
+    dwell_s: Float64[np.ndarray, " n"]
+    exact_stop: Bool[np.ndarray, " n"]
+    row: Int64[np.ndarray, " n"]
+    stated_checksum: str = ""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def checksum(self) -> str:
+        """Checksum of the positions that the program commands."""
+        return compute_checksum(self.axes, self.position)
+
+    @property
+    def path(self) -> Path:
+        """The motion as a path, for `path.csv` of a bundle."""
+        return Path(self.axes, self.position, self.feed_mm_min, self.dwell_s)
+
+
+def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) -> str:
+    """Return twelve hexadecimal digits of positions, to 0.1 µm, in order.
+
+    Feeds and dwells do not count: the analysis does not use them, and an operator
+    may change them at the control.
+    """
+    rows = [",".join(f"{v:.4f}" for v in row) for row in np.round(position, 4) + 0.0]
+    text = "\n".join([",".join(axes), *rows])
+    return sha256(text.encode()).hexdigest()[:_DIGITS].upper()
+
+
+class SimulatedControl:
+    """Records motions and dwells in order. The first motion names every axis.
+
+    counts_degrees : the rule of the control for the feed of all axes together
+    """
+
+    def __init__(
+        self, text: str, name: str = "", *, counts_degrees: bool = False
+    ) -> None:
+        self._counts_degrees = counts_degrees
+        stated = _CHECKSUM.search(text)
+        self._stated = stated.group(1) if stated else ""
+        self._axes: tuple[str, ...] = ()
+        self._rows: list[tuple[float, ...]] = []
+        self._feed: list[float] = []
+        self._dwell_s: list[float] = []
+        self._exact: list[bool] = []
+        self._row: list[int] = []
+        self.name = name
+
+    def move(
+        self,
+        line: int,
+        words: Mapping[str, float],
+        feed: float | None,
+        *,
+        exact_stop: bool,
+        row: int,
+    ) -> None:
+        """Drive to `words`; axes that are not named stand still."""
+        if feed is None or not feed > 0:
+            raise line_error(line, "a motion without a feed; state F")
+        if not self._axes:
+            self._axes = tuple(name for name in AXES if name in words)
+        unknown = [name for name in words if name not in self._axes]
+        if unknown:
+            raise line_error(
+                line, f"{unknown[0]} moves first here; the first motion names all axes"
+            )
+        before = self._rows[-1] if self._rows else None
+        values = before or (0.0,) * len(self._axes)
+        end = tuple(words.get(n, v) for n, v in zip(self._axes, values, strict=True))
+        self._feed.append(feed * self._divide_linear_by_whole(before, end))
+        self._rows.append(end)
+        self._dwell_s.append(0.0)
+        self._exact.append(exact_stop)
+        self._row.append(row)
+
+    def dwell(self, line: int, seconds: float) -> None:
+        """Dwell after the last motion; ignored before the first."""
+        if not (math.isfinite(seconds) and seconds >= 0):
+            raise line_error(line, f"a dwell of {seconds:g} s")
+        if self._rows:
+            self._dwell_s[-1] += seconds
+            self._exact[-1] = self._exact[-1] or seconds > 0
+
+    def halt(self) -> None:
+        """Stop until the operator continues."""
+        if self._rows:
+            self._exact[-1] = True
+
+    def finish(self) -> ProgrammedMotion:
+        """Return what was driven. Raises PlanningError if no axis moved."""
+        if not self._rows:
+            raise PlanningError("the program moves no axis")
+        return ProgrammedMotion(
+            self.name,
+            self._axes,
+            np.array(self._rows),
+            np.array(self._feed),
+            np.array(self._dwell_s),
+            np.array(self._exact),
+            np.array(self._row, np.int64),
+            self._stated,
+        )
+
+    def moves_rotary_only(self, words: Mapping[str, float]) -> bool:
+        """Return whether a motion to `words` leaves every linear axis in place."""
+        here = dict(zip(self._axes, self._rows[-1], strict=True)) if self._rows else {}
+        moving = {n for n, v in words.items() if here.get(n) != v}
+        return bool(here and moving) and not any(n in _LINEAR for n in moving)
+
+    def _divide_linear_by_whole(
+        self, before: tuple[float, ...] | None, end: tuple[float, ...]
+    ) -> float:
+        """Return the share of the linear axes in the stated feed."""
+        if before is None or not self._counts_degrees:
+            return 1.0
+        step = [(n, b - a) for n, a, b in zip(self._axes, before, end, strict=True)]
+        whole = math.hypot(*(d for _, d in step))
+        straight = math.hypot(*(d for n, d in step if n in _LINEAR))
+        return straight / whole if straight > 0 else 1.0
+
+
+def line_error(line: int, problem: str) -> PlanningError:
+    """Return the error for a line of a program, counted from 1."""
+    return PlanningError(f"line {line} of the program: {problem}")

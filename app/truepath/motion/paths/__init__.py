@@ -1,0 +1,1 @@
+"""Rows to command: lines, circles, corners, points, and how fast."""

@@ -1,0 +1,93 @@
+"""What rows command, made and checked before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import PlanningError
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Commanded, Configurations, name_columns
+from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN
+from truepath.motion.paths.feeds import check_feeds
+from truepath.motion.workspace.travel import check_travel
+from truepath_drivers.interfaces.records import Path
+
+MAX_ROWS = 4096
+DEFAULT_DWELL_S = 1.0
+
+Row = Mapping[str, Any]
+"""One row with the column names of `path.csv` or `points.csv`."""
+
+
+def command_rows(
+    machine: Machine,
+    rows: Sequence[Row],
+    feed_mm_min: float | None = None,
+    *,
+    is_path: bool,
+) -> Commanded:
+    """Return what the machine will do, checked; PlanningError names the row.
+
+    feed_mm_min : of rows that state none
+    """
+    axes, position = machine.axis_names, _positions(machine, rows)
+    dwell_s = np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)
+    target = _targets(machine, rows)
+    commanded: Commanded
+    if is_path:
+        usual = feed_mm_min or DEFAULT_FEED_MM_MIN
+        feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
+        check_feeds(machine, feeds)
+        commanded = Path(axes, position, feeds, dwell_s, target)
+        _refuse_standing_lines(commanded)
+    else:
+        commanded = Configurations(axes, position, dwell_s, target)
+    if len(commanded) > MAX_ROWS:
+        raise PlanningError(
+            f"the plan has {len(commanded)} rows; a controller takes {MAX_ROWS}"
+        )
+    check_travel(machine, commanded)
+    return commanded
+
+
+def _positions(machine: Machine, rows: Sequence[Row]) -> Float64[np.ndarray, "n a"]:
+    columns = name_columns(machine.axis_names)
+    for number, row in enumerate(rows, 1):
+        given = {name for name in row if name.endswith(("_mm", "_deg"))}
+        for names, problem in (
+            (given - set(columns), "no axis of the machine"),
+            (set(columns) - given, "missing"),
+        ):
+            if names:
+                raise PlanningError(f"row {number}: {min(names)} is {problem}")
+    return np.array([[row[name] for name in columns] for row in rows], float)
+
+
+def _targets(machine: Machine, rows: Sequence[Row]) -> tuple[str, ...]:
+    if not any(row.get("target") for row in rows):
+        return ()
+    names = tuple(str(row.get("target") or "") for row in rows)
+    known = sorted(target.name for target in machine.targets)
+    for number, name in enumerate(names, 1):
+        if name not in known:
+            raise PlanningError(
+                f"row {number}: target {name!r} is unknown; the machine has "
+                f"{', '.join(filter(None, known)) or 'one target without a name'}"
+            )
+    return names
+
+
+def _refuse_standing_lines(path: Path) -> None:
+    if len(path) < 2:
+        raise PlanningError("a path of one row has no line; give at least two rows")
+    for index in range(1, len(path)):
+        same_target = not path.target or path.target[index] == path.target[index - 1]
+        if same_target and (path.position[index] == path.position[index - 1]).all():
+            raise PlanningError(
+                f"row {index + 1}: the line starts where it ends; remove the row, or "
+                "give a longer dwell_s to stand still"
+            )

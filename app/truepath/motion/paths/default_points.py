@@ -1,0 +1,93 @@
+"""Standstill points when nobody has planned better ones.
+
+They need no estimator and no time: the service makes them while it answers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import PlanningError
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
+from truepath.motion.motion_times import find_short_order
+from truepath.motion.workspace.travel import DECIMALS, inner_travel
+from truepath.motion.workspace.workspace import moving_targets
+
+DEFAULT_POINTS = 60  # some four minutes on a small mill
+POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
+_DWELL_S = 1.0
+_LEAST_TURN_DEG = 10.0  # or a tenth of the travel
+_REPEATED = 4  # points, from the same side but the first: the pose of a rigid body
+
+
+def default_points(machine: Machine, *, count: int | None = None) -> Configurations:
+    """Return standstill points: the eight corners, the rest spread evenly inside.
+
+    They stand in an order of short moves, and are always the same. Where there are
+    rotary axes, the points are spread over all axes and over the targets. Of several,
+    the first is measured again at the end, at its first points among others.
+
+    count : 60 where it is left out, 180 with rotary axes
+    """
+    turning = bool(machine.rotary_axes)
+    count = count or (POINTS_WITH_ROTARY_AXES if turning else DEFAULT_POINTS)
+    if count < 8:
+        raise PlanningError(f"{count} points: it must be 8 points or more")
+    rng, target = np.random.default_rng(0), ()
+    if turning:
+        names = [t.name for t in moving_targets(machine)]
+        again = _REPEATED if len(names) > 1 else 0
+        position = _turn_all_axes(machine, count, rng, again)
+        if any(names):
+            # Half of the first target's points at the end: a knock in between shows.
+            own = np.arange(count) * len(names) // count
+            target = tuple(names[k] for k in np.roll(own, -np.sum(own == 0) // 2))
+    else:
+        position = _spread(machine, count, rng)
+    return Configurations(
+        machine.axis_names, position, np.full(count, _DWELL_S), target
+    )
+
+
+def _spread(
+    machine: Machine, count: int, rng: np.random.Generator
+) -> Float64[np.ndarray, "n a"]:
+    """Return corners, then a Latin hypercube: a point in each slice of each axis."""
+    low, high = inner_travel(machine)
+    inside = count - 8
+    slices = np.stack([rng.permutation(inside) for _ in range(3)], axis=1)
+    unit = np.vstack(
+        [unit_corners(), (slices + rng.random((inside, 3))) / max(inside, 1)]
+    )
+    points = np.round(low + unit * (high - low), DECIMALS)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return points[find_short_order(apart)]
+
+
+def _turn_all_axes(
+    machine: Machine, count: int, rng: np.random.Generator, again: int
+) -> Float64[np.ndarray, "n a"]:
+    """Return random points inside the travel, some first ones again at the end.
+
+    From one to the next every rotary axis turns, so that a target on the table moves
+    and its standstills are told apart.
+    """
+    low, high = inner_travel(machine)
+    travel = min(axis.high - axis.low for axis in machine.rotary_axes)
+    least_turn_deg = min(_LEAST_TURN_DEG, 0.1 * travel)
+    places = [rng.uniform(low, high)]
+    while len(places) < count - again:
+        place = rng.uniform(low, high)
+        is_last = len(places) + 1 == count - again
+        near = np.array([places[-1], places[0] if is_last else places[-1]])
+        turn = np.abs(place - near)[:, len(machine.linear_axes) :]
+        if turn.min() > least_turn_deg:
+            places.append(place)
+    return np.round([*places, *places[:again]], DECIMALS)
+
+
+def unit_corners() -> Float64[np.ndarray, "8 3"]:
+    """Return the corners of the unit cube."""
+    return np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)

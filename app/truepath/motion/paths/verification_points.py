@@ -1,0 +1,201 @@
+"""Standstill points that prove a calibration: those that it has not measured.
+
+Body and face diagonals (ISO 230-6), points drawn at random in the travel, axes driven
+alone to targets from both sides (ISO 230-2), and circles as polygons (ISO 230-4). What
+is drawn follows from a seed, so that a plan can be made again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import BadInput, PlanningError
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Commanded, Configurations
+from truepath.motion.motion_times import find_short_order
+from truepath.motion.paths.circle_path import make_circle_path
+from truepath.motion.paths.verification_kinds import VerificationKind
+from truepath.motion.workspace.travel import DECIMALS, add_resting_axes, inner_travel
+from truepath.motion.workspace.workspace import Workspace, moving_targets
+
+DWELL_S = 1.0
+RANDOM_POINTS = 30
+_ON_DIAGONAL, _DIAGONAL_RUNS = 5, 2
+_AXIS_RUNS = 5  # of ISO 230-2
+_FEWEST_TARGETS, _TARGETS_PER_M = 5, 5.0
+_OVERRUN = 0.02  # of the travel, beyond the outer targets
+_VERTICES = 24
+_RADIUS = 0.4  # of the shorter travel of a plane
+_DRAWS = 1_000  # until a place is taken for full
+_FORBIDDEN_MM = 1e9
+_ANYWHERE = Workspace()
+
+Limits = Float64[np.ndarray, " a"]
+Rows = Float64[np.ndarray, "n a"]
+
+
+def make_verification_rows(
+    machine: Machine,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    workspace: Workspace = _ANYWHERE,
+) -> Commanded:
+    """Return the points of the kinds, or the path of circles in motion.
+
+    workspace : which only random points keep to
+
+    Raises BadInput where a path is asked for together with points, PlanningError where
+    the workspace leaves no room for random points.
+    """
+    if VerificationKind.CIRCLES_IN_MOTION not in kinds:
+        return make_verification_points(machine, kinds, seed, workspace)
+    if len(set(kinds)) > 1:
+        raise BadInput(
+            "circles-in-motion are a path and the other kinds are standstills, which "
+            "are two measurements; ask for each by itself"
+        )
+    return make_circle_path(machine)
+
+
+def make_verification_points(
+    machine: Machine,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    workspace: Workspace = _ANYWHERE,
+) -> Configurations:
+    """Return points of the kinds, one kind after another.
+
+    Rotary axes stand, but at random points. Of several targets the first that moves is
+    measured. Random points keep to the workspace, and their order to it as far as one
+    is found; all other points lie where their standard wants them.
+
+    Raises PlanningError where the workspace leaves no room for random points.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = inner_travel(machine)
+    makers = {
+        VerificationKind.DIAGONALS: _list_diagonals,
+        VerificationKind.RANDOM_POINTS: partial(_draw_points, workspace),
+        VerificationKind.BIDIRECTIONAL: _run_axes,
+        VerificationKind.CIRCLES: _list_circles,
+    }
+    parts = [
+        makers[kind](machine, low, high, rng)
+        for kind in makers  # always in this order: one seed, one plan
+        if kind in kinds
+    ]
+    position = np.round(np.concatenate(parts), DECIMALS)
+    name = moving_targets(machine)[0].name
+    return Configurations(
+        machine.axis_names,
+        position,
+        np.full(len(position), DWELL_S),
+        (name,) * len(position) if name else (),
+    )
+
+
+def _list_diagonals(
+    machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
+) -> Rows:
+    del rng
+    n = len(machine.linear_axes)
+    ends = [
+        np.array([[x, y, 0.0], [1.0 - x, 1.0 - y, 1.0]])
+        for x, y in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    ]
+    for a, b in combinations(range(n), 2):
+        for begin in (0.0, 1.0):
+            pair = np.full((2, n), 0.5)
+            pair[:, a], pair[:, b] = (0.0, 1.0), (begin, 1.0 - begin)
+            ends.append(pair)
+    share = np.linspace(0.0, 1.0, _ON_DIAGONAL)[:, None]
+    to_and_fro = _pass(_ON_DIAGONAL, _DIAGONAL_RUNS)
+    unit = np.concatenate(
+        [(pair[0] + share * (pair[1] - pair[0]))[to_and_fro] for pair in ends]
+    )
+    linear = low[:n] + unit * (high[:n] - low[:n])
+    return add_resting_axes(machine, linear)
+
+
+def _draw_points(
+    workspace: Workspace,
+    machine: Machine,
+    low: Limits,
+    high: Limits,
+    rng: np.random.Generator,
+) -> Rows:
+    """Return random points of all axes, in an order of short moves that are allowed."""
+    points = np.empty((0, len(low)))
+    for _ in range(_DRAWS):
+        drawn = rng.uniform(low, high, (RANDOM_POINTS, len(low)))
+        points = np.vstack([points, drawn[workspace.allows(machine, drawn, drawn)]])
+        if len(points) >= RANDOM_POINTS:
+            break
+    else:
+        raise PlanningError(
+            f"the workspace leaves room for {len(points)} of {RANDOM_POINTS} random "
+            "points; correct the workspace, or ask for other points"
+        )
+    points = points[:RANDOM_POINTS]
+    begin, end = (
+        np.repeat(points, RANDOM_POINTS, 0),
+        np.tile(points, (RANDOM_POINTS, 1)),
+    )
+    free = workspace.allows(machine, begin, end).reshape(RANDOM_POINTS, RANDOM_POINTS)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return points[find_short_order(np.where(free, apart, _FORBIDDEN_MM))]
+
+
+def _run_axes(
+    machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
+) -> Rows:
+    """Return five runs of each linear axis alone, to and fro, beyond the outer targets.
+
+    Targets are spread evenly and moved a little at random, so that no period of a screw
+    or scale hides between them.
+    """
+    n = len(machine.linear_axes)
+    middle = 0.5 * (low[:n] + high[:n])
+    parts: list[Rows] = []
+    for column in range(n):
+        span = high[column] - low[column]
+        count = max(_FEWEST_TARGETS, int(np.ceil(_TARGETS_PER_M * span / 1e3)))
+        step = (1.0 - 2.0 * _OVERRUN) / (count - 1)
+        inside = _OVERRUN + step * np.arange(count)
+        inside[1:-1] += 0.3 * step * rng.uniform(-1.0, 1.0, count - 2)
+        share = np.concatenate([[0.0], inside, [1.0]])[_pass(count + 2, _AXIS_RUNS)]
+        rows = np.tile(middle, (len(share), 1))
+        rows[:, column] = low[column] + share * span
+        parts.append(rows)
+    return add_resting_axes(machine, np.concatenate(parts))
+
+
+def _list_circles(
+    machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
+) -> Rows:
+    del rng
+    n = len(machine.linear_axes)
+    middle = 0.5 * (low[:n] + high[:n])
+    angle = np.linspace(0.0, 2.0 * np.pi, _VERTICES + 1)
+    angle = np.concatenate([angle, angle[-2::-1]])
+    parts: list[Rows] = []
+    for a, b in combinations(range(n), 2):
+        radius = _RADIUS * min(high[a] - low[a], high[b] - low[b])
+        rows = np.tile(middle, (len(angle), 1))
+        rows[:, a] += radius * np.cos(angle)
+        rows[:, b] += radius * np.sin(angle)
+        parts.append(rows)
+    return add_resting_axes(machine, np.concatenate(parts))
+
+
+def _pass(count: int, runs: int) -> list[int]:
+    """Return the order of so many places that are passed to and fro."""
+    order = [0]
+    for _ in range(runs):
+        order += [*range(1, count), *range(count - 2, -1, -1)]
+    return order

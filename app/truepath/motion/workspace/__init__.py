@@ -1,0 +1,1 @@
+"""Where the machine may go: travel, keep-outs, lines of sight."""

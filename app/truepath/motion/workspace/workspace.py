@@ -1,0 +1,206 @@
+"""Where the machine may go and what the tracker must see while it does.
+
+Keep-out boxes are stated in axis positions, like the protection zones of a control.
+Range and line of sight are those of the measured target where the tracker stands. All
+are checked over the whole swept line (`line_of_sight`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from truepath.errors import PlanningError
+from truepath.kinematics.conditions import Conditions, observe_targets
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.machine.machine import Machine, Target
+from truepath.motion.configurations import Commanded
+from truepath.motion.workspace.line_of_sight import (
+    Box,
+    Reflector,
+    angles_deg,
+    compute_share,
+    cross_box,
+    measure_distances,
+    touch_beam,
+)
+from truepath_drivers.interfaces.arcs import trace
+from truepath_drivers.interfaces.records import Path
+
+REPLAN = "plan other lines, or correct the workspace"
+
+
+@dataclass(frozen=True, slots=True)
+class StationAreas:
+    """Where the tracker may stand, in the frame that it stands on.
+
+    keep_out : boxes in which it must not stand
+    move_s : what another station costs: carry it, warm up, check known points
+    specification : what the tracker may be off by in a way that no time averages
+    """
+
+    areas: tuple[Box, ...]
+    keep_out: tuple[Box, ...] = ()
+    move_s: float = 600.0
+    specification: TrackerSpecification = field(default_factory=TrackerSpecification)
+
+    def allow(self, place_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Tell at which places the tracker may stand."""
+        inside = [cross_box(place_mm, place_mm, box) for box in self.areas]
+        out = [cross_box(place_mm, place_mm, box) for box in self.keep_out]
+        return np.any(inside, axis=0) & ~np.any([*out, np.zeros(len(place_mm))], axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """What limits a plan beside the travel.
+
+    keep_out : boxes of axis positions X, Y, Z that no motion may touch
+    tracker_mm : place of the tracker in the frame that it stands on; None if unknown
+    nearest_mm, farthest_mm : range of the tracker
+    blocks_sight : boxes in the same frame that the beam must not touch
+    reflector : of the measured target; None where it looks everywhere
+    stations : where the tracker may stand; None where nobody has said so
+    """
+
+    keep_out: tuple[Box, ...] = ()
+    tracker_mm: tuple[float, float, float] | None = None
+    nearest_mm: float = 0.0
+    farthest_mm: float = np.inf
+    blocks_sight: tuple[Box, ...] = ()
+    reflector: Reflector | None = None
+    stations: StationAreas | None = None
+
+    def place_tracker(self, place_mm: Float64[np.ndarray, "3"]) -> Workspace:
+        """Return it with the tracker at a place."""
+        x, y, z = (float(v) for v in place_mm)
+        return replace(self, tracker_mm=(x, y, z))
+
+    def allows(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which straight lines keep to it from begin to end. Linear axes only."""
+        ok = np.ones(len(begin), bool)
+        for breaks, _ in self._check_rules(machine, begin, end):
+            ok &= ~breaks
+        return ok
+
+    def refuse(
+        self, machine: Machine, commanded: Commanded, remedy: str = REPLAN
+    ) -> None:
+        """Raise PlanningError if a motion of the plan breaks it; names row and reason.
+
+        Rows are counted from 1; a single row is a place to stand at.
+        """
+        position, row = commanded.position, np.arange(len(commanded))
+        if isinstance(commanded, Path):
+            position, row = trace(commanded)
+        begin = position[:-1] if len(position) > 1 else position
+        end = position[1:] if len(position) > 1 else position
+        bad = ~self.allows(machine, begin, end)
+        if bad.any():
+            index = int(np.argmax(bad))
+            way = f"the way to row {row[index + (len(position) > 1)] + 1}"
+            self.refuse_way(machine, begin[index], end[index], way, remedy)
+
+    def refuse_way(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, " a"],
+        end: Float64[np.ndarray, " a"],
+        name: str,
+        remedy: str,
+    ) -> None:
+        """Raise PlanningError if one straight motion breaks it; says which and why."""
+        for breaks, reason in self._check_rules(machine, begin[None], end[None]):
+            if breaks[0]:
+                raise PlanningError(f"{name} {reason}; {remedy}")
+
+    @property
+    def without_sight(self) -> Workspace:
+        """Only what no motion may touch: the beam may be lost on the way."""
+        return replace(self, tracker_mm=None)
+
+    def _check_rules(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+    ) -> Iterator[tuple[Bool[np.ndarray, " n"], str]]:
+        for box in self.keep_out:
+            touched = cross_box(begin[:, :3], end[:, :3], box)
+            yield touched, f"enters the keep-out box {_name_box(box)}"
+        if self.tracker_mm is None:
+            return
+        tracker = np.array(self.tracker_mm)
+        first, last = _observe(machine, begin), _observe(machine, end)
+        yield from self._check_range(tracker, first, last)
+        for box in self.blocks_sight:
+            share = compute_share(machine, box.carried_by)
+            moved = begin @ share, end @ share
+            behind = touch_beam(
+                (tracker - moved[0], tracker - moved[1]),
+                (first.point_mm - moved[0], last.point_mm - moved[1]),
+                box,
+            )
+            yield behind, f"goes behind {_name_box(box)}, out of the tracker's sight"
+        if self.reflector is not None:
+            # What a reflector accepts is a cone: both ends in it, all between in it.
+            turned = [angles_deg(self.reflector, at, tracker) for at in (first, last)]
+            angle = np.maximum(*turned)
+            yield (
+                angle > self.reflector.half_angle_deg,
+                f"turns the reflector {angle.max(initial=0.0):.0f}° away from the "
+                "tracker, farther than it reflects",
+            )
+
+    def _check_range(
+        self, tracker: Float64[np.ndarray, "3"], first: Conditions, last: Conditions
+    ) -> Iterator[tuple[Bool[np.ndarray, " n"], str]]:
+        near, far = measure_distances(tracker, first.point_mm, last.point_mm)
+        least, most = near.min(initial=np.inf), far.max(initial=0.0)
+        yield (
+            near < self.nearest_mm,
+            f"brings the target to {least:.0f} mm, nearer than the tracker sees",
+        )
+        yield (
+            far > self.farthest_mm,
+            f"takes the target {most:.0f} mm away, farther than the tracker sees",
+        )
+
+
+def moves_where_seen(machine: Machine, target: Target) -> bool:
+    """Tell whether a target moves where the tracker stands."""
+    from_base = machine.tracker.stands_on == "base"
+    if target.on == "workpiece":
+        return from_base and bool(machine.workpiece_side)
+    return bool(machine.tool_side) or not from_base
+
+
+def moving_targets(machine: Machine) -> tuple[Target, ...]:
+    """Return the targets that move where the tracker stands.
+
+    Raises PlanningError if there is none.
+    """
+    targets = tuple(t for t in machine.targets if moves_where_seen(machine, t))
+    if not targets:
+        raise PlanningError(
+            f"no target of {machine.name} moves where the tracker stands; "
+            "state one on the tool in machine.json"
+        )
+    return targets
+
+
+def _name_box(box: Box) -> str:
+    return box.name or f"{list(box.low_mm)} to {list(box.high_mm)} mm"
+
+
+def _observe(machine: Machine, position: Float64[np.ndarray, "n a"]) -> Conditions:
+    """Return conditions of the first target where the tracker stands."""
+    return observe_targets(machine, position, [machine.target()])

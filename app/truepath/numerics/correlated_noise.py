@@ -1,0 +1,281 @@
+"""White plus Ornstein–Uhlenbeck noise: exact generalised least squares in linear time.
+
+Every observation k is a point in space. Its noise is white with a 3×3 precision D_k⁻¹,
+plus three Ornstein–Uhlenbeck processes c_k (air, mount, electronics), one a
+coordinate. The Ornstein–Uhlenbeck part's precision is tridiagonal in time, so with V =
+D + C,
+
+    V⁻¹ = D⁻¹ − D⁻¹ (D⁻¹ + C⁻¹)⁻¹ D⁻¹,
+
+and D⁻¹ + C⁻¹ is a band of width three when coordinates are interleaved. D⁻¹ may be
+singular: a direction of no information (along the travel, say) has precision 0. The
+band's factor also foretells every point from those before it (Kalman's filter in
+information form); what is new in the points, in units of its noise, is a root of V⁻¹.
+
+Points may also come a few at a time (`extend`). What follows tells more about the
+slow part of the last point, so that one waits; all before it are accounted for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.linalg import cholesky_banded
+
+from truepath.numerics.banded_factor import BandedFactor
+from truepath.numerics.ornstein_uhlenbeck import build_ou_precision, interleave
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+_ROUNDING = 1e-12  # of the largest precision: no information
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """V⁻¹ of n points in order of time, ready for products.
+
+    root : (n, 3, 3), W with WᵀW = D⁻¹
+    factor : (4, 3n), banded Cholesky factor of D⁻¹ + C⁻¹, or empty for white noise
+    alone : (n, 3) precision of C's process, each point's given the one before
+    log_determinant : of V, up to the constant of directions without information
+    """
+
+    root: Float64[np.ndarray, "n 3 3"]
+    factor: Float64[np.ndarray, "b m"]
+    alone: Float64[np.ndarray, "n 3"]
+    log_determinant: float
+
+    def whiten(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "m p"]:
+        """Return E with rowsᵀ V⁻¹ rows = EᵀE."""
+        new = np.empty((3 * len(rows), rows.shape[2]))
+        if not self.factor.size:
+            np.matmul(self.root, rows, out=new.reshape(rows.shape))
+            return new
+        precision = np.swapaxes(self.root, 1, 2) @ self.root
+        pulled = (precision @ rows).reshape(new.shape)
+        self._foresight.write_new(rows, self._solver.solve_half(pulled), new)
+        return new
+
+    @cached_property
+    def _solver(self) -> BandedFactor:
+        return BandedFactor.of(self.factor)
+
+    @cached_property
+    def _foresight(self) -> _Foresight:
+        return _Foresight.of(self.root, self.alone, self.factor)
+
+    def apply(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "n 3 p"]:
+        """Return V⁻¹ rows."""
+        return self.split(rows)[0]
+
+    def split(
+        self, rows: Float64[np.ndarray, "n 3 p"]
+    ) -> tuple[Float64[np.ndarray, "n 3 p"], Float64[np.ndarray, "n 3 p"]]:
+        """Return V⁻¹ rows, and the expected Ornstein–Uhlenbeck noise in rows."""
+        precision = np.swapaxes(self.root, 1, 2) @ self.root
+        weighted = precision @ rows
+        if not self.factor.size or not rows.size:
+            return weighted, np.zeros_like(rows)
+        flat = weighted.reshape(-1, rows.shape[2])
+        ou = self._solver.solve(flat).reshape(rows.shape)
+        return weighted - precision @ ou, ou
+
+
+def factorise(
+    time_s: Float64[np.ndarray, " n"],
+    white_precision: Float64[np.ndarray, "n 3 3"],
+    ou_sigma: Float64[np.ndarray, "n 3"],
+    ou_time_s: float,
+) -> Whitener:
+    """Return V⁻¹ for white noise of the given precision and an Ornstein–Uhlenbeck part.
+
+    time_s : increasing; ou_sigma : standard deviation of the Ornstein–Uhlenbeck part, 0
+        for none
+    """
+    root, log_white = _white_root(white_precision)
+    if not ou_sigma.any():
+        return Whitener(root, np.empty((0, 0)), np.empty((0, 3)), log_white)
+    ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
+    band = interleave(white_precision, ou.diagonal, ou.below)
+    factor = cholesky_banded(band, lower=True, check_finite=False)
+    log_sum = 2.0 * float(np.log(factor[0]).sum())
+    log_determinant = log_white + ou.log_determinant + log_sum
+    return Whitener(root, factor, ou.alone, log_determinant)
+
+
+@dataclass(frozen=True, slots=True)
+class _Foresight:
+    """How what is new in a point follows from it and from the solution before it.
+
+    own : (n, 3, 3) R; before : (k, 3, 3) N, of the last k points, which have one before
+    """
+
+    own: Float64[np.ndarray, "n 3 3"]
+    before: Float64[np.ndarray, "k 3 3"]
+
+    @staticmethod
+    def of(
+        root: Float64[np.ndarray, "n 3 3"],
+        alone: Float64[np.ndarray, "m 3"],
+        factor: Float64[np.ndarray, "4 b"],
+    ) -> _Foresight:
+        """Return it for the last n of m points with a factor.
+
+        With the factor's blocks B below its diagonal and the solution z, the process is
+        foretold as c = −P B z, P⁻¹ = Q⁻¹ − B Bᵀ. New is y − c, of covariance D + P.
+        """
+        block = np.zeros((len(alone) - 1, 3, 3))
+        for i in range(3):
+            for j in range(i, 3):
+                block[:, i, j] = factor[3 + i - j, j:-3:3]
+        precision = alone[:, :, None] * np.eye(3)
+        precision[1:] -= block @ np.swapaxes(block, 1, 2)
+        spread = np.linalg.inv(precision[-len(root) :])
+        total = np.eye(3) + root @ spread @ np.swapaxes(root, 1, 2)
+        own = np.linalg.solve(np.linalg.cholesky(total), root)
+        last = slice(max(len(root) - len(block), 0), None)
+        return _Foresight(own, own[last] @ spread[last] @ block)
+
+    def write_new(
+        self,
+        rows: Float64[np.ndarray, "n 3 p"],
+        solved: Float64[np.ndarray, "m p"],
+        new: Float64[np.ndarray, "b p"],
+    ) -> None:
+        """Write what is new in each point, in units of its noise."""
+        out, count = new.reshape(rows.shape), len(self.before)
+        np.matmul(self.own, rows, out=out)
+        solved = solved.reshape(-1, 3, rows.shape[2])
+        out[len(out) - count :] += self.before @ solved[:-1]
+
+
+@dataclass(frozen=True, slots=True)
+class OrnsteinUhlenbeckState:
+    """The correlated noise of the last point given all points, in information form.
+
+    sigma : (3,) standard deviation of the process
+    precision : (3, 3) of the state, what follows not yet counted
+    pulled : (3, p), precision times the mean of the state, as a function of the columns
+    """
+
+    time_s: float
+    sigma: Float64[np.ndarray, "3"]
+    precision: Float64[np.ndarray, "3 3"]
+    pulled: Float64[np.ndarray, "3 p"]
+
+    def marginalise(self) -> tuple[Float64[np.ndarray, "p p"], float]:
+        """Return what the state takes from rowsᵀ V⁻¹ rows, and its part of log det V.
+
+        Valid as long as nothing follows.
+        """
+        factor = ScaledCholesky.of(self.precision)
+        half = factor.solve_half(self.pulled)
+        return half.T @ half, factor.log_determinant
+
+
+def eliminate_columns(
+    total: Float64[np.ndarray, "q q"],
+    state: OrnsteinUhlenbeckState | None,
+    kept: Int64[np.ndarray, " k"],
+    rest: Int64[np.ndarray, " r"],
+) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
+    """Integrate columns out that no later point has; exact, whatever follows.
+
+    With the correlated noise c of the last point, sums so far are the quadratic form
+    wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and state over the
+    columns kept, and what the log determinant gains.
+    Raises LinAlgError if the points do not determine the rest.
+    """
+    square = total[np.ix_(kept, kept)]
+    if not len(rest):
+        if state is not None:
+            state = replace(state, pulled=state.pulled[:, kept])
+        return square, 0.0, state
+    factor = ScaledCholesky.of(total[np.ix_(rest, rest)])
+    half = factor.solve_half(total[np.ix_(rest, kept)])
+    square -= half.T @ half
+    if state is not None:
+        own = factor.solve_half(state.pulled[:, rest].T)
+        pulled = state.pulled[:, kept] - own.T @ half
+        precision = state.precision - own.T @ own
+        state = replace(state, pulled=pulled, precision=precision)
+    return square, factor.log_determinant, state
+
+
+def extend(
+    state: OrnsteinUhlenbeckState | None,
+    time_s: Float64[np.ndarray, " n"],
+    white_precision: Float64[np.ndarray, "n 3 3"],
+    ou_sigma: Float64[np.ndarray, "n 3"],
+    ou_time_s: float,
+    rows: Float64[np.ndarray, "n 3 p"],
+) -> tuple[Float64[np.ndarray, "p p"], float, OrnsteinUhlenbeckState | None]:
+    """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their state.
+
+    state : after the points before; None if these are the first, or the noise is white
+    The sums are those of `factorise` once the last state is marginalised.
+    """
+    root, log_white = _white_root(white_precision)
+    columns = rows.shape[2]
+    if not ou_sigma.any():
+        flat = (root @ rows).reshape(-1, columns)
+        return flat.T @ flat, log_white, None
+    pulled = (white_precision @ rows).reshape(-1, columns)
+    if state is not None:
+        time_s = np.concatenate([[state.time_s], time_s])
+        ou_sigma = np.concatenate([state.sigma[None], ou_sigma])
+        white_precision = np.concatenate([state.precision[None], white_precision])
+        pulled = np.concatenate([state.pulled, pulled])
+    ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
+    log_ou = ou.log_determinant
+    if state is not None:  # counted when the state was the newest
+        ou.diagonal[0] -= 1.0 / state.sigma**2
+        log_ou -= 2.0 * float(np.log(state.sigma).sum())
+    band = interleave(white_precision, ou.diagonal, ou.below)
+    factor = cholesky_banded(band, lower=True, check_finite=False)
+    solved = BandedFactor.of(factor).solve_half(pulled)
+    log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
+    last = _last_block(factor)
+    newest = OrnsteinUhlenbeckState(
+        float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:]
+    )
+    new = np.empty((3 * len(rows) + 3, columns))
+    _Foresight.of(root, ou.alone, factor).write_new(rows, solved, new[:-3])
+    new[-3:] = solved[-3:]  # the newest state is not marginalised
+    gain = new.T @ new
+    if state is not None:
+        gain -= state.marginalise()[0]
+    return gain, log_white + log_ou + log_sum, newest
+
+
+def _white_root(
+    white_precision: Float64[np.ndarray, "n 3 3"],
+) -> tuple[Float64[np.ndarray, "n 3 3"], float]:
+    """Return an upper W with WᵀW = D⁻¹, and log det D over what has information.
+
+    Cholesky's factor for all points at once; a pivot of rounding counts as none.
+    """
+    root = np.zeros_like(white_precision)
+    least = _ROUNDING * np.trace(white_precision, axis1=1, axis2=2)
+    log_determinant = 0.0
+    for i in range(3):
+        above = root[:, :i, i]
+        pivot = white_precision[:, i, i] - np.einsum("nk,nk->n", above, above)
+        known = pivot > least
+        root[:, i, i] = np.sqrt(np.where(known, pivot, 0.0))
+        log_determinant -= float(np.log(pivot[known]).sum())
+        for j in range(i + 1, 3):
+            rest = white_precision[:, i, j] - np.einsum(
+                "nk,nk->n", above, root[:, :i, j]
+            )
+            root[known, i, j] = rest[known] / root[known, i, i]
+    return root, log_determinant
+
+
+def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
+    """Return the lower triangle that belongs to the last point."""
+    block = np.diag(factor[0, -3:])
+    block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
+    return block

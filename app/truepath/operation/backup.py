@@ -1,0 +1,243 @@
+"""Keeps a data folder: catalogue with jobs and users, Runs, results; and puts it back.
+
+A service may measure meanwhile. The catalogue is one consistent view; the files it
+names are closed and change no more. A Run that is being recorded is left out and named:
+reading it could keep the cell from closing it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from truepath.catalogue.catalogue_tables import import_tables, open_export
+from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.job import format_utc_now
+from truepath.catalogue.store.database import Database
+from truepath.errors import BadInput
+from truepath.operation.archive import (
+    Archive,
+    Stored,
+    check_name,
+    make_archive,
+    read_archive,
+    read_checked,
+    store_chunks,
+    store_file,
+)
+from truepath.operation.running_service import find_service
+from truepath.settings import Settings
+
+SCHEMA = "backup/1"
+MANIFEST, MANIFEST_SUM = "manifest.json", "manifest.sha256"
+_CATALOGUE, _FILES = "catalogue", ("runs", "results")
+_ROOTS = (_CATALOGUE, *_FILES)
+_STAYS = (".lock", "tls", "tmp", "aside-", ".restoring-")  # keys are kept by nobody
+_BUNDLES = "bundles"  # packed from Runs, and packed again when asked for
+_RECORDED = "it is being recorded; keep the folder again once it is closed"
+_REPLACED = "it was replaced meanwhile"
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What a backup holds.
+
+    rows : of the catalogue, by table; files : by name; left_out : and why
+    """
+
+    revision: str
+    rows: Mapping[str, int]
+    files: Mapping[str, Stored]
+    left_out: Mapping[str, str]
+
+    @property
+    def bytes(self) -> int:
+        """Size of all files."""
+        return sum(stored.bytes for stored in self.files.values())
+
+
+def make_backup(settings: Settings, place: Path) -> Kept:
+    """Keep the data folder of some settings in a folder or a zip file.
+
+    Raises BadInput where there is nothing to keep or something is there already.
+    """
+    folder = settings.data_dir
+    if place.absolute().is_relative_to(folder.absolute()):
+        raise BadInput(f"{place}: is inside the data folder; name a place outside it")
+    is_served = find_service(settings).is_there
+    with (
+        closing(Database(settings.database)) as database,
+        open_export(database) as export,
+        make_archive(place) as archive,
+    ):
+        rows: dict[str, int] = {}
+        files: dict[str, Stored] = {}
+        for table in export.tables:
+            counted = _Counted(export.read(table))
+            name = f"{_CATALOGUE}/{table}.jsonl"
+            files[name] = store_chunks(archive, name, counted)
+            rows[table] = counted.count
+        left_out = _store_files(archive, folder, files, is_served=is_served)
+        kept = Kept(export.revision, rows, files, left_out)
+        _write_manifest(archive, kept)
+    return kept
+
+
+def restore_backup(settings: Settings, place: Path, *, force: bool = False) -> Kept:
+    """Put a backup into the data folder of some settings, and say what came back.
+
+    Every file is checked before anything is replaced. Where the folder holds data they
+    are moved to `aside-TIME` in it, if `force`; else nothing is done.
+
+    Raises BadInput where a file of the backup is damaged or missing, InUse.
+    """
+    folder = settings.data_dir
+    with read_archive(place) as archive, hold_folder(folder):
+        kept = _read_manifest(archive)
+        present = _list_data(folder)
+        if present and not force:
+            raise BadInput(
+                f"{folder}: holds data already; give another --data-dir, or --force to "
+                "move them aside"
+            )
+        if shutil.disk_usage(folder).free < kept.bytes * 1.1:
+            raise BadInput(f"{folder}: has no room for {kept.bytes / 1e9:.2f} GB")
+        stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        draft = folder / f".restoring-{stamp}"
+        try:
+            _unpack(archive, kept, draft)
+            _put_catalogue(settings, kept, draft)
+            _exchange(folder, draft, present, folder / f"aside-{stamp}")
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    return kept
+
+
+class _Counted:
+    """Counts the lines that pass."""
+
+    def __init__(self, lines: Iterator[bytes]) -> None:
+        self._lines, self.count = lines, 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        for line in self._lines:
+            self.count += 1
+            yield line
+
+
+def _store_files(
+    archive: Archive, folder: Path, files: dict[str, Stored], *, is_served: bool
+) -> dict[str, str]:
+    """Store Runs and results; return what is left out and why."""
+    left_out: dict[str, str] = {}
+    for source in _list_files(folder):
+        name = source.relative_to(folder).as_posix()
+        log = source.with_name(f"{source.name}-wal")
+        is_run = source.parent.name == "runs" and source.suffix == ".sqlite"
+        if is_served and is_run and log.exists():
+            left_out[name] = _RECORDED
+            continue
+        if is_served and name.endswith(("-wal", ".upload", ".tmp")):
+            continue
+        try:
+            files[name] = store_file(archive, name, source)
+        except FileNotFoundError:  # a result that is written anew at this moment
+            left_out[name] = _REPLACED
+    return left_out
+
+
+def _list_files(folder: Path) -> Iterator[Path]:
+    for root in _FILES:
+        for source in sorted((folder / root).rglob("*")):
+            parts = source.relative_to(folder).parts
+            is_draft = any(part.endswith((".part", "-shm")) for part in parts)
+            if source.is_file() and not is_draft and _BUNDLES not in parts[1:2]:
+                yield source
+
+
+def _write_manifest(archive: Archive, kept: Kept) -> None:
+    content = {
+        "schema": SCHEMA,
+        "truepath": version("truepath"),
+        "created": format_utc_now(),
+        **asdict(kept),
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False).encode()
+    store_chunks(archive, MANIFEST, [text])
+    store_chunks(archive, MANIFEST_SUM, [hashlib.sha256(text).hexdigest().encode()])
+
+
+def _read_manifest(archive: Archive) -> Kept:
+    try:
+        with (
+            archive.open(MANIFEST, "r") as source,
+            archive.open(MANIFEST_SUM, "r") as s,
+        ):
+            text, stated = source.read(), s.read().decode("ascii", "replace").strip()
+    except (OSError, KeyError) as error:
+        raise BadInput(f"there is no {MANIFEST}: this is no backup") from error
+    except Exception as error:
+        raise BadInput(f"{MANIFEST}: is damaged ({error})") from error
+    if hashlib.sha256(text).hexdigest() != stated:
+        raise BadInput(f"{MANIFEST}: is not what was kept (its SHA-256 differs)")
+    content: dict[str, Any] = json.loads(text)
+    if content.get("schema") != SCHEMA:
+        raise BadInput(f"{MANIFEST}: schema {content.get('schema')!r}, not {SCHEMA}")
+    files = {check_name(n, _ROOTS): Stored(**s) for n, s in content["files"].items()}
+    return Kept(content["revision"], content["rows"], files, content["left_out"])
+
+
+def _unpack(archive: Archive, kept: Kept, draft: Path) -> None:
+    for root in _ROOTS:
+        (draft / root).mkdir(parents=True)
+    for name, stored in kept.files.items():
+        target = draft / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("xb") as sink:
+            for chunk in read_checked(archive, name, stored):
+                sink.write(chunk)
+
+
+def _put_catalogue(settings: Settings, kept: Kept, draft: Path) -> None:
+    """Make the catalogue in the draft, or in the empty database that is set."""
+    url = settings.database
+    if not settings.database_url:
+        url = f"sqlite:///{draft / 'catalogue.sqlite'}"
+    with closing(Database(url)) as database, _open_lines(kept, draft) as tables:
+        import_tables(database, kept.revision, tables)
+    shutil.rmtree(draft / _CATALOGUE)
+
+
+@contextmanager
+def _open_lines(kept: Kept, draft: Path) -> Iterator[dict[str, Iterator[bytes]]]:
+    files = {table: draft / _CATALOGUE / f"{table}.jsonl" for table in kept.rows}
+    opened = {table: file.open("rb") for table, file in files.items()}
+    try:
+        yield {table: iter(file) for table, file in opened.items()}
+    finally:
+        for file in opened.values():
+            file.close()
+
+
+def _list_data(folder: Path) -> list[Path]:
+    """Return what the folder holds, its lock, keys and earlier data left out."""
+    return [one for one in sorted(folder.iterdir()) if not one.name.startswith(_STAYS)]
+
+
+def _exchange(folder: Path, draft: Path, present: list[Path], aside: Path) -> None:
+    """Move what is there aside, then the draft into its place, the catalogue last."""
+    if present:
+        aside.mkdir()
+    for one in present:
+        one.rename(aside / one.name)
+    new = sorted(draft.iterdir(), key=lambda one: one.name.startswith(_CATALOGUE))
+    for one in new:
+        one.rename(folder / one.name)

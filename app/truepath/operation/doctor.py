@@ -1,0 +1,37 @@
+"""Looks at everything that an installation needs, and changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from truepath.compensation.installed import list_formats
+from truepath.device_options import DEVICES, read_options
+from truepath.kinematics.effects.catalogue import list_families
+from truepath.motion.nc_programs.programs import list_dialects
+from truepath.operation.computer import look_at_computer
+from truepath.operation.devices import look_at_devices
+from truepath.operation.finding import Finding, Grade
+from truepath.operation.running_service import find_service, look_at_service
+from truepath.operation.storage import look_at_storage
+from truepath.plugins import gather, left_out
+from truepath.settings import Settings
+
+
+def examine(settings: Settings) -> Iterator[Finding]:
+    """Yield every finding, as it is found: devices, which may take seconds, at last."""
+    running = find_service(settings)
+    yield from look_at_computer()
+    yield from look_at_plugins()
+    yield from look_at_storage(settings)
+    yield look_at_service(settings, running)
+    yield from look_at_devices(settings, running)
+
+
+def look_at_plugins() -> Iterator[Finding]:
+    """Yield each installed plug-in that cannot be used."""
+    for group in DEVICES.values():
+        gather(group, read_options)
+    for look in (list_formats, list_families, list_dialects):
+        look()
+    for why in sorted(left_out):
+        yield Finding("plug-ins", Grade.WARNING, *why.rsplit("; ", 1))

@@ -1,0 +1,109 @@
+"""The service itself: its port, and whether one runs on this data folder already."""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from typing import Any
+
+from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.errors import InUse
+from truepath.errors import BadInput
+from truepath.operation.finding import Finding, Grade
+from truepath.settings import Settings
+
+_ANSWER_S = 5.0
+_ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
+
+
+@dataclass(frozen=True, slots=True)
+class RunningService:
+    """Whether a service holds the data folder, and what it says of itself.
+
+    answers : at the address that is set
+    system : its `GET /system`; None where it does not answer or wants a log-in first
+    """
+
+    is_there: bool
+    answers: bool = False
+    system: dict[str, Any] | None = None
+
+
+def find_service(settings: Settings) -> RunningService:
+    """Return the service that holds the data folder of these settings, if any does."""
+    if not settings.data_dir.exists():
+        return RunningService(is_there=False)
+    try:
+        with hold_folder(settings.data_dir):
+            return RunningService(is_there=False)
+    except InUse:
+        answers = _ask(settings, "/healthz") is not None
+        system = _ask(settings, "/api/v1/system") if answers else None
+        return RunningService(True, answers, system)
+    except BadInput:  # the folder cannot be written; told of the folder
+        return RunningService(is_there=False)
+
+
+def read_metrics(settings: Settings) -> str | None:
+    """Return the metrics of the service; None where it gives none without a log-in."""
+    content = _fetch(settings, "/metrics")
+    return None if content is None else content.decode("utf-8", "replace")
+
+
+def _ask(settings: Settings, path: str) -> dict[str, Any] | None:
+    content = _fetch(settings, path)
+    try:
+        told = None if content is None else json.loads(content)
+    except ValueError:
+        return None
+    return told if isinstance(told, dict) else None
+
+
+def _fetch(settings: Settings, path: str) -> bytes | None:
+    link = _connect(settings)
+    try:
+        link.request("GET", path)
+        answer = link.getresponse()
+        content = answer.read()
+    except (OSError, HTTPException):
+        return None
+    finally:
+        link.close()
+    return content if answer.status == HTTPStatus.OK else None
+
+
+def _connect(settings: Settings) -> HTTPConnection:
+    host = _ANY.get(settings.host, settings.host)
+    if settings.tls_cert is None:
+        return HTTPConnection(host, settings.port, timeout=_ANSWER_S)
+    context = ssl.create_default_context(cafile=settings.tls_cert)
+    context.check_hostname = False  # asked by address; the certificate bears a name
+    return HTTPSConnection(host, settings.port, timeout=_ANSWER_S, context=context)
+
+
+def look_at_service(settings: Settings, running: RunningService) -> Finding:
+    """Return whether the service runs, or could listen where it is set to."""
+    place = f"{settings.host} port {settings.port}"
+    if running.system is not None:
+        text = f"runs at {place}, version {running.system['version']}"
+        return Finding("service", Grade.OK, text)
+    if running.answers:
+        return Finding("service", Grade.OK, f"runs at {place}; it wants a log-in")
+    if running.is_there:
+        text = f"a service holds {settings.data_dir} and does not answer at {place}"
+        remedy = "give the settings it was started with, or look at its log"
+        return Finding("service", Grade.WARNING, text, remedy)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            settings.host, settings.port, type=socket.SOCK_STREAM
+        )[0]
+        socket.create_server(address[:2], family=family).close()
+    except OSError as error:
+        remedy = "stop what listens there, or set another port"
+        text = f"cannot listen on {place}: {error.strerror}"
+        return Finding("service", Grade.WRONG, text, remedy)
+    return Finding("service", Grade.OK, f"does not run; could listen on {place}")

@@ -1,0 +1,274 @@
+"""What a planned measurement will leave unknown, by the estimator's own model.
+
+The cells that the plan would give, the noise and the prior of the estimator, and its
+posterior: nothing is estimated, so the covariance is all there is. The prior's
+precisions, which an estimate finds from its data, are those of machines of usual
+errors, or those that a live estimate has found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import block_diag
+
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.observability import (
+    assess_observability,
+    name_undetermined,
+    usual_precision_matrix,
+)
+from truepath.estimation.problem.prior import diagonal_precision, guess_prior
+from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.kinematics.coarse_model import add_bends
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.identifiable import (
+    build_identifiable_model,
+    list_confounded_effects,
+)
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import (
+    build_shape_model,
+    compute_volumetric_gram,
+)
+from truepath.motion.configurations import Commanded
+from truepath.motion.motion_times import row_times_s
+from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath_drivers.interfaces.records import Path
+
+_NAMED = 3  # of the weakest error motions
+_CURVE = 24  # places along the plan at which the uncertainty is stated
+# Of the tracker, before enough lines locate it: a millimetre, a milliradian.
+_POSE = {"mm": 1.0, "rad": 1e-3}
+# Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
+# ones, in the median of their error motions; and to have less lost motion.
+_SMOOTHER, _LESS_LOST = 6.0, 4.0
+_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # that the rank of rows is looked at by
+_POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What is believed of a machine and its tracker before a measurement.
+
+    known : effects beside the error motions, as an earlier measurement has left them
+    perpendicular_only : only deviations across the path are used
+    prior_precision : by the effect's name; that of usual machines where left out
+    """
+
+    known: KnownEffects = field(default_factory=KnownEffects)
+    perpendicular_only: bool = False
+    noise: NoiseModel = EXPECTED_NOISE
+    prior_precision: Mapping[str, float] | None = None
+
+    @property
+    def used_noise(self) -> NoiseModel:
+        """The noise, infinite along the path where that is not used."""
+        if self.perpendicular_only:
+            return replace(self.noise, along_sigma_mm=np.inf)
+        return self.noise
+
+    def make_prior(self, model: MachineModel) -> Float64[np.ndarray, "p p"]:
+        """Return the precision of the parameters of a model that has the effects."""
+        precision = self.prior_precision
+        if not precision:
+            usual = guess_prior(model)
+            motions = {effect.name for effect in model.error_motions}
+            precision = {
+                name: value * (_SMOOTHER if name in motions else _LESS_LOST)
+                for name, value in usual.precision.items()
+                if not usual.charges[name].is_known
+            }
+        prior = usual_precision_matrix(model, precision)
+        part = self.known.locate(model)
+        prior[part, part] += self.known.precision_matrix()
+        return prior
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What is left once a row of the plan is reached.
+
+    sigma_mm : volumetric, as of the whole plan
+    weakest_mm : what of it the error motions known least put at the tool, by name, the
+        weakest first
+    """
+
+    row: int
+    sigma_mm: float
+    weakest_mm: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The uncertainty after a plan, and on the way.
+
+    covariance : (p, p) of the model's parameters
+    known : effects in the model, as an earlier measurement has left them
+    volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
+        of the volumetric error vector, its rigid motion left out
+    curve : the same once rows of the plan are reached, in its order
+    unobservable : what the plan cannot show, in words
+    stations : what is measured from each place of the tracker
+    """
+
+    model: MachineModel
+    known: KnownEffects
+    covariance: Float64[np.ndarray, "p p"]
+    volumetric_sigma_mm: float
+    curve: tuple[Step, ...]
+    unobservable: tuple[str, ...]
+    stations: tuple[RunInput, ...]
+
+    def motion_sigmas(self) -> dict[str, float]:
+        """Return the standard uncertainty of each error, mm or rad, by its symbol.
+
+        Of an error motion the root mean square over its travel.
+        """
+        found: dict[str, float] = {}
+        nothing = np.zeros(self.model.size)
+        told = EstimatedModel(self.model, nothing, self.covariance).at_targets
+        for effect in told.model.effects:
+            if not effect.iso_symbol or effect.name in told.model.confounded:
+                continue
+            _, C = told.part(effect.name)
+            mean_square = float(np.trace(C))
+            if motion := effect.motion:
+                low, high = motion.axis.low, motion.axis.high
+                rows = motion.rows(np.linspace(low, high, _POSITIONS))
+                mean_square = float(np.sum((rows @ C) * rows)) / _POSITIONS
+            found[effect.name] = mean_square**0.5
+        return found
+
+
+def forecast(
+    machine: Machine,
+    commanded: Commanded,
+    station_mm: Float64[np.ndarray, "3"],
+    assumed: Assumptions | None = None,
+    before: Forecast | None = None,
+) -> Forecast:
+    """Return what is to be expected of a plan, the tracker standing at a place.
+
+    station_mm : in the frame that the tracker stands on
+    before : what the plans of other stations leave, which are measured first
+    """
+    cells = predict_cells(machine, commanded, station_mm)
+    assumed = assumed or Assumptions()
+    known, noise = assumed.known, assumed.used_noise
+    earlier = before.stations if before else ()
+    stations = (*earlier, RunInput(cells, cells.pose, noise))
+    offset_mm = np.vstack([run.observations.at.offset_mm for run in stations])
+    model, _ = build_identifiable_model(machine, offset_mm)
+    confounded = list_confounded_effects(machine, offset_mm)
+    model = model.with_effects(*known.effects)
+    if any(run.observations.is_ramp.any() for run in stations):
+        model = add_bends(model)
+    model = model.with_confounded(confounded)
+    prior = assumed.make_prior(model)
+    if earlier:
+        prior += combine_runs(collect_information(earlier, model)).matrix
+    covariance, curve = _trace_curve(cells, noise, model, prior)
+    shapes = build_shape_model(machine, offset_mm)
+    observed = assess_observability(shapes, stations)
+    return Forecast(
+        model,
+        known,
+        covariance,
+        curve[-1].sigma_mm,
+        curve,
+        observed.unobservable,
+        stations,
+    )
+
+
+def predict_undetermined(
+    machine: Machine, commanded: Commanded, station_mm: Float64[np.ndarray, "3"]
+) -> str:
+    """Say what rows alone do not determine, in the words of the estimate; else nothing.
+
+    By the rank of what their cells tell of straight shapes, which no prior knows, with
+    the tracker's pose and the timing of the lines open.
+
+    station_mm : in the frame that the tracker stands on
+
+    Raises Unidentifiable if not even the pose is determined, PlanningError if nothing
+    would be measured.
+    """
+    cells = predict_cells(machine, _shorten(machine, commanded), station_mm)
+    shapes = build_shape_model(machine, cells.at.offset_mm)
+    return name_undetermined(shapes, [RunInput(cells, cells.pose, EXPECTED_NOISE)])
+
+
+def _shorten(machine: Machine, commanded: Commanded) -> Commanded:
+    """Return rows that take seconds each: the rank of what they tell is the same.
+
+    An hour of dwell, or a line at a millimetre a minute, would be thousands of cells.
+    """
+    dwell_s = np.minimum(commanded.dwell_s, _LONGEST_DWELL_S)
+    commanded = replace(commanded, dwell_s=dwell_s)
+    if not isinstance(commanded, Path):
+        return commanded
+    line_s = row_times_s(commanded, limits=machine.motion) - dwell_s
+    faster = np.maximum(line_s / _LONGEST_LINE_S, 1.0)
+    return replace(commanded, feed_mm_min=commanded.feed_mm_min * faster)
+
+
+def _trace_curve(
+    cells: Observations,
+    noise: NoiseModel,
+    model: MachineModel,
+    prior: Float64[np.ndarray, "p p"],
+) -> tuple[Float64[np.ndarray, "p p"], tuple[Step, ...]]:
+    """Return the covariance after all cells, and what is left on the way."""
+    gram = compute_volumetric_gram(model)
+    sums = RecursiveEstimator.start(linearise(cells, model, cells.pose, noise))
+    steps, nothing = list[Step](), np.zeros(model.size)
+    covariance = np.zeros((model.size, model.size))
+    ends = np.flatnonzero(np.diff(cells.row, append=cells.row[-1] + 1)) + 1
+    some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
+    for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
+        sums = sums.add(cells.select(np.arange(first, last)))
+        covariance = _compute_covariance(sums, prior)
+        mean_square = float(np.sum(gram * covariance))
+        weakest_mm = _find_weakest_mm(EstimatedModel(model, nothing, covariance))
+        row = int(cells.row[last - 1])
+        steps.append(Step(row, max(mean_square, 0.0) ** 0.5, weakest_mm))
+    return covariance, tuple(steps)
+
+
+def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:
+    """Return what the error motions known least put at the tool, the weakest first.
+
+    Of those that the targets show: what they cannot tell is said apart.
+    """
+    told = found.at_targets
+    gram = compute_volumetric_gram(told.model)
+    square: dict[str, float] = {}
+    for motion in told.model.error_motions:
+        if motion.name not in told.model.confounded:
+            part = told.model.slices[motion.name]
+            own = gram[part, part] * told.covariance[part, part]
+            square[motion.name] = max(float(np.sum(own)), 0.0)
+    names = sorted(square, key=lambda name: -square[name])[:_NAMED]
+    return {name: square[name] ** 0.5 for name in names}
+
+
+def _compute_covariance(
+    sums: RecursiveEstimator, prior: Float64[np.ndarray, "p p"]
+) -> Float64[np.ndarray, "p p"]:
+    """Return the covariance of the model's parameters after the cells so far."""
+    size = len(prior)
+    pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
+    posterior = compute_posterior(sums.information(), block_diag(prior, pose))
+    return posterior.covariance[:size, :size]

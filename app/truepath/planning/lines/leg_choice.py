@@ -1,0 +1,283 @@
+"""Stops whose legs tell most per second: greedy choice, then exchange.
+
+Each leg begins where the last one ended, so no time is lost on the way. The next stop
+is the one of many candidates whose leg lowers J most for the time it takes. A greedy
+choice is short-sighted; so then each stop is moved in turn, with both legs that meet in
+it, wherever that lowers J · T. That product stays the same when a measurement is
+repeated, and so compares measurements that take different times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from truepath.errors import PlanningError
+from truepath.motion.motion_times import Legs, Stops, find_short_order
+from truepath.motion.workspace.travel import DECIMALS
+from truepath.numerics.design_criteria import IntegratedVariance
+from truepath.planning.design_state import DesignState, inverse
+
+_MOVES = 24  # places that are judged for each stop, half of them near it
+_NEAR = 0.15  # of the travel
+_PINNED = 0.55  # share of coordinates at an end of their travel
+_FORBIDDEN_S = 1e6  # that a leg which is not allowed is taken to last
+_WORTH = 2e-3  # of J · T that a round of moves must bring
+
+
+@dataclass(frozen=True, slots=True)
+class SearchRegion:
+    """Where stops may lie: a box in axis positions, and legs that are allowed."""
+
+    low: Float64[np.ndarray, " a"]
+    high: Float64[np.ndarray, " a"]
+    allows: Callable[[Legs], Bool[np.ndarray, " n"]]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchEffort:
+    """How hard stops are searched.
+
+    candidates : ends that are judged for the next leg
+    rounds : of moving stops after the greedy choice, at most
+    """
+
+    candidates: int = 96
+    rounds: int = 2
+
+
+@dataclass(frozen=True)
+class LegChoice:
+    """Chooses stops for a design; draws candidates from one seeded generator.
+
+    feeds_mm_min : driven in turn, so that each has its share of the legs; or, where the
+        choice is free, the first, and others where they lower J · T
+    """
+
+    design: DesignState
+    region: SearchRegion
+    feeds_mm_min: tuple[float, ...]
+    rng: np.random.Generator
+    effort: SearchEffort = SearchEffort()
+    is_free: bool = False
+
+    def stops(
+        self,
+        start: Float64[np.ndarray, " a"],
+        budget_s: float,
+        legs: int | None = None,
+    ) -> Stops:
+        """Return stops whose legs take no longer than the budget.
+
+        legs : at most
+
+        Raises PlanningError if not even one allowed leg fits in.
+        """
+        first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
+        stops = self._fill(first, budget_s, legs)
+        if len(stops) < 2:
+            raise PlanningError(
+                f"no allowed motion from the first position fits into {budget_s:g} s; "
+                "give more time or a higher feed, or free more of the volume"
+            )
+        best = stops
+        for _ in range(self.effort.rounds):
+            stops, gained = self._exchange(stops)
+            if self.design.order_is_free:
+                stops = self._reorder(stops)
+            stops = self._fill(stops, budget_s, legs)
+            # Legs that no longer fit are gone: what is left may tell less.
+            best = min(best, stops, key=self._predict_left)
+            if gained < _WORTH:
+                break
+        return best
+
+    def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
+        """Return the stops with more of them while time is left, or with fewer."""
+        times = self.design.drive.times_s(stops.legs)
+        fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
+        stops = stops.select(slice(fits + 1))
+        left_s = budget_s - float(times[:fits].sum())
+        precision = self.design.precision + self._inform(stops)
+        while legs is None or len(stops) <= legs:
+            feeds = np.array(self.feeds_mm_min)
+            if not self.is_free:
+                feeds = feeds[[len(stops) % len(feeds)]]
+            best = self._choose_next(precision, stops.position[-1], feeds, left_s)
+            if best is None:
+                return stops
+            end, feed, rows, time_s = best
+            stops = stops.append(end, feed)
+            precision = precision + rows.T @ rows
+            left_s -= time_s
+        return stops
+
+    def _choose_next(
+        self,
+        precision: Float64[np.ndarray, "p p"],
+        here: Float64[np.ndarray, " a"],
+        feeds_mm_min: Float64[np.ndarray, " f"],
+        left_s: float,
+    ) -> (
+        tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
+        | None
+    ):
+        """Return end and feed of the leg that gains most a second, its rows and time.
+
+        At the first feed at which there is one.
+        """
+        ends = self.design.hold(self._draw_places(self.effort.candidates), here)
+        known = IntegratedVariance(inverse(precision), self.design.gram)
+        for feed in feeds_mm_min:
+            best = self._judge(known, here, ends, float(feed), left_s)
+            if best is not None:
+                return best
+        return None
+
+    def _judge(
+        self,
+        known: IntegratedVariance,
+        here: Float64[np.ndarray, " a"],
+        ends: Float64[np.ndarray, "n a"],
+        feed_mm_min: float,
+        left_s: float,
+    ) -> (
+        tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
+        | None
+    ):
+        """Return the best of some legs from here, None where none is allowed."""
+        legs = _join_legs(here, ends, feed_mm_min)
+        times = self.design.drive.times_s(legs)
+        ok = (times <= left_s) & self.region.allows(legs)
+        if not ok.any():
+            return None
+        ends, times = ends[ok], times[ok]
+        rows = self.design.rows(_join_legs(here, ends, feed_mm_min))
+        best = int(np.argmax(known.compute_drops(rows) / times))
+        return ends[best], feed_mm_min, rows[best], float(times[best])
+
+    def _exchange(self, stops: Stops) -> tuple[Stops, float]:
+        """Move each stop but the first to where J · T is least; tell the gain.
+
+        Where the choice is free, the feed towards it changes as well.
+        """
+        total = self.design.precision + self._inform(stops)
+        before = cost = self._cost(stops)
+        for k in range(1, len(stops)):
+            stops, total, cost = self._exchange_stop(stops, k, total, cost)
+        return stops, 1.0 - cost / before
+
+    def _exchange_stop(
+        self,
+        stops: Stops,
+        k: int,
+        total: Float64[np.ndarray, "p p"],
+        cost: float,
+    ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
+        """Return the stops with one moved, their information, and J · T."""
+        old = stops.select(slice(k - 1, k + 2))
+        others = total - self._inform(old)
+        rest_s = self._duration_s(stops) - self._duration_s(old)
+        C = inverse(others)
+        places = self._places_for(stops.position[k], C)
+        feeds = np.full(len(places), stops.feed_mm_min[k])
+        if self.is_free:
+            every = np.array(self.feeds_mm_min)
+            feeds = np.append(feeds, every)
+            places = np.vstack([places, np.tile(places[0], (len(every), 1))])
+        meeting = self._list_legs(stops, k, places, feeds)
+        ok = np.all([self.region.allows(legs) for legs in meeting], axis=0)
+        if not ok.any():
+            return stops, total, cost
+        places, feeds = places[ok], feeds[ok]
+        meeting = self._list_legs(stops, k, places, feeds)
+        rows = np.concatenate([self.design.rows(m) for m in meeting], axis=1)
+        times = np.sum([self.design.drive.times_s(legs) for legs in meeting], axis=0)
+        known = IntegratedVariance(C, self.design.gram)
+        left = known.integrated_variance - known.compute_drops(rows)
+        costs = left * (rest_s + times)
+        best = int(np.argmin(costs))
+        if costs[best] >= cost * (1.0 - 1e-9):
+            return stops, total, cost
+        position, feed = stops.position.copy(), stops.feed_mm_min.copy()
+        position[k], feed[k] = places[best], feeds[best]
+        total = others + rows[best].T @ rows[best]
+        return Stops(position, feed), total, float(costs[best])
+
+    def _reorder(self, stops: Stops) -> Stops:
+        """Return the stops in an order of short moves, unless they tell less so."""
+        n = len(stops)
+        legs = Legs(
+            np.repeat(stops.position, n, 0),
+            np.tile(stops.position, (n, 1)),
+            np.full(n * n, stops.feed_mm_min.mean()),
+        )
+        times = self.design.drive.times_s(legs)
+        times = np.where(self.region.allows(legs), times, _FORBIDDEN_S)
+        order = find_short_order(times.reshape(n, n))
+        found = Stops(stops.position[order], stops.feed_mm_min)
+        if not self.region.allows(found.legs).all():
+            return stops
+        return min(stops, found, key=self._cost)
+
+    def _list_legs(
+        self,
+        stops: Stops,
+        k: int,
+        places: Float64[np.ndarray, "n a"],
+        feeds_mm_min: Float64[np.ndarray, " n"],
+    ) -> list[Legs]:
+        """Return the legs before a stop, and those after it, for places of it.
+
+        feeds_mm_min : towards the stop
+        """
+        position, feed = stops.position, stops.feed_mm_min
+        found = [_join_legs(position[k - 1], places, feeds_mm_min)]
+        if k + 1 < len(stops):
+            found.append(_join_legs(places, position[k + 1], feed[k + 1]))
+        return found
+
+    def _draw_places(self, count: int) -> Float64[np.ndarray, "n a"]:
+        """Draw places on faces, edges and corners of the region, and inside it."""
+        low, high = self.region.low, self.region.high
+        share = self.rng.random((count, len(low)))
+        pinned = self.rng.random(share.shape) < _PINNED
+        share[pinned] = np.rint(share[pinned])
+        return np.round(low + share * (high - low), DECIMALS)
+
+    def _places_for(
+        self, here: Float64[np.ndarray, " a"], C: Float64[np.ndarray, "p p"]
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return places near a stop and anywhere, and better ones where known."""
+        low, high = self.region.low, self.region.high
+        step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
+        better = self.design.better_places(C, here)
+        known = np.round(np.clip(np.vstack([here + step, better]), low, high), DECIMALS)
+        return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
+
+    def _cost(self, stops: Stops) -> float:
+        """Return J · T."""
+        return self._predict_left(stops) * self._duration_s(stops)
+
+    def _predict_left(self, stops: Stops) -> float:
+        """Return J."""
+        return self.design.add(self._inform(stops)).integrated_variance
+
+    def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
+        return self.design.information(stops.legs)
+
+    def _duration_s(self, stops: Stops) -> float:
+        return float(self.design.drive.times_s(stops.legs).sum())
+
+
+def _join_legs(
+    begin: Float64[np.ndarray, "*n a"],
+    end: Float64[np.ndarray, "*n a"],
+    feed: float | Float64[np.ndarray, " n"],
+) -> Legs:
+    """Return legs from one place to each of several, or from each to one."""
+    begin, end = np.broadcast_arrays(begin, end)
+    return Legs(begin, end, np.broadcast_to(np.float64(feed), len(begin)).copy())

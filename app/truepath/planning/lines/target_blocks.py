@@ -1,0 +1,156 @@
+"""Blocks of legs of several targets, one after another, and the first target again.
+
+Where targets sit is estimated. A knock of the set-up while the tracker turns to the
+next target would pass for the seat of that one, so half of what is measured of the
+first target comes at the end. It ends with the first legs of all, driven once more:
+these show a knock whatever the errors of the machine are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.errors import PlanningError
+from truepath.motion.configurations import Commanded, join_rows, select_rows
+from truepath.motion.motion_times import Legs
+from truepath.planning.lines.leg_choice import SearchEffort
+from truepath.planning.lines.planner import Planner
+
+CHANGE_S = 5.0  # for the tracker to turn to another target
+_REPEATED = 3  # legs, which tell the pose of a rigid body
+
+
+@dataclass(frozen=True, slots=True)
+class PlanShare:
+    """What one of several planners has: a time, or a number of legs.
+
+    expected : precision that its legs are expected to bring
+    """
+
+    planner: Planner
+    budget_s: float = np.inf
+    legs: int | None = None
+    expected: float | Float64[np.ndarray, "p p"] = 0.0
+
+    def halve(self) -> tuple[PlanShare, PlanShare]:
+        """Return it in two, the larger half first."""
+        half = replace(self, budget_s=0.5 * self.budget_s, expected=0.5 * self.expected)
+        if self.legs is None:
+            return half, half
+        later = self.legs // 2
+        return replace(half, legs=self.legs - later), replace(half, legs=later)
+
+
+def plan_in_turn(
+    shares: Sequence[PlanShare], *, seed: int, effort: SearchEffort | None = None
+) -> list[Commanded]:
+    """Return the plans of planners of one model, each from where the last one ends.
+
+    Each knows what those before it measure, and expects what those after it bring. Of
+    several, the first one's comes in two parts, the second one last.
+
+    shares : of one target each
+
+    Raises PlanningError if a share is too small for any motion.
+    """
+    turns = list(shares)
+    if len(shares) > 1:
+        first, again = shares[0].halve()
+        turns = [first, *shares[1:], *([] if again.legs == 0 else [again])]
+    blocks: list[Commanded] = []
+    measured, start = 0.0, None
+    for number, share in enumerate(turns):
+        expected = sum(one.expected for one in turns[number + 1 :])
+        own = replace(share, planner=share.planner.expect(measured + expected))
+        if number < len(shares):
+            block = _plan(own, start, seed, effort)
+        else:
+            block = _return_to(blocks[0], blocks[-1].position[-1], own, seed, effort)
+        measured = measured + share.planner.inform(block)
+        start = block.position[-1]
+        blocks.append(block)
+    return blocks
+
+
+def _plan(
+    share: PlanShare,
+    start: Float64[np.ndarray, " a"] | None,
+    seed: int,
+    effort: SearchEffort | None,
+) -> Commanded:
+    return share.planner.plan(
+        share.budget_s, legs=share.legs, start=start, seed=seed, effort=effort
+    )
+
+
+def _return_to(
+    first: Commanded,
+    start: Float64[np.ndarray, " a"],
+    share: PlanShare,
+    seed: int,
+    effort: SearchEffort | None,
+) -> Commanded:
+    """Return what comes last: new legs, and the first ones again as far as they fit.
+
+    first : block of the same target; start : where the machine stands
+    """
+    again = _choose_repeated(first, share)
+    here = select_rows(first, slice(1))
+    block: Commanded = replace(here, position=start[None])
+    rest = replace(
+        share,
+        budget_s=share.budget_s - _duration_s(share.planner, again),
+        legs=None if share.legs is None else share.legs - len(again),
+    )
+    if rest.legs is None or rest.legs > 0:
+        try:
+            block = _plan(rest, start, seed, effort)
+        except PlanningError:
+            if not len(again):
+                raise
+    if not _leads_to(share.planner, block.position[-1], first.position[0]):
+        return block
+    return join_rows([block, again])
+
+
+def _choose_repeated(first: Commanded, share: PlanShare) -> Commanded:
+    """Return the rows of as many first legs as there is time for; maybe none."""
+    for legs in range(min(_REPEATED, len(first) - 1), 0, -1):
+        rows = select_rows(first, slice(legs + 1))
+        in_time = _duration_s(share.planner, rows) <= share.budget_s
+        if in_time and (share.legs is None or len(rows) <= share.legs):
+            return rows
+    return select_rows(first, slice(0))
+
+
+def _duration_s(planner: Planner, again: Commanded) -> float:
+    """Return how long rows take, with a way to the first of them from anywhere."""
+    if not len(again):
+        return 0.0
+    region, feed = planner.region(), np.array([max(planner.feeds_mm_min)])
+    farthest = Legs(region.low[None], region.high[None], feed)
+    way_s = float(planner.design.drive.times_s(farthest)[0])
+    return way_s + planner.duration_s(again)
+
+
+def _leads_to(
+    planner: Planner,
+    here: Float64[np.ndarray, " a"],
+    there: Float64[np.ndarray, " a"],
+) -> bool:
+    """Tell whether the machine may go straight from one place to another."""
+    machine = planner.design.model.machine
+    columns = len(machine.axes)
+    begin, end = here[None, :columns], there[None, :columns]
+    is_free = bool(planner.workspace.allows(machine, begin, end)[0])
+    return is_free and bool(np.any(begin != end))
+
+
+def wait_for_tracker(blocks: Sequence[Commanded]) -> None:
+    """Let the machine stand where the tracker has to turn to another target."""
+    for block in blocks[1:]:
+        block.dwell_s[0] = CHANGE_S

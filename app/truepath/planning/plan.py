@@ -1,0 +1,274 @@
+"""A plan, chosen by the planner from one place and judged as the estimator will."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath.errors import PlanningError
+from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
+from truepath.motion.configurations import Commanded, join_rows, split_by_target
+from truepath.motion.motion_times import row_times_s
+from truepath.motion.paths.corner_path import corner_path
+from truepath.motion.workspace.workspace import (
+    StationAreas,
+    moves_where_seen,
+    moving_targets,
+)
+from truepath.planning.design_state import DesignState
+from truepath.planning.forecast import Assumptions, Forecast, forecast
+from truepath.planning.initial_design import (
+    add_station,
+    predict_lag_sigmas_s,
+    start_design,
+)
+from truepath.planning.lines.leg_choice import SearchEffort
+from truepath.planning.lines.planner import Planner, inform, judge_feeds
+from truepath.planning.lines.target_blocks import (
+    CHANGE_S,
+    PlanShare,
+    plan_in_turn,
+    wait_for_tracker,
+)
+from truepath.planning.lines.target_shares import share_among_targets
+from truepath.planning.plan_order import PlanOrder
+from truepath.planning.stations.station_choice import (
+    StationAdvice,
+    StationChoice,
+    choose_place,
+)
+from truepath.planning.stations.station_information import StationJudge, Survey
+from truepath_drivers.interfaces.records import Path
+
+_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
+_SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
+# Where stops were moved all axes would go on every line.
+_TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan and what it will leave unknown.
+
+    station_mm : of the tracker; time_s : (rows,) at which each row is done
+    lag_sigma_s : of each axis behind the others, where there are several feeds
+    stations : what is said of the tracker's place, where areas for it are known
+    feeds_worth : what a second would tell, of what it does, with all lines at one feed;
+        nothing where the feeds were given
+    further : plans from further stations, in their order; each knows what those before
+        it will tell, and so does its forecast
+    """
+
+    machine: Machine
+    order: PlanOrder
+    commanded: Commanded
+    station_mm: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    forecast: Forecast
+    lag_sigma_s: dict[str, float]
+    stations: StationAdvice | None = None
+    feeds_worth: dict[float, float] = field(default_factory=dict[float, float])
+    further: tuple[Plan, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row on, dwells included, at one station."""
+        return float(self.time_s[-1])
+
+    @property
+    def at_stations(self) -> tuple[Plan, ...]:
+        """The plan of each station."""
+        return (replace(self, further=()), *self.further)
+
+    @property
+    def outcome(self) -> Forecast:
+        """What to expect after the last station."""
+        return self.at_stations[-1].forecast
+
+    @property
+    def uncertainty_um(self) -> float:
+        """Predicted volumetric uncertainty, k = 1."""
+        return 1e3 * self.outcome.volumetric_sigma_mm
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the target is reached, None without a target."""
+        target_um = self.order.target_um
+        return None if target_um is None else self.uncertainty_um <= target_um
+
+
+@dataclass(frozen=True)
+class PlanAttempt:
+    """A plan from one place.
+
+    told : forecast after the stations before it; design : the planner's state then
+    """
+
+    machine: Machine
+    order: PlanOrder
+    assumed: Assumptions
+    station_mm: NDArray[np.float64]
+    told: Forecast | None = None
+    design: DesignState | None = None
+
+    def plan_within(self, budget_s: float) -> Plan:
+        """Return the plan that tells most in so much time."""
+        return self._evaluate(self._choose(budget_s))
+
+    def plan_corners(self) -> Plan:
+        """Return the plan along the corner path."""
+        path = self._corners()
+        self.order.workspace.refuse(self.machine, path)
+        return self._evaluate(path)
+
+    def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
+        """Return the attempt with the tracker at a place."""
+        workspace = self.order.workspace.place_tracker(place_mm)
+        order = replace(self.order, workspace=workspace)
+        return replace(self, order=order, station_mm=place_mm)
+
+    def tell(self, plan: Plan) -> PlanAttempt:
+        """Return the attempt that knows what a plan from here will tell."""
+        known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
+        return replace(self, told=plan.forecast, design=known)
+
+    def choose_place(self, areas: StationAreas) -> StationChoice:
+        """Judge places by lines or points that do not regard what each place sees."""
+        order, workspace = self.order, self.order.workspace
+        free = replace(order, workspace=replace(workspace, tracker_mm=None))
+        survey = Survey(
+            self.machine,
+            order.moving(self.machine),
+            replace(self, order=free).survey(),
+            workspace,
+            order.feeds(self.machine)[0],
+        )
+        judge = StationJudge.of(survey, self.assumed, areas.specification)
+        stated_mm = None if workspace.tracker_mm is None else self.station_mm
+        return choose_place(judge, areas, order.budget_s, stated_mm)
+
+    def survey(self) -> Commanded:
+        """Return a few lines or points of the whole travel, chosen in no time."""
+        if self.order.corner_path:
+            return self._corners()
+        count = _SURVEY_LINES if self.order.is_on_the_fly else _SURVEY_POINTS
+        legs = -(-count // len(self._planners))
+        shares = [PlanShare(planner, legs=legs) for planner in self._planners]
+        return self._plan_in_turn(shares, _SURVEY_EFFORT)
+
+    def _corners(self) -> Path:
+        dwell_s = self.order.drive(self.machine).dwell_s
+        return corner_path(self.machine, self.order.feeds(self.machine)[0], dwell_s)
+
+    def _choose(self, budget_s: float) -> Commanded:
+        """Return a block for each target that is worth it, one after another."""
+        change_s = CHANGE_S if self.order.is_on_the_fly else 0.0
+        shares = share_among_targets(
+            self._planners, budget_s, change_s, self.order.seed
+        )
+        effort = _TURNING_EFFORT if self._turns else None
+        return self._plan_in_turn(shares, effort)
+
+    @property
+    def _turns(self) -> bool:
+        """Whether rotary axes turn on lines."""
+        order = self.order
+        return order.is_on_the_fly and bool(order.moving(self.machine).rotary_axes)
+
+    def _plan_in_turn(
+        self, shares: Sequence[PlanShare], effort: SearchEffort | None = None
+    ) -> Commanded:
+        blocks = plan_in_turn(shares, seed=self.order.seed, effort=effort)
+        if self.order.is_on_the_fly:
+            wait_for_tracker(blocks)
+        return join_rows(blocks)
+
+    @property
+    def _tells_lags(self) -> bool:
+        """Whether lags are to be told from what does not depend on the feed."""
+        known = self.assumed.known.effects
+        return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
+
+    @cached_property
+    def _planners(self) -> tuple[Planner, ...]:
+        """One for each target that may be measured."""
+        machine, order = self.machine, self.order
+        if order.is_on_the_fly and not self._turns:
+            return (self._make_planner(None),)
+        first, *others = moving_targets(machine)
+        planner = self._make_planner(first.name)
+        return (
+            planner,
+            *(
+                replace(planner, design=replace(planner.design, target=target))
+                for target in others
+            ),
+        )
+
+    def _make_planner(self, target: str | None) -> Planner:
+        """Return the planner of a target; None: the first, the rotary axes at rest."""
+        order, machine = self.order, self.machine
+        if target is None and not moves_where_seen(
+            remove_rotary_axes(machine), machine.target()
+        ):
+            raise PlanningError(
+                f"the first target of {machine.name} does not move while the "
+                "rotary axes stand; state one on the tool first, or use mode standstill"
+            )
+        feeds = order.feeds(machine)
+        design = start_design(
+            order.design_kind,
+            machine,
+            self.station_mm,
+            order.drive(machine),
+            self.assumed,
+            target=target,
+            dynamic=order.is_on_the_fly and self._tells_lags,
+        )
+        if self.design is not None:
+            design = add_station(design, self.design)
+        is_free = order.is_on_the_fly and not order.feeds_mm_min
+        feeds = feeds if order.is_on_the_fly else feeds[:1]
+        return Planner(machine, design, order.workspace, feeds, is_free)
+
+    def _share(self, commanded: Commanded) -> tuple[list[Planner], list[Commanded]]:
+        """Return the stretches of rows of one target each, and who plans for these."""
+        known = {one.design.target.name: one for one in self._planners}
+        blocks = split_by_target(commanded)
+        first = self._planners[0]
+        return [known[b.target[0]] if b.target else first for b in blocks], blocks
+
+    def _evaluate(self, commanded: Commanded) -> Plan:
+        order = self.order
+        prediction = forecast(
+            order.moving(self.machine),
+            commanded,
+            self.station_mm,
+            self.assumed,
+            self.told,
+        )
+        limits = self.machine.motion
+        time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
+        lags: dict[str, float] = {}
+        worth: dict[float, float] = {}
+        if isinstance(commanded, Path):
+            each, blocks = self._share(commanded)
+            parts = [block for block in blocks if isinstance(block, Path)]
+            if self._tells_lags:
+                lags = predict_lag_sigmas_s(each[0].design.add(inform(each, parts)))
+            if not (order.feeds_mm_min or order.corner_path):
+                worth = judge_feeds(each, parts)
+        return Plan(
+            self.machine,
+            order,
+            commanded,
+            self.station_mm,
+            time_s,
+            prediction,
+            lags,
+            feeds_worth=worth,
+        )

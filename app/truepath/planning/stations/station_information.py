@@ -1,0 +1,205 @@
+"""What a measurement from a place of the tracker tells, before the lines are chosen.
+
+The same survey of the travel is put through the estimator's own equations from every
+place: what the place does not see is left out, as a plan's lines would leave it out,
+the tracker's pose and the timing of the lines are integrated out, and what remains is
+stated per second of measuring. So places compare at equal time, whatever each sees.
+Beside the machine's parameters θ stand the causes b that a tracker within its
+specification has and no time averages: their coupling K with θ tells what they do to
+the estimate, C K b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from truepath.errors import Unidentifiable
+from truepath.estimation.problem.runs import RunInput, collect_information
+from truepath.kinematics.coarse_model import add_half_widths
+from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.motion.configurations import Commanded
+from truepath.motion.motion_times import row_times_s
+from truepath.motion.workspace.workspace import Workspace
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+from truepath.planning.forecast import Assumptions
+from truepath.planning.predicted_cells import predict_cells
+
+INTERVALS = 6  # of the knots, as lines are chosen by
+_CELLS_ACROSS = 16  # of the longest diagonal: as many as knots tell apart
+_GRID = 6  # places an axis at which it is asked what is seen
+
+
+@dataclass(frozen=True)
+class StationInformation:
+    """What a second of measuring from one place tells.
+
+    matrix : (p, p) on the machine; coupling : (p, s) with the tracker's own causes
+    sees : (v,) which places of the travel
+    """
+
+    place_mm: Float64[np.ndarray, "3"]
+    matrix: Float64[np.ndarray, "p p"]
+    coupling: Float64[np.ndarray, "p s"]
+    sees: Bool[np.ndarray, " v"]
+
+
+@dataclass(frozen=True)
+class StationVariance:
+    """What measuring from places leaves, root mean square over the travel.
+
+    random_mm : uncertainty that time averages; systematic_mm : what the tracker's own
+        causes put into the map
+    covariance : (p, p) of the first; seen : share of the travel
+    """
+
+    random_mm: float
+    systematic_mm: float
+    covariance: Float64[np.ndarray, "p p"]
+    seen: float
+
+    @property
+    def sigma_mm(self) -> float:
+        """Both together."""
+        return float(np.hypot(self.random_mm, self.systematic_mm))
+
+    def scale_random(self, factor: float) -> StationVariance:
+        """Return it with another uncertainty that time averages."""
+        return replace(
+            self,
+            random_mm=factor * self.random_mm,
+            covariance=factor**2 * self.covariance,
+        )
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The lines or points that places are judged by.
+
+    machine : with all its axes; measured : as it moves while it is measured
+    feed_mm_min : between points
+    """
+
+    machine: Machine
+    measured: Machine
+    commanded: Commanded
+    workspace: Workspace
+    feed_mm_min: float
+
+
+@dataclass(frozen=True)
+class StationJudge:
+    """Judges places by a survey.
+
+    model : of the machine, then the tracker's own causes; prior, gram : of the machine
+    sigma : (s,) of the causes' parameters; shared : (s,) the same at every station
+    """
+
+    survey: Survey
+    assumed: Assumptions
+    model: MachineModel
+    prior: Float64[np.ndarray, "p p"]
+    gram: Float64[np.ndarray, "p p"]
+    sigma: Float64[np.ndarray, " s"]
+    shared: Bool[np.ndarray, " s"]
+
+    @staticmethod
+    def of(
+        survey: Survey, assumed: Assumptions, specification: TrackerSpecification
+    ) -> StationJudge:
+        """Return the judge of a survey."""
+        targets = survey.measured.targets
+        names = set(survey.commanded.target) or {targets[0].name}
+        offsets_mm = np.array([t.offset_mm for t in targets if t.name in names], float)
+        motions, _ = build_identifiable_model(
+            survey.measured, offsets_mm, intervals=INTERVALS
+        )
+        machine = add_half_widths(motions.with_effects(*assumed.known.effects))
+        causes = specification.list_effects()
+        counts = [len(effect.parameters) for effect, _, _ in causes]
+        return StationJudge(
+            survey,
+            assumed,
+            machine.with_effects(*(effect for effect, _, _ in causes)),
+            assumed.make_prior(machine),
+            compute_volumetric_gram(machine),
+            np.repeat([sigma for _, sigma, _ in causes], counts),
+            np.repeat([shared for _, _, shared in causes], counts),
+        )
+
+    def judge(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
+        """Return what a place tells; None where it does not even show its own pose."""
+        survey = self.survey
+        workspace = survey.workspace.place_tracker(place_mm)
+        cells = predict_cells(
+            survey.measured, survey.commanded, place_mm, cell_mm=self._cell_mm
+        )
+        at_mm = cells.at.position_mm
+        seen = workspace.allows(survey.measured, at_mm, at_mm)
+        if not seen.any():
+            return None
+        seconds = row_times_s(survey.commanded, survey.feed_mm_min).sum()
+        seconds *= cells.count[seen].sum() / cells.count.sum()
+        cells = cells.select(np.flatnonzero(seen))
+        run = RunInput(cells, cells.pose, self.assumed.used_noise)
+        try:
+            found = collect_information([run], self.model)[0].own.eliminate()
+        except Unidentifiable:
+            return None
+        p, rate = len(self.prior), 1.0 / seconds
+        everywhere = self._grid
+        return StationInformation(
+            place_mm,
+            rate * found.matrix[:p, :p],
+            rate * found.matrix[:p, p:],
+            workspace.allows(survey.machine, everywhere, everywhere),
+        )
+
+    def evaluate(
+        self, stations: Sequence[StationInformation], time_s: float
+    ) -> StationVariance:
+        """Return what stations leave that share a time equally."""
+        each_s = time_s / len(stations)
+        known = each_s * np.sum([one.matrix for one in stations], axis=0)
+        factor = ScaledCholesky.of(self.prior + known)
+        covariance = factor.invert()
+        pulls = [factor.solve(each_s * one.coupling) * self.sigma for one in stations]
+        together = np.sum(pulls, axis=0)[:, self.shared]
+        alone = [pull[:, ~self.shared] for pull in pulls]
+        moved = np.hstack([together, *alone])
+        return StationVariance(
+            float(np.sum(self.gram * covariance)) ** 0.5,
+            float(np.sum(moved * (self.gram @ moved))) ** 0.5,
+            covariance,
+            float(np.any([one.sees for one in stations], axis=0).mean()),
+        )
+
+    def motion_sigmas_mm(self, found: StationVariance) -> dict[str, float]:
+        """Return what each error motion alone leaves at the tool, by its symbol."""
+        return {
+            motion.name: float(np.sum(self.gram[p, p] * found.covariance[p, p])) ** 0.5
+            for motion in self.model.error_motions
+            for p in (self.model.slices[motion.name],)
+        }
+
+    @property
+    def _cell_mm(self) -> float:
+        axes = self.survey.machine.linear_axes
+        diagonal_mm = np.linalg.norm([axis.high - axis.low for axis in axes])
+        return float(diagonal_mm) / _CELLS_ACROSS
+
+    @property
+    def _grid(self) -> Float64[np.ndarray, "v a"]:
+        """Return places of the whole travel; rotary axes stand at their zero."""
+        machine = self.survey.machine
+        ticks = [np.linspace(a.low, a.high, _GRID) for a in machine.linear_axes]
+        places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
+        rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
+        return np.hstack([places, np.tile(rest, (len(places), 1))])

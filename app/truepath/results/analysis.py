@@ -1,0 +1,155 @@
+"""From Runs to what is stated of their machine, each room entered in the order of data.
+
+The facts of the Runs, their alignment, one estimate of all, the grade of the set-up,
+trials that its uncertainty is held against, and what follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from itertools import combinations
+
+from truepath.alignment.align import align_all
+from truepath.errors import BundleError
+from truepath.estimation.checks.disturbances import CheckedEstimate, estimate_checked
+from truepath.estimation.checks.ripple import add_ripple
+from truepath.estimation.checks.tracker_score import (
+    RangeOffsetScore,
+    score_range_offset,
+)
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.budget import split_uncertainty
+from truepath.estimation.solve.contributions import find_contributions
+from truepath.files.bundle.one_machine import one_machine
+from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
+from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.earlier.verdict import Verdict
+from truepath.kinematics.coarse_model import build_run_models
+from truepath.kinematics.machine.machine import Machine
+from truepath.numerics.adaptive_trials import Mapper, TrialPlan
+from truepath.planning.grade import Grade, SetUp, grade_together
+from truepath.progress import Progress, ignore_progress, scale_progress
+from truepath.results.findings import Findings, Provenance, state_checked_findings
+from truepath.results.trial_results import run_trials
+from truepath.results.verdict import (
+    judge_air,
+    judge_chain,
+    judge_driving,
+    judge_range,
+    judge_sensors,
+)
+
+# Share of the work that is done after alignment, estimation and trials.
+_SHARES, _SHARES_WITH_TRIALS = (0.1, 0.9, 0.9), (0.01, 0.09, 0.98)
+
+
+def analyse(
+    *runs: Run,
+    model: PriorModel | None = None,
+    perpendicular_only: bool = False,
+    monte_carlo: TrialPlan | None = None,
+    mapper: Mapper = map,
+    on_progress: Progress = ignore_progress,
+) -> Findings:
+    """Analyse Runs of one machine, of either mode, in one estimate.
+
+    model : whose effects are estimated beside the error motions, as well as it knows
+        them
+    perpendicular_only : leave out what is measured along the travel
+    monte_carlo : the trials that the uncertainty is held against, if it is to be
+    mapper : computes blocks of trials, here or elsewhere
+    on_progress : receives the share done and the stage: aligning, estimating,
+        validating where trials are run, reporting
+
+    Raises EstimationError if the data do not carry the answer, BundleError if the Runs
+    are not of one machine, or the model is of another.
+    """
+    aligned, solved, tried = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
+    on_progress(0.0, "aligning")
+    summaries = _summarize(runs)
+    names = [summary.name for summary in summaries]
+    machine = one_machine([run.machine for run in runs], names)
+    _refuse_twice(summaries)
+    known = model.select_effects(machine, summaries) if model else KnownEffects()
+    observed = align_all(runs, names)
+    estimating = scale_progress(on_progress, aligned, solved, "estimating")
+    estimating(0.0)
+    checked = estimate_checked(
+        build_run_models(
+            machine, [each.at.offset_mm for each in observed], known.effects
+        ),
+        observed,
+        known=known,
+        perpendicular_only=perpendicular_only,
+        on_progress=estimating,
+    )
+    estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
+    grade = _grade_set_ups(machine, runs, checked, perpendicular_only)
+    trials = None
+    if monte_carlo is not None:
+        validating = scale_progress(on_progress, solved, tried, "validating")
+        validating(0.0)
+        trials = run_trials(estimated, monte_carlo, mapper, validating)
+    on_progress(tried, "reporting")
+    provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
+    brought = find_contributions(estimated, checked.given)
+    budget = split_uncertainty(estimated)
+    ranges = judge_range(_score_ranges(checked.estimate), checked.given, names)
+    fit = checked.estimate.fit
+    checked = replace(checked, estimate=replace(estimated, fit=None))
+    found = state_checked_findings(checked, provenance, trials, grade)
+    driven = judge_driving([each.driving for each in observed], names)
+    air = judge_air([run.refraction for run in runs], names)
+    verdict = Verdict.merge([found.verdict, ranges])
+    if verdict.state != "usable" and fit is not None:
+        chain = judge_chain(fit)  # it bends the volume as a wrong home distance does
+        verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
+    verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
+    return replace(found, contributions=brought, budget=budget, verdict=verdict)
+
+
+def _score_ranges(estimated: Estimate) -> list[RangeOffsetScore | None]:
+    fit = estimated.fit
+    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    return [score_range_offset(fit, number) for number in range(len(fit.runs))]
+
+
+def _grade_set_ups(
+    machine: Machine,
+    runs: Sequence[Run],
+    checked: CheckedEstimate,
+    perpendicular_only: bool,
+) -> Grade:
+    """Return what the set-ups of all Runs can tell, the tracker where it was found."""
+    set_ups = [
+        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
+        for run, found in zip(runs, checked.first_parts, strict=True)
+    ]
+    return grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
+
+
+def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
+    """Return the facts of the Runs, each with a name of its own."""
+    names = number_names([run.name for run in runs])
+    return tuple(
+        replace(summarize_run(run), name=name)
+        for run, name in zip(runs, names, strict=True)
+    )
+
+
+def _refuse_twice(summaries: Sequence[RunSummary]) -> None:
+    """Raise BundleError for what is given twice: its noise would count as two."""
+    for known, given in combinations(summaries, 2):
+        if known.digest == given.digest:
+            problem = f"is the same measurement as {known.name}"
+        elif share_samples(known.sketch, given.sketch):
+            problem = f"has samples of {known.name} in it"
+        else:
+            continue
+        remedy = "give each measurement once"
+        raise BundleError(problem, file=given.name, remedy=remedy)

@@ -1,0 +1,81 @@
+"""What a result states of the air and the sensors of a Run."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from truepath.files.bundle.run import RunSummary
+from truepath.files.environment.environment import ChannelFacts
+from truepath.files.environment.refraction import (
+    INSTRUMENT,
+    NOBODY,
+    SERVICE,
+    SIGMA_HPA,
+    SIGMA_K,
+    Refraction,
+    find_cause,
+    refraction_to_json,
+    state_scale_ppm,
+)
+
+_CORRECTED = (INSTRUMENT, SERVICE)
+
+
+def environment_json(summary: RunSummary) -> dict[str, Any]:
+    """Return sensors, what was wrong with them, refraction and what it leaves."""
+    refraction = summary.refraction
+    ppm, per_k, per_hpa = state_scale_ppm(refraction)
+    is_corrected = refraction.by in _CORRECTED
+    return {
+        "sensors": [_sensor_json(one) for one in summary.sensors],
+        "told": list(summary.sensors_told),
+        "refraction": refraction_to_json(refraction),
+        "range_scale": {
+            "uncertainty_ppm": ppm if is_corrected else None,
+            "per_K_ppm": per_k,
+            "per_hPa_ppm": per_hpa,
+            "in_tables": False,
+        },
+    }
+
+
+def describe_refraction(refraction: Refraction) -> str:
+    """Return who has corrected the ranges for the air, in a sentence."""
+    if refraction.by == INSTRUMENT:
+        return "corrected by the instrument itself"
+    if refraction.by == SERVICE and refraction.index is not None:
+        light = refraction.light
+        kind = "group " if light is not None and light.is_group else ""
+        wave = "" if light is None else f" at {light.wavelength_nm:g} nm"
+        ppm = 1e6 * (refraction.index - 1.0)
+        return f"corrected here, once: mean {kind}index 1 + {ppm:.2f}·10⁻⁶{wave}"
+    if refraction.by == NOBODY:
+        return f"NOT corrected: {find_cause(refraction)[1]}"
+    return "not corrected here; whether the instrument does is not known"
+
+
+def describe_scale(refraction: Refraction) -> str:
+    """Return what the air leaves of the scale of all ranges, in a sentence."""
+    ppm, per_k, per_hpa = state_scale_ppm(refraction)
+    what = f"{per_k:.2f} ppm a K and {per_hpa:.2f} ppm a hPa that the air is mistaken"
+    common = (
+        "common to all ranges, and to the positioning errors of all axes alike; it is "
+        "not in the uncertainties of the tables"
+    )
+    if refraction.by not in _CORRECTED:
+        return f"{what}, {common}"
+    at = f"{SIGMA_K:g} K and {SIGMA_HPA:g} hPa"
+    return f"{ppm:.1f} ppm (k = 1) where the air is known to {at}: {what}, {common}"
+
+
+def _sensor_json(one: ChannelFacts) -> dict[str, Any]:
+    numbers = {"mean": one.mean, "low": one.low, "high": one.high, "change": one.change}
+    return {
+        "name": one.name,
+        **{key: None if math.isnan(v) else v for key, v in numbers.items()},
+        "readings": one.readings,
+        "rows": one.rows,
+        "longest_without_s": one.hole_s,
+        "used": one.is_used,
+    }

@@ -1,0 +1,262 @@
+"""Everything that a result states, gathered once for the result file and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.estimation.checks.disturbances import CheckedEstimate
+from truepath.estimation.checks.run_parts import Knock
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.budget import UncertaintyBudget
+from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.files.bundle.run import RunSummary
+from truepath.files.earlier.verdict import Verdict
+from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.units import UM_PER_MM
+from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.planning.grade import Grade
+from truepath.results.as_if_driven import judge_program
+from truepath.results.error_tables import ErrorTables, build_error_tables
+from truepath.results.trial_results import TrialResults
+from truepath.results.verdict import judge, judge_gain
+from truepath.results.volumetric_error import (
+    Spread,
+    VolumetricError,
+    compute_both_directions,
+    compute_volumetric_error,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Which program computed a result from which Runs, when and how.
+
+    model : whose effects are beside the error motions, if one was given
+    """
+
+    runs: tuple[RunSummary, ...]
+    software_version: str
+    created: datetime
+    model: PriorModel | None = None
+
+    @property
+    def repeats_model(self) -> bool:
+        """Whether the model was made from a Run that is analysed now.
+
+        Then the effects are taken from it and their numbers are not.
+        """
+        return self.model is not None and self.model.is_of(self.runs)
+
+    def judge_model(self) -> Verdict:
+        """Return what to know of a result for which the model's numbers were used."""
+        if self.model is None or self.repeats_model:
+            return Verdict()
+        return self.model.judge_use()
+
+    def state_length_scale_ppm(self, tracker: TrackerNoise) -> float:
+        """Return the standard uncertainty that all lengths have in common.
+
+        Of several Runs that which knows its air worst: one tracker measures them all.
+        """
+        ppm = tracker.range_ppm
+        return max(state_length_ppm(run.refraction, ppm) for run in self.runs)
+
+
+@dataclass(frozen=True, slots=True)
+class LineResiduals:
+    """Residuals by row of the path or points: root mean square of one component.
+
+    row : (m,), cells : (m,), rms_um : (m,)
+    """
+
+    row: Int64[np.ndarray, " m"]
+    cells: Int64[np.ndarray, " m"]
+    rms_um: Float64[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFound:
+    """Standard deviations along and across the beam at the mean distance.
+
+    stated_um : (2,) of one sample, as the machine file states it
+    white_um : (2,) of one sample, as found; ou_um : (2,) of the correlated part
+    along_travel_um : of a cell, beyond phase and speed; None where not used
+    """
+
+    distance_mm: float
+    stated_um: Float64[np.ndarray, "2"]
+    white_um: Float64[np.ndarray, "2"]
+    ou_um: Float64[np.ndarray, "2"]
+    ou_time_s: float
+    along_travel_um: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunFindings:
+    """What is said of one Run.
+
+    number : of the Run in the estimate, from 0
+    part : of the Run given, from 1, where it was split at a knock; else 0
+    """
+
+    number: int
+    summary: RunSummary
+    estimate: RunEstimate
+    by_line: LineResiduals
+    noise: NoiseFound
+    part: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """An estimate and what follows from it.
+
+    runs : the Runs that it was made from, in the order given
+    trials : what trials say of it, if they were run
+    grade : what the set-up was worth before the measurement, if it was asked
+    verdict : whether the result may be used
+    left_out : of each Run given, what was not used; knocks : at which Runs were split
+    contributions : what each Run given brought, if it was asked
+    budget : what each source of uncertainty brings, if it was asked
+    both_directions : the volumetric error with lost motion, where that is determined
+    length_scale_ppm : standard uncertainty that all lengths have in common, of air and
+        tracker: in the volumetric error, in no table
+    """
+
+    estimate: Estimate
+    provenance: Provenance
+    tables: ErrorTables
+    volumetric: VolumetricError
+    runs: tuple[RunFindings, ...]
+    trials: TrialResults | None = None
+    grade: Grade | None = None
+    verdict: Verdict = field(default_factory=Verdict)
+    left_out: tuple[tuple[LeftOut, ...], ...] = ()
+    knocks: tuple[Knock, ...] = ()
+    contributions: Contributions | None = None
+    budget: UncertaintyBudget | None = None
+    both_directions: Spread | None = None
+    length_scale_ppm: float = 0.0
+
+    @property
+    def main(self) -> RunFindings:
+        """The Run that most used samples come from."""
+        return self.runs[self.estimate.main]
+
+    def find_without_um(self, run: RunFindings) -> float | None:
+        """Return what the other Runs would leave; None where they tell too little."""
+        if self.contributions is None or not self.contributions.without_mm:
+            return None
+        number = [one.digest for one in self.provenance.runs].index(run.summary.digest)
+        without_mm = self.contributions.without_mm[number]
+        return UM_PER_MM * without_mm if np.isfinite(without_mm) else None
+
+
+def state_checked_findings(
+    checked: CheckedEstimate,
+    provenance: Provenance,
+    trials: TrialResults | None = None,
+    grade: Grade | None = None,
+) -> Findings:
+    """Return what is stated of an estimate, and its verdict."""
+    found = state_findings(checked.estimate, provenance, trials, grade, checked.given)
+    own = judge(checked, [run.name for run in provenance.runs])
+    return replace(
+        found,
+        verdict=Verdict.merge(
+            [
+                own,
+                provenance.judge_model(),
+                judge_gain(found.volumetric),
+                judge_program(found.estimate.model.machine, found.volumetric),
+            ]
+        ),
+        left_out=checked.left_out,
+        knocks=checked.knocks,
+    )
+
+
+def state_findings(
+    estimate: Estimate,
+    provenance: Provenance,
+    trials: TrialResults | None = None,
+    grade: Grade | None = None,
+    given: Sequence[int] | None = None,
+) -> Findings:
+    """Return what is stated of an estimate.
+
+    given : of each Run of the estimate, which of the provenance it is of; as many, in
+        order, if left out
+    """
+    sources = range(len(estimate.runs)) if given is None else given
+    tracker = estimate.model.machine.tracker
+    length_scale_ppm = provenance.state_length_scale_ppm(tracker)
+    return Findings(
+        estimate,
+        provenance,
+        build_error_tables(estimate, estimate.measured),
+        compute_volumetric_error(estimate, length_scale_ppm),
+        tuple(
+            RunFindings(
+                number,
+                provenance.runs[source],
+                run,
+                group_residuals(run, across_only=estimate.perpendicular_only),
+                state_noise(run),
+                _number_part(sources, number),
+            )
+            for number, (source, run) in enumerate(
+                zip(sources, estimate.runs, strict=True)
+            )
+        ),
+        trials,
+        grade,
+        both_directions=compute_both_directions(estimate, length_scale_ppm),
+        length_scale_ppm=length_scale_ppm,
+    )
+
+
+def _number_part(sources: Sequence[int], number: int) -> int:
+    """Return which part of its Run one is, 0 where it is all of it."""
+    own = [k for k, source in enumerate(sources) if source == sources[number]]
+    return own.index(number) + 1 if len(own) > 1 else 0
+
+
+def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:
+    """Return the residuals of each row, as `Residuals.rms_mm` counts them.
+
+    across_only : only what lies across the travel was used
+    """
+    residuals = run.residuals
+    if across_only:
+        square = residuals.across_mm**2 / 3.0
+    else:
+        square = np.mean(residuals.residual_mm**2, axis=1)
+    row, place, cells = np.unique(
+        residuals.row, return_inverse=True, return_counts=True
+    )
+    mean = np.bincount(place, square, len(row)) / cells
+    return LineResiduals(row, cells, UM_PER_MM * np.sqrt(mean))
+
+
+def state_noise(run: RunEstimate) -> NoiseFound:
+    """Return the noise of a Run in µm."""
+    noise = run.noise
+    stated = UM_PER_MM * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
+    along = UM_PER_MM * noise.along_sigma_mm
+    return NoiseFound(
+        run.distance_mm,
+        stated,
+        stated * np.array(noise.white),
+        stated * np.array(noise.ou),
+        noise.ou_time_s,
+        along if np.isfinite(along) else None,
+    )

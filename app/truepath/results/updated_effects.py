@@ -1,0 +1,129 @@
+"""Effects that a model has brought into an analysis: as known before it, and with it.
+
+The Run is held against what was known: where it moves an effect further than chance
+would, the machine is not any more as the model has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.kinematics.effects.catalogue import Quantity
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import CatalogueEffect
+from truepath.planning.forecast import Forecast
+
+_DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
+
+
+@dataclass(frozen=True, slots=True)
+class UpdatedEffect:
+    """One effect of the machine.
+
+    before, after : its numbers as the model knew them, and as they are with the Run
+    chance : of so large a difference if nothing has changed; None where the Run does
+        not tell
+    """
+
+    effect: CatalogueEffect
+    before: dict[str, Quantity]
+    after: dict[str, Quantity]
+    chance: float | None
+
+    @property
+    def title(self) -> str:
+        """The effect in words."""
+        return self.effect.title
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether the Run agrees with what was known; None where it does not tell."""
+        return None if self.chance is None else self.chance >= _DOUBTFUL
+
+
+def list_updated_effects(
+    known: KnownEffects, estimated: EstimatedModel, chances: Sequence[float | None]
+) -> tuple[UpdatedEffect, ...]:
+    """Return the known effects, with the parameters that the model has now.
+
+    chances : of each effect, as `UpdatedEffect.chance`
+    """
+    found: list[UpdatedEffect] = []
+    begin = 0
+    for effect, chance in zip(known.effects, chances, strict=True):
+        own = slice(begin, begin + len(effect.parameters))
+        begin = own.stop
+        before = effect.state(known.theta[own], known.covariance[own, own])
+        after = effect.state(*estimated.part(effect.name))
+        found.append(UpdatedEffect(effect, before, after, chance))
+    return tuple(found)
+
+
+def state_updated_effects(
+    effects: tuple[UpdatedEffect, ...], *, repeats_model: bool
+) -> list[dict[str, Any]]:
+    """Return the effects as `result.json` states them."""
+    if repeats_model:  # nothing was known before
+        return [_effect_json(one, None) | {"agrees": None} for one in effects]
+    return [
+        _effect_json(one, parameters_json(one.before)) | {"agrees": one.agrees}
+        for one in effects
+    ]
+
+
+def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
+    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
+    stated: dict[str, Any] = {}
+    for name, m in found.items():
+        whole, vector, _ = name.partition("[")
+        if not vector:
+            stated[name] = {"value": m.value, "uncertainty": m.uncertainty}
+            continue
+        parts = stated.setdefault(whole, {"value": [], "uncertainty": []})
+        parts["value"].append(m.value)
+        parts["uncertainty"].append(m.uncertainty)
+    return stated
+
+
+def state_predicted_effects(found: Forecast) -> list[dict[str, Any]]:
+    """Return effects as a plan states them: as known, and as it will leave them."""
+    known, model = found.known, found.model
+    theta = np.zeros(model.size)
+    theta[known.locate(model)] = known.theta
+    after = EstimatedModel(model, theta, found.covariance)
+    effects = list_updated_effects(known, after, [None] * len(known.effects))
+    return [_effect_json(one, parameters_json(one.before)) for one in effects]
+
+
+def _effect_json(one: UpdatedEffect, before: dict[str, Any] | None) -> dict[str, Any]:
+    return {
+        "name": one.effect.family,
+        **dict(one.effect.keys),
+        "parameters": parameters_json(one.after),
+        "known_before": before,
+    }
+
+
+def prior_model_json(model: PriorModel) -> dict[str, Any]:
+    """Return the model that a result or a plan was made with."""
+    return {"source": model.source, "version": model.version, "sha256": model.sha256}
+
+
+def describe_use(*, repeats_model: bool) -> str:
+    """Say what an analysis has taken from a model."""
+    if repeats_model:
+        return (
+            "the effects of the machine; their numbers are estimated from this "
+            "measurement alone, for the model was made from it; so are the error "
+            "motions"
+        )
+    return (
+        "the effects of the machine, their numbers with their covariance as prior "
+        "knowledge; the error motions are measured anew"
+    )

@@ -1,0 +1,419 @@
+"""Whether a result may be used: what the whole fit says of itself.
+
+What was left out is a reason, and so is a step of the set-up that was solved for. The
+noise that the estimate finds may not hide a broken fit: residuals are held against what
+the tracker states, with the correlated part that is usual, and against a drift of the
+set-up during the Run, to which places that are measured early and late add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truepath.alignment.observations.observations import Driving
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.estimation.checks.disturbances import CheckedEstimate
+from truepath.estimation.checks.misfit import Misfit
+from truepath.estimation.checks.run_parts import Knock
+from truepath.estimation.checks.tracker_score import RangeOffsetScore
+from truepath.estimation.problem.confounded_prior import guess_whole_prior
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.files.bundle.run import RunSummary, number_names, summarize_run
+from truepath.files.earlier.verdict import Reason, State, Value, Verdict
+from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
+from truepath.files.units import UM_PER_MM
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.other_chains import list_orders
+from truepath.results.volumetric_error import VolumetricError
+
+if TYPE_CHECKING:
+    from truepath.discovery.discover import Discovery
+    from truepath.estimation.live.live_gate import LiveCheck
+
+_SENTENCES = 12  # on what is left out of one Run; the rest is counted
+_LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
+_RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
+_FIT = 1.25, 4.0  # root of χ² over its freedom
+_RAMP_MM = 0.002  # less is no matter
+_WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
+_DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
+_DRIFT_MM = 0.001, 0.02  # root mean square
+_RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
+_RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
+# White and correlated, of what the tracker states: correlated noise would take what is
+# wrong with the chain for the air's.
+_NOISE = (1.0, 1.0), (1e-3, 1e-3)
+_OTHER_CHAIN = 2.0, 4.0  # times χ² of the best order
+_WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
+_BESIDE = ("before", "after")  # of the path
+_LINES = 0.1, 0.5  # of the lines without data
+_GAIN = 0.35, 1.0  # expected to be left, of the mean error found
+
+
+def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
+    """Return what a checked estimate says of itself.
+
+    names : of the Runs given
+    """
+    several = len(names) > 1
+    runs = checked.estimate.runs
+    reasons: list[Reason] = []
+    for number, name in enumerate(names):
+        own = [k for k, given in enumerate(checked.given) if given == number]
+        said = [
+            *_judge_left_out(
+                checked.left_out[number],
+                sum(runs[k].lines for k in own),
+                sum(runs[k].used_samples for k in own),
+            ),
+            *_judge_knocks([k for k in checked.knocks if k.run == number]),
+            *_judge_noise(
+                max(checked.misfits[k].ratio for k in own),
+                max(max(runs[k].noise.white) for k in own),
+                _FIT,
+            ),
+            *_judge_ramps([runs[k] for k in own]),
+            *_judge_drift([checked.misfits[k] for k in own]),
+            *_judge_unseen(checked.left_out[number], [checked.misfits[k] for k in own]),
+        ]
+        reasons += [
+            Reason(r.kind, r.state, r.values, name if several else "") for r in said
+        ]
+    return Verdict(tuple(reasons))
+
+
+def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> Verdict:
+    """Return what to know of how the machines drove; a result may be used all the same.
+
+    drivings : of the Runs given; none of standstill points
+    """
+    reasons = [
+        Reason(kind, "usable", values, name if len(names) > 1 else "")
+        for driving, name in zip(drivings, names, strict=True)
+        if driving is not None
+        for kind, values in _describe_driving(driving)
+    ]
+    return Verdict(tuple(reasons))
+
+
+def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
+    """Return which sensors showed what cannot be; doubtful where one is missing."""
+    reasons: list[Reason] = []
+    for one in summaries:
+        used = {sensor.name for sensor in one.sensors if sensor.is_used}
+        last = {text.partition(":")[0]: text for text in one.sensors_left_out}
+        for name, text in last.items():
+            state = "usable" if name in used else "doubtful"
+            run = one.name if len(summaries) > 1 else ""
+            reasons.append(Reason("sensor-left-out", state, {"what": text}, run))
+    return Verdict(tuple(reasons))
+
+
+def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
+    """Return which Runs should have been corrected for the air, and are not."""
+    reasons: list[Reason] = []
+    for one, name in zip(refractions, names, strict=True):
+        if one.by == NOBODY:
+            kind, why = find_cause(one)
+            values: dict[str, Value] = {"why": why, "why_kind": kind}
+            reasons.append(Reason("air-uncorrected", "doubtful", values, name))
+    if len(names) == 1:
+        reasons = [replace(one, run="") for one in reasons]
+    return Verdict(tuple(reasons))
+
+
+def judge_range(
+    scores: Sequence[RangeOffsetScore | None],
+    given: Sequence[int],
+    names: Sequence[str],
+) -> Verdict:
+    """Return whether the distances of a Run are all off by the same amount.
+
+    scores : of each Run of the estimate; given : the Run that it is of
+    """
+    worst: dict[int, RangeOffsetScore] = {}
+    for score, number in zip(scores, given, strict=True):
+        if score is None or score.gain < _RANGE_GAIN:
+            continue
+        if abs(score.offset_mm) < _RANGE_MM[0]:
+            continue
+        if number not in worst or score.gain > worst[number].gain:
+            worst[number] = score
+    return Verdict(
+        tuple(
+            Reason(
+                "range-off",
+                _grade(abs(score.offset_mm), _RANGE_MM),
+                {
+                    "distance_um": UM_PER_MM * score.offset_mm,
+                    "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
+                },
+                names[number] if len(names) > 1 else "",
+            )
+            for number, score in worst.items()
+        )
+    )
+
+
+def judge_chain(fit: Fit) -> Verdict:
+    """Return whether the data contradict the order of the linear axes.
+
+    fit : whose result is contradicted
+    """
+    other, times = _find_better_order(fit)
+    if times < _OTHER_CHAIN[0]:
+        return Verdict()
+    declared = fit.model.machine.chain
+    values: dict[str, Value] = {"other": other, "declared": declared}
+    state = _grade(times, _OTHER_CHAIN)
+    return Verdict((Reason("chain-other", state, values | {"times_ratio": times}),))
+
+
+def judge_gain(volumetric: VolumetricError) -> Verdict:
+    """Return whether a compensation is expected to make the machine better."""
+    left_um, found_um = volumetric.after.mean.value_um, volumetric.before.mean.value_um
+    state = _grade(left_um / max(found_um, 1e-9), _GAIN)
+    if state == "usable":
+        return Verdict()
+    values: dict[str, Value] = {"left_um": left_um, "found_um": found_um}
+    return Verdict((Reason("little-gained", state, values),))
+
+
+def judge_live(check: LiveCheck, lines: int) -> Verdict:
+    """Return what a measurement under way says of itself.
+
+    lines : that the estimate is made from
+    """
+    settled = [each for each in check.left_out if each.row not in check.held]
+    reasons = [
+        *_judge_left_out(settled, lines, check.used_samples),
+        *_judge_knocks(check.knocks),
+        *_judge_noise(check.residual, check.white),
+    ]
+    if check.held:
+        values: dict[str, Value] = {
+            "lines": _list_lines(check.held),
+            "distance_um": UM_PER_MM * check.held_mm,
+        }
+        reasons.append(Reason("lines-off", "not-usable", values))
+    return Verdict(tuple(reasons))
+
+
+def judge_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
+    """Return what a discovery, and the model that it has made, say of themselves.
+
+    What was found is in the model, so that what is left counts: on lines held out of
+    the fit, over what a complete model would leave there, and the noise that was found,
+    over what the tracker states.
+
+    parent : what the Runs were held against
+    """
+    names = number_names([one.run.name for one in found.aligned])
+    reasons: list[Reason] = []
+    for name, one in zip(names, found.aligned, strict=True):
+        seen = one.coarse
+        said = _judge_left_out(seen.left_out, len(seen.measured_rows), seen.used)
+        own = name if len(names) > 1 else ""
+        reasons += [Reason(r.kind, r.state, r.values, own) for r in said]
+    gap = found.gap
+    noise = gap.noise_floor_um / gap.usual_um
+    left = max(gap.after_um / max(gap.expected_um, 1e-12), 1.0)
+    white = max(max(run.noise.white) for run in found.baseline.runs)
+    reasons += _judge_noise(noise * left, white)
+    used = Verdict() if parent is None else parent.judge_use()
+    sensors = judge_sensors([summarize_run(one.run) for one in found.aligned])
+    return Verdict.merge([Verdict(tuple(reasons)), sensors, used])
+
+
+def _judge_left_out(
+    left_out: Sequence[LeftOut], measured: int, used: int
+) -> Iterator[Reason]:
+    """Yield what to know of samples that are not used.
+
+    measured : lines with data; used : samples
+    """
+    silent = ("spikes", "astray", *_BESIDE, *_WITHOUT_DATA)
+    lost = [each for each in left_out if each.cause not in silent]
+    worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
+    for each in sorted(worst, key=lambda each: each.begin_s):
+        values: dict[str, Value] = {
+            "samples": each.samples,
+            "line": each.row,
+            "from_s": each.begin_s,
+            "to_s": each.end_s,
+            "distance_um": UM_PER_MM * each.off_mm,
+        }
+        yield Reason("samples-left-out", "usable", values)
+    for each in left_out:
+        if each.cause == "astray":
+            values = {
+                "line": each.row,
+                "from_s": each.begin_s,
+                "to_s": each.end_s,
+                "distance_um": UM_PER_MM * each.off_mm,
+            }
+            yield Reason("stream-astray", "doubtful", values)
+    beside = {each.cause: each.samples for each in left_out if each.cause in _BESIDE}
+    if beside:
+        yield Reason("path-cut-short", "usable", dict.fromkeys(_BESIDE, 0) | beside)
+    spikes = [each for each in left_out if each.cause == "spikes"]
+    few = [each for each in lost if each not in worst] + spikes
+    if few:
+        values = {
+            "samples": sum(each.samples for each in few),
+            "distance_um": UM_PER_MM * max(each.off_mm for each in few),
+        }
+        yield Reason("spikes-left-out", "usable", values)
+    for cause, kind in _WITHOUT_DATA.items():
+        rows = [each.row for each in left_out if each.cause == cause]
+        if rows:
+            state = _grade(len(rows) / (measured + len(rows)), _LINES)
+            yield Reason(kind, state, {kind.split("-")[0]: _list_lines(rows)})
+    # What is astray is judged by the lines that it leaves without data.
+    share = sum(
+        each.samples for each in left_out if each.cause not in ("astray", *_BESIDE)
+    )
+    share /= max(share + used, 1)
+    if share > _LEFT_OUT[0]:
+        yield Reason(
+            "much-left-out",
+            _grade(share, _LEFT_OUT),
+            {
+                "left_out_percent": 100.0 * share,
+                "usual_percent": 100.0 * _LEFT_OUT[0],
+            },
+        )
+
+
+def _describe_driving(driving: Driving) -> Iterator[tuple[str, dict[str, Value]]]:
+    if not driving.is_whole:
+        yield (
+            "path-not-whole",
+            {
+                "first": max(driving.first, 1),
+                "last": driving.last,
+                "lines": driving.rows - 1,
+            },
+        )
+    if driving.feed:
+        yield (
+            "other-feed",
+            {
+                "lines": _list_lines(sorted(driving.feed)),
+                "lowest_percent": 100.0 * min(driving.feed.values()),
+                "highest_percent": 100.0 * max(driving.feed.values()),
+            },
+        )
+    if driving.holds:
+        yield (
+            "held-on-the-way",
+            {
+                "times": len(driving.holds),
+                "lines": _list_lines([row for row, _, _ in driving.holds]),
+                "longest_s": max(stood_s for _, _, stood_s in driving.holds),
+            },
+        )
+
+
+def _judge_ramps(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
+    scatter_mm = max(run.noise.ramp_sigma_mm for run in runs)
+    if scatter_mm > _RAMP_MM:
+        values: dict[str, Value] = {"distance_um": UM_PER_MM * scatter_mm}
+        yield Reason("ramps-swing", "usable", values)
+
+
+def _list_lines(rows: Sequence[int]) -> str:
+    more = ", …" if len(rows) > _SENTENCES else ""
+    return ", ".join(map(str, rows[:_SENTENCES])) + more
+
+
+def _judge_knocks(knocks: Sequence[Knock]) -> Iterator[Reason]:
+    for knock in knocks:
+        distance_um = UM_PER_MM * knock.moved_mm
+        values = {"distance_um": distance_um, "at_s": knock.time_s}
+        yield Reason("set-up-moved", "usable", values)
+
+
+def _judge_noise(
+    residual: float, white: float, of_fit: tuple[float, float] = _RESIDUAL
+) -> Iterator[Reason]:
+    for kind, ratio, limits in (
+        ("fit-beyond-noise", residual, of_fit),
+        ("noise-beyond-stated", white, _WHITE),
+    ):
+        if ratio > limits[0]:
+            values = {"ratio": float(ratio), "limit_ratio": limits[0]}
+            yield Reason(kind, _grade(float(ratio), limits), values)
+
+
+def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
+    worst = max(misfits, key=lambda misfit: misfit.drift_mm)
+    if worst.drift > _DRIFT_GAIN and worst.drift_mm > _DRIFT_MM[0]:
+        yield Reason(
+            "loop-open",
+            _grade(worst.drift_mm, _DRIFT_MM),
+            {
+                "distance_um": UM_PER_MM * worst.drift_mm,
+                "limit_um": UM_PER_MM * _DRIFT_MM[0],
+            },
+        )
+
+
+def _judge_unseen(
+    left_out: Sequence[LeftOut], misfits: Sequence[Misfit]
+) -> Iterator[Reason]:
+    """Yield where a knock would not show, and may be what made data wrong.
+
+    Where the target changes, and nothing from before is measured again, the seats of
+    later targets and the locations of axes follow a step of the set-up.
+    """
+    unseen = frozenset[int]().union(*(misfit.unseen for misfit in misfits))
+    rows = {each.row for each in left_out if each.row >= 0}
+    near = sorted(row for row in rows if unseen & {row - 1, row, row + 1})
+    if near:
+        yield Reason("knock-unseen", "doubtful", {"rows": _list_lines(near)})
+    elif unseen:
+        values: dict[str, Value] = {"rows": _list_lines(sorted(unseen))}
+        yield Reason("not-measured-again", "usable", values)
+
+
+def _grade(value: float, limits: tuple[float, float]) -> State:
+    """Return the state for a value.
+
+    limits : of what is usable, and of what is doubtful
+    """
+    return ("usable", "doubtful", "not-usable")[int(np.searchsorted(limits, value))]
+
+
+def _find_better_order(fit: Fit) -> tuple[str, float]:
+    """Return the chain that fits best, and by which factor χ² is less than declared.
+
+    The order moves no nominal point, only the levers of turns: alignment cannot see it,
+    and the fit bends, or takes it for an error of the tracker.
+    """
+    declared = fit.model.machine
+    names = [axis.name for axis in declared.linear_axes]
+    left = {m.chain: _fit_order(fit, m) for m in list_orders(declared, names)}
+    best = min(left, key=lambda chain: left[chain])
+    return best, left[declared.chain] / left[best]
+
+
+def _fit_order(fit: Fit, machine: Machine) -> float:
+    inputs: list[RunInput] = []
+    for run in fit.runs:
+        seen, (white, ou) = run.observations, _NOISE
+        seen = replace(seen, at=replace(seen.at, machine=machine))
+        noise = replace(run.noise, white=white, ou=ou)
+        inputs.append(RunInput(seen, run.linearisation.pose, noise))
+    offsets_mm = [each.observations.at.offset_mm for each in inputs]
+    model, _ = build_identifiable_model(machine, *offsets_mm)
+    data = combine_runs(collect_information(inputs, model))
+    return guess_whole_prior(model).fit(data)[1].misfit

@@ -1,0 +1,216 @@
+"""The volumetric error over the travel before and after compensation.
+
+Before is the estimated map on a grid, the mean of both directions of travel. After is
+what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the
+covariance of the estimate (JCGM 101). Both are without the rigid motion of the whole
+volume. That the machine then does as promised is for a measurement of its own to show.
+
+The scale of air and tracker is common to all lengths and shows in no residual: it is in
+the uncertainty of each figure, though in none of the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.stats import qmc
+
+from truepath.files.units import PER_PPM, UM_PER_MM
+from truepath.kinematics.conditions import Conditions, make_standstill
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.machine import Axis, LinearAxis
+from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.results.length_scale import TWICE, state_scale_share
+
+_GRID = 9  # points an axis
+_FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
+_DRAWS = 200  # tell a spread to 5 %
+_SHARE = 0.95  # of the places, below the stated quantile
+_QUANTILES = 101  # every per cent
+_EVEN = 2048  # positions that fill the travel
+_SIDES = (1.0, -1.0)  # + and − direction
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A number in µm with its standard uncertainty (k = 1).
+
+    scale_uncertainty_um : the part of it that comes from the scale of all lengths
+    """
+
+    value_um: float
+    uncertainty_um: float
+    scale_uncertainty_um: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Length of the error over the grid: mean, 95 % of the points, largest."""
+
+    mean: Figure
+    p95: Figure
+    largest: Figure
+
+
+@dataclass(frozen=True, slots=True)
+class VolumetricError:
+    """The volumetric error on a grid over the travel.
+
+    position_mm : (n, axes), X slowest; error_um, uncertainty_um : (n, 3), k = 1
+    after_lengths_um : equidistant quantiles, 0 to 100 %, of the expected length after
+    """
+
+    position_mm: Float64[np.ndarray, "n a"]
+    error_um: Float64[np.ndarray, "n 3"]
+    uncertainty_um: Float64[np.ndarray, "n 3"]
+    after_lengths_um: Float64[np.ndarray, " q"]
+    before: Spread
+    after: Spread
+
+
+def compute_volumetric_error(
+    estimated: EstimatedModel, length_scale_ppm: float = 0.0
+) -> VolumetricError:
+    """Return the volumetric error of the first target over the axis travel.
+
+    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    """
+    model, covariance = estimated.model, estimated.covariance
+    linear = _FEW if model.machine.rotary_axes else _GRID
+    position_mm = make_grid(model.machine.axes, linear, _FEWEST)
+    volumetric_map, at = (
+        build_volumetric_map(model),
+        make_standstill(model.machine, position_mm),
+    )
+    J = UM_PER_MM * volumetric_map.jacobian(at)
+    error = J @ estimated.theta
+    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)[:, :, None]
+    drawn = J.reshape(-1, model.size) @ draw_parameters(covariance)
+    left = drawn.reshape(*error.shape, -1)
+    after = _measure_lengths(left)
+    return VolumetricError(
+        position_mm,
+        error,
+        np.sqrt(np.einsum("nip,pq,niq->ni", J, covariance, J, optimize=True)),
+        np.quantile(np.linalg.norm(left, axis=1), np.linspace(0.0, 1.0, _QUANTILES)),
+        make_spread(
+            _measure_lengths(error[:, :, None])[:, 0],
+            _measure_lengths(error[:, :, None] + left),
+            _measure_lengths(error[:, :, None] + by_scale * TWICE),
+        ),
+        make_spread(
+            after.mean(axis=1),
+            after,
+            np.stack(
+                [_measure_lengths(left + s * by_scale).mean(axis=1) for s in TWICE],
+                axis=1,
+            ),
+        ),
+    )
+
+
+def find_scale_um(
+    volumetric_map: VolumetricMap, at: Conditions, length_scale_ppm: float
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what one standard uncertainty of the scale makes of the map at places.
+
+    From where it counts is no matter: a shift of all places goes with the rigid motion.
+    """
+    away_mm = at.point_mm - volumetric_map.centre_mm
+    return UM_PER_MM * PER_PPM * length_scale_ppm * away_mm
+
+
+def make_grid(
+    axes: Sequence[Axis], linear: int, rotary: int = 0
+) -> Float64[np.ndarray, "n a"]:
+    """Return a grid over the travel, ends included, the first axis slowest.
+
+    linear, rotary : points of an axis
+    """
+    travel = [
+        np.linspace(a.low, a.high, linear if isinstance(a, LinearAxis) else rotary)
+        for a in axes
+    ]
+    return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
+
+
+def fill_travel(axes: Sequence[Axis], count: int) -> Float64[np.ndarray, "n a"]:
+    """Return positions that fill the travel of axes evenly."""
+    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
+    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(count)
+    return low + unit * (high - low)
+
+
+def draw_parameters(
+    covariance: Float64[np.ndarray, "p p"],
+) -> Float64[np.ndarray, "p d"]:
+    """Return departures of the parameters by their covariance, always the same."""
+    value, vector = np.linalg.eigh(covariance)
+    unit = np.random.default_rng(0).standard_normal((len(covariance), _DRAWS))
+    # By the symmetric root: eigenvectors of one eigenvalue are any of many, by chance.
+    return (vector * np.sqrt(np.maximum(value, 0.0))) @ (vector.T @ unit)
+
+
+def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:
+    length = np.linalg.norm(error, axis=1)
+    return np.stack(
+        [length.mean(axis=0), np.quantile(length, _SHARE, axis=0), length.max(axis=0)]
+    )
+
+
+def make_spread(
+    value: Float64[np.ndarray, "3"],
+    drawn: Float64[np.ndarray, "3 d"],
+    at_twice: Float64[np.ndarray, "3 2"],
+) -> Spread:
+    """Return mean, 95 % and largest with the spread of those drawn.
+
+    at_twice : the same with all lengths off by `TWICE` the uncertainty of their scale
+    """
+    by_scale = state_scale_share(value, at_twice)
+    total = np.hypot(drawn.std(axis=1), by_scale)
+    return Spread(*map(Figure, value.tolist(), total.tolist(), by_scale.tolist()))
+
+
+def compute_both_directions(
+    estimated: EstimatedModel, length_scale_ppm: float = 0.0
+) -> Spread | None:
+    """Return length of the error over both directions; None without lost motion.
+
+    Mean and 95 % are over positions that fill the travel evenly, as in the account of
+    compensation files; the largest is that on a grid with the corners too.
+
+    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    """
+    model = estimated.model
+    if not any(effect.half_difference for effect in model.effects):
+        return None
+    even, grid = (
+        fill_travel(model.machine.axes, _EVEN),
+        make_grid(model.machine.axes, _FEW, _FEWEST),
+    )
+    at = make_standstill(model.machine, np.vstack([even, grid]))
+    volumetric_map = build_volumetric_map(model)
+    theta = estimated.theta[:, None] + draw_parameters(estimated.covariance)
+    theta = np.column_stack([estimated.theta, theta])
+    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)
+    lengths: list[Float64[np.ndarray, "n d"]] = []
+    for side in _SIDES:
+        coming = replace(at, approach=np.full_like(at.approach, side))
+        J = UM_PER_MM * volumetric_map.jacobian(coming).reshape(-1, model.size)
+        error = (J @ theta).reshape(len(at), 3, -1)
+        scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
+        every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
+        lengths.append(np.linalg.norm(every, axis=1))
+    inside = np.vstack([one[: len(even)] for one in lengths])
+    stated = np.stack(
+        [
+            inside.mean(axis=0),
+            np.quantile(inside, _SHARE, axis=0),
+            np.vstack(lengths).max(axis=0),
+        ]
+    )
+    return make_spread(stated[:, 0], stated[:, 1:-2], stated[:, -2:])

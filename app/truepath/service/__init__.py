@@ -1,0 +1,1 @@
+"""HTTP: the interface (`api`) and the operator's page (`page`)."""

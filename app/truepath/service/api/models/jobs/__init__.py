@@ -1,0 +1,1 @@
+"""Bodies of jobs, plans and their rows."""

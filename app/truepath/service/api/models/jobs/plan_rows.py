@@ -1,0 +1,299 @@
+"""Rows to drive: as they are sent, as they are commanded, and as they are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from truepath.errors import BundleError
+from truepath.files.bundle.workspace_file import workspace_from_json
+from truepath.motion.paths.commanded_rows import MAX_ROWS
+from truepath.service.api.models.base import (
+    AsKept,
+    Deg,
+    Dwell,
+    Feed,
+    MachineId,
+    Mm,
+    RequestBody,
+)
+from truepath.service.api.models.jobs.plan_document import PlaceOut
+
+_MOST_BOXES = 100
+_Place = Annotated[list[Mm], Field(min_length=3, max_length=3)]
+_Range = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+
+
+class Area(RequestBody):
+    """A box that may be flat."""
+
+    name: str | None = Field(None, min_length=1)
+    min_mm: _Place
+    max_mm: _Place
+
+
+class Box(Area):
+    """A closed box."""
+
+
+class Specification(RequestBody):
+    """What the tracker may be off by: standard uncertainties, usual if left out."""
+
+    eccentricity_urad: _Range = 1.0
+    index_urad: _Range = 1.0
+    range_offset_um: _Range = 1.0
+    bending_urad_per_m: _Range = 0.3
+
+
+class TrackerSite(RequestBody):
+    """Where the tracker stands, in the frame that it stands on, or may stand."""
+
+    position_mm: _Place | None = Field(
+        None, description="If left out, a plan chooses it in `areas`."
+    )
+    nearest_mm: _Range | None = Field(
+        None, description="Where left out 0, or 200 mm for a place that is chosen."
+    )
+    farthest_mm: _Range | None = None
+    areas: list[Area] = Field([], max_length=_MOST_BOXES)
+    keep_out: list[Area] = Field(
+        [], max_length=_MOST_BOXES, description="In which it must not stand."
+    )
+    move_minutes: _Range = Field(10.0, description="That another station costs.")
+    specification: Specification | None = None
+
+
+class Reflector(RequestBody):
+    """Where the reflector looks, in the frame of the tool."""
+
+    direction: _Place
+    half_angle_deg: float = Field(gt=0, le=90, allow_inf_nan=False)
+
+
+class SightBox(Box):
+    """A box that the beam must not touch."""
+
+    carried_by: Literal["X", "Y", "Z", "base"] | None = Field(
+        None, description="Axis whose carriage it moves with."
+    )
+
+
+class WorkspaceIn(RequestBody):
+    """What limits a plan beside the travel, as in a workspace file."""
+
+    keep_out: list[Box] = Field(
+        [], max_length=_MOST_BOXES, description="In axis positions X, Y, Z."
+    )
+    tracker: TrackerSite | None = None
+    reflector: Reflector | None = None
+    blocks_sight: list[SightBox] = Field(
+        [], max_length=_MOST_BOXES, description="In the frame that the tracker is in."
+    )
+
+    @model_validator(mode="after")
+    def _is_a_workspace(self) -> Self:
+        _require_workspace(self.model_dump(exclude_none=True))
+        return self
+
+
+def _require_boxes(boxes: list[Box]) -> list[Box]:
+    _require_workspace(
+        {"keep_out": [box.model_dump(exclude_none=True) for box in boxes]}
+    )
+    return boxes
+
+
+def _require_workspace(content: dict[str, Any]) -> None:
+    try:
+        workspace_from_json(content, file="workspace")
+    except BundleError as error:
+        raise ValueError(str(error)) from error
+
+
+KeepOut = Annotated[
+    list[Box], Field(max_length=_MOST_BOXES), AfterValidator(_require_boxes)
+]
+
+
+class Point(RequestBody):
+    """Axis positions to stand at: a row of `points.csv`."""
+
+    x_mm: Mm | None = None
+    y_mm: Mm | None = None
+    z_mm: Mm | None = None
+    a_deg: Deg | None = None
+    b_deg: Deg | None = None
+    c_deg: Deg | None = None
+    dwell_s: Dwell | None = None
+    target: str | None = None
+
+
+class Waypoint(Point):
+    """Axis positions to drive to in a straight line: a row of `path.csv`."""
+
+    feed_mm_min: Feed | None = None
+
+
+class StationResumptionOut(BaseModel):
+    """How a station goes on whose Run was cut short; its known points come first."""
+
+    first_row: int = Field(description="Of its rows, where the further Run begins.")
+    kept_run_ids: list[str] = Field(description="Runs before it that are analysed.")
+    points_id: str = Field(description="Run of its known points before.")
+    place_mm: list[list[float]] = Field(
+        description="Where the target has to be at the last known points, in the "
+        "tracker's frame."
+    )
+
+
+class StationRows(BaseModel):
+    """What is commanded from one of several stations."""
+
+    position_mm: list[float] = Field(description="Where the tracker is to stand.")
+    duration_s: float
+    position: list[list[float]]
+    feed_mm_min: list[float]
+    dwell_s: list[float]
+    target: list[str]
+    run_id: str | None = Field(
+        None, description="Of its Run, the newest one, once that has begun."
+    )
+    resumption: StationResumptionOut | None = Field(
+        None, description="Of a station whose Run was cut short and that goes on."
+    )
+
+
+class ResumptionOut(BaseModel):
+    """How a measurement goes on that was cut short."""
+
+    first_row: int = Field(description="Of the plan, where the further Run begins.")
+    kept_run_ids: list[str] = Field(description="Runs before it that are analysed.")
+    closure_row: list[int] = Field(
+        description="Rows to stand at first; at the last ones the target has to be "
+        "where it was."
+    )
+    place_mm: list[list[float]] = Field(
+        description="Where it was there, in the tracker's frame."
+    )
+
+
+class PlanOut(BaseModel):
+    """What is or was commanded, a row of `position` for each waypoint or point."""
+
+    kind: Literal["path", "points"] = Field(examples=["path"])
+    axes: list[str] = Field(examples=[["X", "Y", "Z"]])
+    position: list[list[float]] = Field(
+        examples=[[[0.0, 0.0, 0.0], [400.0, 300.0, 200.0]]],
+        description="mm for linear axes, deg for rotary axes.",
+    )
+    feed_mm_min: list[float] = Field(
+        examples=[[2500.0, 2500.0]],
+        description="Feed towards each row; empty for points.",
+    )
+    dwell_s: list[float]
+    target: list[str]
+    arc: list[tuple[str, float, float, float] | None] = Field(
+        [],
+        description="Of a path with arcs, a row each: plane, centre in both its axes "
+        "in mm, turn in deg; null on a straight line. Else empty.",
+    )
+    target_um: float | None = Field(
+        None,
+        description="`volumetric_uncertainty_um` (k = 1) at which it may end early.",
+    )
+    resumption: ResumptionOut | None = Field(
+        None, description="Of a measurement that goes on; null where it begins."
+    )
+    predicted_um: float | None = Field(
+        None,
+        description="Where it was planned: the predicted volumetric uncertainty "
+        "(k = 1).",
+    )
+    stations: list[StationRows] | None = Field(
+        None,
+        description="Of a plan of several stations: the rows from each; those above "
+        "are the first's.",
+    )
+    place: Annotated[dict[str, Any], AsKept(PlaceOut)] | None = Field(
+        None,
+        description="Where the plan has chosen the tracker's place: `tracker`, "
+        "`stations` and `at_stations` of its `document`.",
+    )
+    discovery_id: str | None = Field(
+        None, description="Of extra lines: the job whose discovery asks for them."
+    )
+    keep_out: Annotated[list[Any], AsKept(Box, many=True)] | None = Field(
+        None,
+        description="Boxes of axis positions X, Y, Z that no motion of the job "
+        "touches; [] where none are stated, null where that is not known, as of an "
+        "uploaded Run.",
+    )
+
+    @classmethod
+    def of(cls, plan: Mapping[str, Any], target_um: float | None) -> Self:
+        """Return a plan as the store keeps it, or a Run."""
+        return cls(**{**plan, "target_um": target_um, "keep_out": _list_keep_out(plan)})
+
+
+def _list_keep_out(plan: Mapping[str, Any]) -> list[Any] | None:
+    """Return the boxes of what was asked of a plan; None of a Run, which has none."""
+    if "request" not in plan:
+        return None
+    workspace = plan["request"].get("workspace") or {}
+    return list(workspace.get("keep_out") or ())
+
+
+class PlanCheck(RequestBody):
+    """Rows to check without a job: of `path`, or of `points`."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "path": [
+                        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+                        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+                        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+                        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
+                    ]
+                }
+            ]
+        },
+    )
+
+    machine: MachineId | None = Field(
+        None, description="The machine to drive; left out where there is only one."
+    )
+    path: list[Waypoint] | None = Field(None, min_length=2, max_length=MAX_ROWS)
+    points: list[Point] | None = Field(None, min_length=1, max_length=MAX_ROWS)
+    feed_mm_min: Feed | None = Field(None, description="Of rows that state none.")
+    workspace: WorkspaceIn | None = None
+
+    @model_validator(mode="after")
+    def _is_of_one_mode(self) -> Self:
+        if (self.path is None) == (self.points is None):
+            raise ValueError("give path or points, one of the two")
+        return self
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows in the columns of the bundle."""
+        rows = self.path or self.points or ()
+        return [row.model_dump(exclude_none=True) for row in rows]
+
+
+class PlanCheckOut(BaseModel):
+    """A measurement takes the rows: they tell where the tracker stands.
+
+    Every swept line keeps to travel and workspace.
+    """
+
+    rows: int
+    duration_s: float = Field(description="From the first row on, dwells included.")
+    stays_open: str = Field(
+        description="What an analysis of these rows alone would be refused for, and "
+        "which lines would mend it; empty where it determines all errors. The rows are "
+        "driven all the same, for several Runs may be analysed together."
+    )

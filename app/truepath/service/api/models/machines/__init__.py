@@ -1,0 +1,1 @@
+"""Bodies of machines, their files and conditions."""

@@ -1,0 +1,148 @@
+"""What a model lacks, as `discovery.json` states it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from truepath.service.api.models.effects import EffectOut
+from truepath.service.api.models.jobs.plan_rows import Waypoint
+from truepath.service.api.models.machines.model_file import ChangeOut, ParentOut
+from truepath.service.api.models.tables import VerdictOut
+
+
+class UnnamedOut(BaseModel):
+    """Structure that no effect of the catalogue explains, described by a free form.
+
+    What no free form explains either has the first three keys only. Further keys are
+    those of an effect.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    depends_on: list[str] = Field(examples=[["t"]])
+    description: str
+    rms_um: float
+    structure: str | None = None
+
+
+class GapOut(BaseModel):
+    """Weighted RMS of measured minus simulated on lines that the fit did not see."""
+
+    unit: Literal["um"]
+    before: float
+    after: float
+    noise_floor: float
+    expected: float
+    on: str
+
+
+class SegmentOut(BaseModel):
+    """Where a line or point disagrees."""
+
+    segment: int = Field(description="Row of the path or of the points.")
+    axis: str
+    direction: str
+    region: str
+    time_s: float
+    feed_mm_min: float
+    rms_um: float
+
+
+class SegmentOfRunOut(SegmentOut):
+    """The same, of several Runs."""
+
+    run: int = Field(description="Of the Runs, from 0.")
+
+
+class LineOut(BaseModel):
+    """How far a line or point is off, before and after, in the order of time."""
+
+    run: int = Field(description="Of the Runs, from 0.")
+    segment: int = Field(description="Row of the path or of the points.")
+    axis: str = Field(description="That moves most; empty where none does.")
+    direction: str
+    time_s: float
+    feed_mm_min: float
+    before_um: float = Field(description="Root mean square, with the model as it was.")
+    after_um: float = Field(description="With the effects that were found.")
+    temperature_degC: dict[str, float] = Field(  # noqa: N815
+        description="Mean of each sensor; empty where none was recorded."
+    )
+
+
+class ExplanationOut(BaseModel):
+    """Shares of the disagreement that go by line, axis, time and so on."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+
+
+class DiscoveryRunOut(BaseModel):
+    """Where one Run disagrees."""
+
+    name: str
+    mode: Literal["otf", "standstill"]
+    where: list[SegmentOut]
+    explained_by: ExplanationOut
+
+
+class DiscoveryProvenanceOut(BaseModel):
+    """From what, by what and when."""
+
+    run: str
+    software: str
+    created: str
+
+
+class GrownModelOut(BaseModel):
+    """The model with what was found in it; the whole of it is `model.json`."""
+
+    version: int
+    parent: ParentOut
+    difference: list[ChangeOut]
+
+
+class QuestionOut(BaseModel):
+    """Two names that compete, or one whose evidence is thin."""
+
+    between: tuple[str, str] = Field(description="The second is empty for thin.")
+    expected_log_bayes: float
+
+
+class AskOut(BaseModel):
+    """A few extra lines that decide."""
+
+    reason: str
+    questions: list[QuestionOut]
+    decides: bool
+    path: str
+    rows: list[Waypoint] = Field(description="As a measuring job takes them.")
+    lines: int
+    duration_s: float
+
+
+class DiscoveryOut(BaseModel):
+    """Content of `discovery.json`, schema `discovery/1`. More keys may be there."""
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: Literal["discovery/1"] = Field(alias="schema")
+    effects: list[EffectOut] = Field(description="By evidence; empty if none lacks.")
+    possible: list[EffectOut] = Field(
+        description="Names that do not stand clear of others."
+    )
+    unnamed: list[UnnamedOut]
+    gap: GapOut
+    where: list[SegmentOfRunOut]
+    lines: list[LineOut] = Field(
+        [], description="Of all Runs; missing in answers of earlier versions."
+    )
+    explained_by: ExplanationOut
+    runs: list[DiscoveryRunOut]
+    compared: int = Field(description="Candidates that were compared.")
+    provenance: DiscoveryProvenanceOut
+    model: GrownModelOut
+    verdict: VerdictOut
+    ask: AskOut | None = Field(description="Null where nothing is open.")

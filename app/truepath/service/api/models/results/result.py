@@ -1,0 +1,277 @@
+"""The result of a calibration, as `result.json` states it; uncertainties are k = 1."""
+
+from __future__ import annotations
+
+from typing import Generic, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from truepath.service.api.models.effects import UpdatedEffectOut
+from truepath.service.api.models.jobs.grade import GradeOut
+from truepath.service.api.models.machines.machine_file import MachineFileOut
+from truepath.service.api.models.machines.model_file import (
+    ModelNumbersOut,
+    RunDigestOut,
+    UsedModelOut,
+)
+from truepath.service.api.models.results.result_run import (
+    AlignmentOut,
+    NoiseFoundOut,
+    ResidualsOut,
+    ResultRunOut,
+)
+from truepath.service.api.models.tables import (
+    MeasuredTablesOut,
+    ObservabilityOut,
+    TableColumn,
+    TablesOut,
+    Vector3,
+    VerdictOut,
+)
+
+T = TypeVar("T")
+
+
+class TrialBothUnits(BaseModel, Generic[T]):
+    """What the linear law states beside the trials, µm or µrad.
+
+    `tolerance` is δ of clause 8, by which `agrees` is decided.
+    """
+
+    value_um: T | None = None
+    linear_uncertainty_um: T | None = None
+    mean_um: T | None = None
+    uncertainty_um: T | None = None
+    interval_95_low_um: T | None = None
+    interval_95_high_um: T | None = None
+    tolerance_um: T | None = None
+    value_urad: T | None = None
+    linear_uncertainty_urad: T | None = None
+    mean_urad: T | None = None
+    uncertainty_urad: T | None = None
+    interval_95_low_urad: T | None = None
+    interval_95_high_urad: T | None = None
+    tolerance_urad: T | None = None
+
+
+class TrialTableOut(TrialBothUnits[TableColumn]):
+    """Numbers along an axis, one a position."""
+
+    position_mm: TableColumn | None = None
+    position_deg: TableColumn | None = None
+    agrees: list[bool]
+
+
+class TrialNumberOut(TrialBothUnits[float]):
+    """One number."""
+
+    agrees: bool
+
+
+class TrialMapOut(BaseModel):
+    """The volumetric error at a few positions: x, y and z of one after another."""
+
+    of: str
+    position: list[list[float]]
+    value_um: TableColumn
+    linear_uncertainty_um: TableColumn
+    mean_um: TableColumn
+    uncertainty_um: TableColumn
+    interval_95_low_um: TableColumn
+    interval_95_high_um: TableColumn
+    tolerance_um: TableColumn
+    agrees: list[bool]
+
+
+class TrialsOut(BaseModel):
+    """The uncertainties held against trials."""
+
+    method: str
+    seed: int
+    trials: int
+    block: int
+    significant_digits: int
+    coverage: float
+    interval: Literal["symmetric", "shortest"]
+    settled: bool
+    agrees: bool
+    numbers: int
+    agreeing: int
+    largest_disagreement: float
+    error_tables: dict[str, TrialTableOut]
+    squareness_urad: dict[str, TrialNumberOut]
+    axis_location: dict[str, TrialNumberOut]
+    volumetric_error: TrialMapOut
+
+
+class LeftOutOut(BaseModel):
+    """Samples that were not used."""
+
+    run: int = Field(description="Of the Runs given, from 0.")
+    cause: str
+    row: int | None
+    from_s: float | None
+    to_s: float | None
+    samples: int
+    distance_um: float | None
+
+
+class SetupStepOut(BaseModel):
+    """A knock: the set-up moved at one moment and was solved before and after it."""
+
+    run: int
+    row: int
+    t_s: float
+    shift_um: float
+    turn_urad: float
+
+
+class HoldingTargetOut(BaseModel):
+    """A target that was measured."""
+
+    name: str
+    on: Literal["tool", "workpiece"]
+    offset_mm: Vector3
+
+
+class HoldsForOut(BaseModel):
+    """What the tables hold for."""
+
+    any_tool: bool = Field(description="Else for these targets only.")
+    targets: list[HoldingTargetOut]
+
+
+class FigureOut(BaseModel):
+    """A number in µm with its standard uncertainty."""
+
+    value_um: float
+    uncertainty_um: float
+    scale_uncertainty_um: float | None = Field(
+        None,
+        description="The part of it that comes from the scale of all lengths, of air "
+        "and tracker. Earlier versions do not have it, nor the scale in their sum.",
+    )
+
+
+class VolumetricSpreadOut(BaseModel):
+    """Length of the volumetric error over a grid."""
+
+    mean: FigureOut
+    p95: FigureOut = Field(description="95 % of the points are below it.")
+    largest: FigureOut
+
+
+class VolumetricOut(BaseModel):
+    """Volumetric error before compensation, and expected after it."""
+
+    before: VolumetricSpreadOut = Field(
+        description="Of the map, which is the mean of both directions of travel."
+    )
+    after_expected: VolumetricSpreadOut
+    both_directions: VolumetricSpreadOut | None = Field(
+        default=None,
+        description="Before, every place come to in both directions: with lost motion. "
+        "Mean and 95 % over positions that fill the travel evenly, as in the account "
+        "of compensation files. Null where no lost motion is determined.",
+    )
+    on: str
+
+
+class LineOfRunOut(BaseModel):
+    """How a line or point fits."""
+
+    run: int
+    row: int
+    cells: int
+    rms_um: float
+
+
+class AllResidualsOut(ResidualsOut):
+    """Residuals of all Runs."""
+
+    by_line: list[LineOfRunOut]
+
+
+class NoiseOut(NoiseFoundOut):
+    """Noise of the first Run, and how strongly the prior counted."""
+
+    prior_strength: dict[str, float] = Field(description="By symbol.")
+
+
+class OptionsOut(BaseModel):
+    """How it was computed."""
+
+    perpendicular_only: bool
+
+
+class ProvenanceOut(BaseModel):
+    """From what, by what and when it was made."""
+
+    software: str
+    software_version: str
+    created: str
+    run: str
+    input_sha256: str
+    runs: list[RunDigestOut]
+    source: dict[str, str] = Field(description="Where it came from, and digests.")
+    control_compensation: Literal["on", "off", "mixed"] | None = Field(
+        None, description="Whether the control compensated; null where nobody says."
+    )
+    active_tables: dict[str, str] | None = Field(
+        None, description="SHA-256 by name of the files that were active, if known."
+    )
+    options: OptionsOut
+    model: UsedModelOut | None
+    measured_s: float
+    length_scale_ppm: float | None = Field(
+        None,
+        description="Standard uncertainty that all lengths have in common, of air and "
+        "tracker: in the volumetric error, in no table. Earlier versions lack it.",
+    )
+    feed_mm_min: list[float] | None
+    temperature_degC: dict[str, tuple[float, float]] = Field(  # noqa: N815
+        description="Lowest and highest, by sensor."
+    )
+
+
+class ResultOut(MeasuredTablesOut):
+    """Content of `result.json`, schema `result/1`. More keys may be there.
+
+    Values in µm and µrad with standard uncertainties (k = 1).
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: Literal["result/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    mode: Literal["otf", "standstill"]
+    verdict: VerdictOut
+    left_out: list[LeftOutOut]
+    setup_steps: list[SetupStepOut]
+    effects: list[UpdatedEffectOut]
+    monte_carlo: TrialsOut | None = Field(
+        description="The uncertainties held against trials, where that was asked."
+    )
+    holds_for: HoldsForOut
+    volumetric_error: VolumetricOut
+    volumetric_uncertainty_um: float | None = Field(
+        description="Root mean square over the travel."
+    )
+    alignment: AlignmentOut = Field(description="Of the first Run.")
+    residuals: AllResidualsOut
+    noise: NoiseOut
+    runs: list[ResultRunOut]
+    observability: ObservabilityOut
+    grade: GradeOut | None
+    provenance: ProvenanceOut
+    model: ModelNumbersOut = Field(
+        description="What prediction needs: parameters with their covariance."
+    )
+
+
+class ErrorTablesOut(TablesOut):
+    """The error tables alone, with the verdict on them; standard uncertainties."""
+
+    schema_: Literal["error-tables/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    verdict: VerdictOut

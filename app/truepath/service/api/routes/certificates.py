@@ -1,0 +1,313 @@
+"""Certificates of a result: issued once, numbered, kept with it, never changed."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from threading import Lock
+from typing import Annotated, Any, Literal
+
+from anyio import CapacityLimiter
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import FileResponse
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+
+from truepath.catalogue.machine_registry import MachineRecord
+from truepath.child_process import WorkerProcess
+from truepath.errors import NotFound
+from truepath.files.bundle.identity_file import Identity
+from truepath.files.earlier.verdict import State as VerdictState
+from truepath.jobs.dispatch.identities import (
+    describe_identity,
+    find_machine,
+    keep_identity,
+)
+from truepath.service.api.models.base import (
+    CertificateNumber,
+    CompensationName,
+    Identifier,
+    JobId,
+    Links,
+    RequestBody,
+)
+from truepath.service.api.models.naming import Name
+from truepath.service.api.problems import declare_problems
+from truepath.service.api.routes.results import send_page
+from truepath.service.api.security.access_control import note_change
+from truepath.service.api.security.session import ActorDep
+from truepath.service.api.service import Service, ServiceDep
+from truepath.service.api.thread_pools import on_threads
+
+router = APIRouter(tags=["certificates"])
+
+# One at a time: each is laid out in a process of its own.
+_TURN = Lock()
+_ISSUING = CapacityLimiter(2)
+
+
+Language = Literal["en", "de"]
+
+
+class IdentityIn(RequestBody):
+    """What people state; all may be left out, and an empty text is as good as none.
+
+    The registry of machines keeps it, but for the last two.
+    """
+
+    machine_maker: Name = ""
+    machine_model: Name = ""
+    machine_serial: Name = ""
+    control: Name = ""
+    tracker: Name = Field("", description="Maker and model.")
+    tracker_serial: Name = ""
+    tracker_certificate: Name = Field("", description="Number of its own certificate.")
+    tracker_calibrated_on: Name = ""
+    target: Name = Field("", description="Reflector: kind and serial number.")
+    operator: Name = ""
+    laboratory: Name = Field("", description="Who issues the certificate.")
+    customer: Name = ""
+    place: Name = ""
+    warm_up: Name = Field("", description="Of this measurement; not kept.")
+    measured_on: Name = Field("", description="Date of this measurement; not kept.")
+
+
+class CertificateRequest(RequestBody):
+    """Which certificate to issue of a result."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "language": "en",
+                    "identity": {"machine_serial": "4711", "operator": "A. Weiß"},
+                }
+            ]
+        },
+    )
+
+    language: Language = "en"
+    identity: IdentityIn = Field(default_factory=lambda: IdentityIn.model_validate({}))
+    as_left_job: Identifier | None = Field(
+        None, description="A job whose result was measured after compensation."
+    )
+    verification_job: Identifier | None = Field(
+        None, description="A job that has left a verification."
+    )
+    compensation_id: CompensationName | None = Field(
+        None,
+        description="Files that were made of this result; those that the verification "
+        "was made with, where it is left out.",
+        examples=[None],
+    )
+    accept_verdict: bool = Field(
+        False, description="Issue one of a result that is not to be used."
+    )
+
+
+class CertificateLinks(Links):
+    """Where the certificate is."""
+
+    self: Annotated[str, "/jobs/{job}/certificates/{number}"]
+    html: Annotated[str, "/jobs/{job}/certificates/{number}.html"]
+    pdf: Annotated[str, "/jobs/{job}/certificates/{number}.pdf"]
+    job: Annotated[str, "/jobs/{job}"]
+
+
+class CertificateOut(BaseModel):
+    """A certificate as it was issued; it never changes."""
+
+    number: str = Field(examples=["TP-20261124-2B1F0C5E-1"])
+    machine: str
+    issued_at: AwareDatetime
+    issued_by: str = Field(description="Empty where nobody had logged in.")
+    language: Language
+    verdict: VerdictState = Field(description="Of the result, as the first page says.")
+    verdict_accepted: bool
+    identity: dict[str, str] = Field(description="As stated; what is missing was not.")
+    sources_sha256: dict[str, str] = Field(description="Files it was made from.")
+    files: dict[str, str] = Field(description="SHA-256 by name; no PDF, none could be.")
+    links: CertificateLinks
+
+
+class CertificateList(BaseModel):
+    """All certificates of a result, in the order they were issued."""
+
+    items: list[CertificateOut]
+    identity: dict[str, str] = Field(
+        description="What the registry has of the machine, to look at before the next."
+    )
+
+
+# What computes is imported where it does: the service itself carries no science.
+
+
+def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
+    return router.get(
+        f"/jobs/{{job_id}}/certificates/{{number}}.{form}",
+        response_class=FileResponse,
+        responses={
+            200: {"content": {media_type: {"schema": content}}},
+            **declare_problems(404, 422),
+        },
+    )
+
+
+@router.post(
+    "/jobs/{job_id}/certificates",
+    status_code=201,
+    responses=declare_problems(404, 422),
+)
+@on_threads(_ISSUING)
+def issue_certificate(
+    job_id: JobId,
+    body: CertificateRequest,
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+    actor: ActorDep,
+) -> CertificateOut:
+    """Issue a certificate of a result, as HTML and PDF, and keep it with the result.
+
+    It gets a number and never changes; another request issues another. What is stated
+    of the machine is kept, so that it has to be stated once.
+    """
+    from truepath.answers.certificate import kept_certificates as kept
+
+    result = _find_result(service, job_id)
+    now = datetime.now(UTC)
+    order = kept.CertificateOrder(
+        f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
+        result,
+        now,
+        actor.name if actor else "",
+        _find_other(service, body.as_left_job, "result.json"),
+        _find_other(service, body.verification_job, "verification.json"),
+        _find_account(service, result.parent, body),
+        _keep_identity(service, result, body),
+        body.language,
+        body.accept_verdict,
+    )
+    with _TURN, closing(WorkerProcess("printer")) as printer:
+        folder = result.parent / kept.FOLDER
+        record = printer.call(partial(kept.issue_certificate, order, folder))
+    issued = _describe(job_id, record)
+    note_change(request, old={}, new={"number": issued.number, **issued.files})
+    response.headers["Location"] = issued.links.self
+    return issued
+
+
+@router.get("/jobs/{job_id}/certificates", responses=declare_problems(404))
+def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
+    """List the certificates of a result, and what is kept of its machine."""
+    from truepath.answers.certificate import kept_certificates as kept
+
+    folder = _find_folder(service, job_id)
+    machine = _find_machine(service, _find_result(service, job_id))
+    return CertificateList(
+        items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
+        identity=dict(describe_identity(machine)),
+    )
+
+
+@_serve("html", "text/html", {"type": "string"})
+def get_certificate_page(
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
+) -> FileResponse:
+    """Return a certificate as one page that needs nothing else."""
+    return send_page(_find_file(service, job_id, number, "html"))
+
+
+@_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
+def get_certificate_pdf(
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
+) -> FileResponse:
+    """Return a certificate as PDF."""
+    file = _find_file(service, job_id, number, "pdf")
+    return FileResponse(file, media_type="application/pdf", filename=f"{number}.pdf")
+
+
+@router.get("/jobs/{job_id}/certificates/{number}", responses=declare_problems(404))
+def get_certificate(
+    job_id: JobId, number: CertificateNumber, service: ServiceDep
+) -> CertificateOut:
+    """Return what a certificate was issued from, by whom, and its digests."""
+    from truepath.answers.certificate import kept_certificates as kept
+
+    folder = _find_folder(service, job_id)
+    return _describe(job_id, kept.read_certificate(folder, number))
+
+
+def _find_folder(service: Service, job_id: str) -> Path:
+    return service.results / service.store.get(job_id).id / "certificates"
+
+
+def _find_file(
+    service: Service, job_id: str, number: str, form: Literal["html", "pdf"]
+) -> Path:
+    from truepath.answers.certificate.kept_certificates import find_certificate
+
+    return find_certificate(_find_folder(service, job_id), number, form)
+
+
+def _find_result(service: Service, job_id: str) -> Path:
+    found = _find_other(service, job_id, "result.json")
+    assert found is not None  # noqa: S101 (a job was named)
+    return found
+
+
+def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
+    if job_id is None:
+        return None
+    file = service.results / service.store.get(job_id).id / name
+    if not file.is_file():
+        raise NotFound(f"job {job_id} has no {name}")
+    return file
+
+
+def _find_account(
+    service: Service, folder: Path, body: CertificateRequest
+) -> Path | None:
+    """Return the account of the files that are named, else of those verified."""
+    from truepath.compensation.kept_files import find_file
+
+    if body.compensation_id is not None:
+        kept = folder / "compensations"
+        return find_file(kept, body.compensation_id, "compensation.json")
+    if body.verification_job is None:
+        return None
+    asked = service.store.read_plan_request(body.verification_job)
+    if asked.get("compensation_id") is None:
+        return None
+    kept = service.results / str(asked["result_id"]) / "compensations"
+    file = kept / str(asked["compensation_id"]) / "compensation.json"
+    # Deleted since: the certificate then says that no account was given.
+    return file if file.is_file() else None
+
+
+def _keep_identity(
+    service: Service, result: Path, body: CertificateRequest
+) -> Identity:
+    """Return what is stated now, or stands in the registry of machines."""
+    given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
+    machine = _find_machine(service, result)
+    return keep_identity(machine, given, service.setup.registry)
+
+
+def _find_machine(service: Service, result: Path) -> MachineRecord | None:
+    job = service.store.get(result.parent.name)
+    return find_machine(job, _read_machine(result), service.setup.registry)
+
+
+def _read_machine(result: Path) -> str:
+    from truepath.documents.file_model import as_object, parse_json
+
+    content = as_object(parse_json(result.read_bytes(), result.name))
+    return str(as_object(content.get("machine")).get("name", ""))
+
+
+def _describe(job_id: str, record: dict[str, Any]) -> CertificateOut:
+    links = CertificateLinks.of(job=job_id, number=record["number"])
+    return CertificateOut(**{**record, "links": links})

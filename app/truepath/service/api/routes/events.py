@@ -1,0 +1,298 @@
+"""Server-sent events: stored ones are never missed, live ones may be dropped.
+
+`job` events have identifiers of the catalogue; a client that comes back with
+Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
+events (`progress`, `live`, `estimate`, `notice`, `condition`, `tick`) are for now only:
+the newest count.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing, suppress
+from functools import partial
+from typing import Annotated, Any
+
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Depends, Header, Query, WebSocket
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import Job, JobEvent, decode_job, format_utc_now
+from truepath.service.api.job_description import describe_job
+from truepath.service.api.models.base import JobId
+from truepath.service.api.problems import declare_problems
+from truepath.service.api.security.access_control import read_token
+from truepath.service.api.service import Service, ServiceDep
+from truepath.service.api.sockets import send_until_left
+from truepath.service.api.topics import Topics, parse_topics
+
+TICK_S = 1.0
+ASK_S = 0.5
+"""How often a stream asks whether it may still be read."""
+_ASKING = CapacityLimiter(4)  # apart from all other work, that may take long
+WAITING = 50
+"""Live events that wait for a slow client; older ones are dropped."""
+
+_OF_MACHINE = ("machine", "condition")
+_LIVE = ("job", "progress", "live", "estimate", "plan", "notice", *_OF_MACHINE)
+
+router = APIRouter(tags=["events"])
+
+_EXAMPLE = (
+    'event: job\ndata: {"id": "019a…", "state": "running", "version": 4, …}\nid: 17\n\n'
+    'event: progress\ndata: {"job_id": "019a…", "stage": "measuring", …}\n\n'
+    'event: tick\ndata: {"time": "2026-05-04T09:30:01.000Z", "last_event_id": 17}\n\n'
+)
+_STREAM: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "Events `job` (kept, with id; without one where the catalogue "
+        "cannot be written), and for now only: `progress`, "
+        "`live`, `estimate`, `plan`, `notice`, `machine`, `condition`, `tick`.",
+        "content": {"text/event-stream": {"example": _EXAMPLE}},
+    },
+    **declare_problems(404, 422, 429),
+}
+
+
+class Subscription:
+    """Accepts events from any thread and makes one stream of them.
+
+    session : the stream ends when it may not be read any more
+    """
+
+    def __init__(self, service: Service, topics: Topics, session: Session) -> None:
+        self.service, self._topics, self._session = service, topics, session
+        self._lock = threading.Lock()
+        self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
+        self._loop = asyncio.get_running_loop()
+        self._changed = asyncio.Event()
+        self._news = True
+
+    def put(self, job_event: JobEvent) -> None:
+        """Accept an event. Never waits; the oldest live one is dropped if need be."""
+        is_live = job_event.id is None and job_event.type in _LIVE
+        find_machine = self.service.dispatcher.find_machine
+        if is_live and not self._topics.take(job_event, find_machine):
+            return
+        with self._lock:
+            if job_event.id is not None:
+                self._news = True
+            elif is_live:
+                self._waiting.append(job_event)
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._changed.set)
+
+    async def events(self, last_event_id: str) -> AsyncGenerator[ServerSentEvent]:
+        """Yield what was missed, or the present state first, then new events."""
+        async with aclosing(self._read_events(last_event_id)) as found:
+            async for event in found:
+                if not await self._session.is_open():
+                    return
+                if event is not None:
+                    yield event
+
+    async def _read_events(
+        self, last_event_id: str
+    ) -> AsyncGenerator[ServerSentEvent | None]:
+        """Yield events, and None where none has come for a while."""
+        service, topics = self.service, self._topics
+        newest = await run_sync(service.store.read_last_event_id)
+        known = _parse_last_event_id(last_event_id, newest)
+        if known is None:
+            known = newest
+            for event in await run_sync(_read_present, service, topics, newest):
+                yield event
+        next_tick = time.monotonic()
+        while not service.closing.is_set():
+            news, live = self._take()
+            while news:
+                missed = await run_sync(
+                    partial(
+                        service.store.read_events_after, known, job_id=topics.only_job
+                    )
+                )
+                for stored in missed:
+                    known, job = stored.id or known, decode_job(stored.body)
+                    if topics.take_job(job):
+                        yield _describe_job_event(job, stored.id)
+                news = bool(missed)
+            for job_event in live:
+                yield _describe_live(job_event)
+            if time.monotonic() >= next_tick:
+                next_tick = time.monotonic() + TICK_S
+                tick = {"time": format_utc_now(), "last_event_id": known}
+                yield ServerSentEvent(data=tick, event="tick")
+            yield None
+            await self._wait(min(next_tick - time.monotonic(), ASK_S))
+
+    def _take(self) -> tuple[bool, list[JobEvent]]:
+        """Return whether the catalogue has news, and the live events."""
+        with self._lock:
+            news, self._news = self._news, False
+            waiting = list(self._waiting)
+            self._waiting.clear()
+        self._changed.clear()
+        return news, waiting
+
+    async def _wait(self, timeout_s: float) -> None:
+        """Return when there is something to take, or after the time."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), timeout_s)
+
+
+open_streams: set[Subscription] = set()
+"""Each browser tab holds one. Changed on the event loop only."""
+
+
+def count_streams(service: Service) -> int:
+    """Return how many event streams of a service are open."""
+    return sum(stream.service is service for stream in list(open_streams))
+
+
+class Session:
+    """The session of a stream: whether it, and its user, are still there."""
+
+    def __init__(self, service: Service, token: str) -> None:
+        self._access, self._token = service.access, token
+        self._due_s = time.monotonic() + ASK_S
+
+    async def is_open(self) -> bool:
+        """Tell whether the stream may go on; asked as often as somebody likes."""
+        if time.monotonic() < self._due_s:
+            return True
+        self._due_s = time.monotonic() + ASK_S
+        return await run_sync(self._is_let_in, limiter=_ASKING)
+
+    def _is_let_in(self) -> bool:
+        try:
+            return self._access.identify(self._token) is not None
+        except StorageUnavailable:  # a disk is no reason to close anybody's eyes
+            return True
+
+
+async def _subscribe(
+    request: HTTPConnection,
+    service: ServiceDep,
+    topics: Annotated[
+        str,
+        Query(
+            description="Only of these: `job:ID` and `machine:ID`, separated by "
+            "commas; a machine stands for its jobs. Without it everything.",
+            examples=["machine:default"],
+            max_length=4096,
+        ),
+    ] = "",
+) -> AsyncIterator[Subscription]:
+    """Listen for one request. Ended by the request, not by the stream's generator.
+
+    A generator that waits for a slow client does not notice when that client leaves.
+    """
+    chosen = await run_sync(_choose_topics, request, service, topics)
+    if len(open_streams) >= service.max_streams:
+        raise HTTPException(429, f"{service.max_streams} event streams are open")
+    session = Session(service, read_token(request.scope))
+    subscription = Subscription(service, chosen, session)
+    unsubscribe = service.event_bus.subscribe(subscription.put)
+    open_streams.add(subscription)
+    try:
+        yield subscription
+    finally:
+        open_streams.remove(subscription)
+        unsubscribe()
+
+
+def _choose_topics(request: HTTPConnection, service: Service, text: str) -> Topics:
+    """Return what a request listens to. Raises NotFound, BadInput."""
+    job_id = request.path_params.get("job_id")
+    if job_id is not None:
+        return Topics(jobs=frozenset({service.store.get(job_id).id}))
+    return parse_topics(text, service.store.get, service.setup.registry.get)
+
+
+SubscriptionDep = Annotated[Subscription, Depends(_subscribe)]
+LastEventId = Annotated[
+    str, Header(description="Identifier of the last event that was received.")
+]
+
+
+@router.get("/events", response_class=EventSourceResponse, responses=_STREAM)
+async def stream_events(
+    subscription: SubscriptionDep, last_event_id: LastEventId = ""
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow everything, or the topics that are named: one stream a page.
+
+    The browser reconnects by itself.
+    """
+    async for event in subscription.events(last_event_id):
+        yield event
+
+
+@router.get(
+    "/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_STREAM
+)
+async def stream_job_events(
+    job_id: JobId, subscription: SubscriptionDep, last_event_id: LastEventId = ""
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow one job."""
+    async for event in subscription.events(last_event_id):
+        yield event
+
+
+@router.websocket("/events")
+async def send_events(
+    websocket: WebSocket, subscription: SubscriptionDep, last_event_id: str = ""
+) -> None:
+    """Follow as by `GET /events`, in JSON: `event`, `id` where it has one, `data`.
+
+    For pages: of other streams a browser opens six to a host and then nothing more.
+    """
+
+    async def send() -> None:
+        async with aclosing(subscription.events(last_event_id)) as events:
+            async for event in events:
+                sent = event.model_dump_json(include={"event", "id", "data"})
+                await websocket.send_text(sent)
+
+    await websocket.accept()
+    await send_until_left(websocket, send())
+
+
+def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
+    """Return what the client has seen; None if it is new or of another catalogue."""
+    if not last_event_id.isdecimal() or len(last_event_id) > 18:
+        return None
+    seen = int(last_event_id)
+    return seen if seen <= newest else None
+
+
+def _read_present(
+    service: Service, topics: Topics, newest: int
+) -> list[ServerSentEvent]:
+    """Return where things stand, for a client that has seen nothing."""
+    store = service.store
+    unfinished = {job.id: job for job in store.list_unfinished()}
+    named = {job_id: store.get(job_id) for job_id in sorted(topics.jobs)}
+    jobs = [job for job in (unfinished | named).values() if topics.take_job(job)]
+    shown = [service.dispatcher.show(job) for job in jobs]
+    return [_describe_job_event(job, newest) for job in shown]
+
+
+def _describe_live(job_event: JobEvent) -> ServerSentEvent:
+    if job_event.type == "job":  # it could not be stored
+        return ServerSentEvent(
+            data=describe_job(decode_job(job_event.body)), event="job"
+        )
+    body = {"job_id": job_event.job_id, **job_event.body}
+    return ServerSentEvent(data=body, event=job_event.type)
+
+
+def _describe_job_event(job: Job, event_id: int | None) -> ServerSentEvent:
+    return ServerSentEvent(data=describe_job(job), event="job", id=str(event_id))

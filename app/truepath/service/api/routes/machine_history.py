@@ -1,0 +1,285 @@
+"""A machine over its calibrations: history, changes, standing; machines compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.json_schema import SkipJsonSchema
+
+from truepath.answers.history.machine_documents import (
+    Calibration,
+    changes_json,
+    comparison_json,
+    history_json,
+)
+from truepath.answers.temperature.machine_temperature_document import (
+    machine_temperature_json,
+    temperature_model_json,
+)
+from truepath.documents.file_model import encode_json
+from truepath.errors import NotFound
+from truepath.files.earlier.verdict import State as VerdictState
+from truepath.service.api.models.base import Identifier, MachineId, MachinePath
+from truepath.service.api.models.machines.machine_file import MachineFileOut
+from truepath.service.api.models.machines.machine_history import (
+    CalibrationOut,
+    ChangesOut,
+    HistoryOut,
+    MachineComparisonOut,
+    StandingOut,
+)
+from truepath.service.api.models.machines.model_file import ModelNumbersOut
+from truepath.service.api.models.tables import VerdictOut
+from truepath.service.api.problems import declare_problems
+from truepath.service.api.service import ServiceDep
+
+router = APIRouter(prefix="/machines", tags=["machines"])
+
+Quantity = Annotated[
+    str,
+    Query(
+        pattern="^(volumetric|[A-Z][A-Z0][A-Z])$",
+        examples=["EXX"],
+        description="`volumetric`, or the symbol of an error motion, a squareness "
+        "or a location.",
+    ),
+]
+SensorName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,64}$", examples=["X"])]
+Sensors = Annotated[
+    list[SensorName],
+    Query(description="Thermometers whose mean counts; without them the scales'."),
+]
+ReferenceTemperature = Annotated[
+    float, Query(ge=-50.0, le=100.0, description="That tables are stated at.")
+]
+ChosenJobs = Annotated[
+    list[Identifier],
+    Query(description="Only these calibrations; without them all usable ones."),
+]
+Position = Annotated[
+    float | SkipJsonSchema[None],
+    Query(allow_inf_nan=False, description="Of the axis; one of its table entries."),
+]
+
+
+# ruff: noqa: N815
+
+
+class CalibrationAtTemperature(CalibrationOut):
+    """A calibration with the temperature that the machine had."""
+
+    temperature_degC: float = Field(examples=[21.4])
+    temperature_uncertainty_K: float = Field(description="Standard (k = 1).")
+
+
+class ChiSquares(BaseModel):
+    """Squares of residuals by their variances, by degrees of freedom."""
+
+    without_temperature: float
+    with_temperature: float
+
+
+class DependenceOut(BaseModel):
+    """Whether an error motion, squareness or location depends on temperature."""
+
+    symbol: str = Field(examples=["EXX"])
+    is_significant: bool
+    chance: float = Field(description="Of so large a coefficient without dependence.")
+    largest: float = Field(description="Coefficient by its standard uncertainty.")
+    chi2_per_freedom: ChiSquares
+    widened_by: float = Field(
+        description="Factor of the uncertainties, for what set-ups scatter."
+    )
+    effective_freedom: float | None = Field(description="null without scatter.")
+
+
+class ExpansionOut(BaseModel):
+    """Growth of an axis, the straight part of its positioning per kelvin."""
+
+    value_um_per_m_K: float = Field(examples=[11.2])
+    uncertainty_um_per_m_K: float = Field(description="Standard (k = 1).")
+    is_significant: bool
+
+
+class VolumetricPerKelvin(BaseModel):
+    """Root mean square over the travel of the change per kelvin, µm/K."""
+
+    value: float
+    uncertainty: float = Field(description="Standard (k = 1).")
+
+
+class CoefficientOut(BaseModel):
+    """A table of the change per kelvin, or one number; units in the keys."""
+
+    position_mm: list[float] | None = None
+    position_deg: list[float] | None = None
+    value_um_per_K: list[float] | float | None = None
+    uncertainty_um_per_K: list[float] | float | None = None
+    value_urad_per_K: list[float] | float | None = None
+    uncertainty_urad_per_K: list[float] | float | None = None
+
+
+class MachineTemperatureOut(BaseModel):
+    """How the errors of a machine depend on its temperature."""
+
+    schema_: Literal["machine-temperature/1"] = Field(alias="schema")
+    machine: str = Field(examples=["mill-3"])
+    verdict: VerdictState = Field(
+        description="Doubtful where a drift over time would look the same."
+    )
+    reference_degC: float = Field(examples=[20.0])
+    measured_degC: list[float] = Field(examples=[[18.1, 24.9]])
+    calibrations: list[CalibrationAtTemperature]
+    dependences: list[DependenceOut]
+    expansion: dict[str, ExpansionOut] = Field(description="By axis.")
+    volumetric_um_per_K: VolumetricPerKelvin
+    coefficients: dict[str, CoefficientOut] = Field(description="By symbol.")
+    text: list[str] = Field(description="The answer in sentences.")
+    not_told: list[str]
+
+
+class TemperatureModelOut(BaseModel):
+    """Content of `temperature.json`: a machine over temperature. More keys are there.
+
+    `model` is the machine at the reference temperature, `per_kelvin` its change.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: Literal["temperature-model/1"] = Field(alias="schema")
+    machine: MachineFileOut
+    verdict: VerdictOut
+    reference_degC: float = Field(examples=[20.0])
+    measured_degC: list[float] = Field(examples=[[18.1, 24.9]])
+    valid_degC: list[float] = Field(
+        description="Where it is taken to hold.", examples=[[18.1, 24.9]]
+    )
+    model: ModelNumbersOut
+    per_kelvin: ModelNumbersOut
+
+
+@router.get("/{machine_id}/history", responses=declare_problems(404, 422))
+def get_machine_history(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    quantity: Quantity = "volumetric",
+    position: Position = None,
+) -> HistoryOut:
+    """Return a quantity over all calibrations of a machine, with its uncertainty."""
+    service.setup.registry.get(machine_id)
+    found = service.calibrations.list_of(machine_id)
+    return HistoryOut(**history_json(machine_id, found, quantity, position))
+
+
+@router.get("/{machine_id}/changes", responses=declare_problems(404, 422))
+def get_machine_changes(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    since: Annotated[Identifier, Query(description="Job of the earlier calibration.")],
+    until: Annotated[
+        Identifier | SkipJsonSchema[None],
+        Query(description="Job of the later one; without it the newest usable one."),
+    ] = None,
+) -> ChangesOut:
+    """Return what has changed since a calibration, and how surely."""
+    service.setup.registry.get(machine_id)
+    before = service.calibrations.find(machine_id, since)
+    if until is not None:
+        after = service.calibrations.find(machine_id, until)
+    else:
+        usable = service.calibrations.list_usable(machine_id)
+        if not usable:
+            raise NotFound(f"machine {machine_id} has no usable calibration")
+        after = usable[-1]
+    return ChangesOut(**changes_json(before, after))
+
+
+@router.get("/{machine_id}/temperature", responses=declare_problems(404, 422))
+def get_machine_temperature(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    sensor: Sensors = [],  # noqa: B006
+    reference_degC: ReferenceTemperature = 20.0,  # noqa: N803
+    job: ChosenJobs = [],  # noqa: B006
+) -> MachineTemperatureOut:
+    """Return how the errors of a machine depend on its temperature.
+
+    Refused (422) in words where its calibrations do not tell: fewer than three
+    temperatures, too close together, other targets.
+    """
+    calibrations = _choose_calibrations(service, machine_id, job)
+    return MachineTemperatureOut(
+        **machine_temperature_json(machine_id, calibrations, sensor, reference_degC)
+    )
+
+
+@router.get(
+    "/{machine_id}/temperature/temperature.json",
+    response_model=TemperatureModelOut,
+    responses=declare_problems(404, 422),
+)
+def download_machine_temperature(
+    machine_id: MachinePath,
+    service: ServiceDep,
+    sensor: Sensors = [],  # noqa: B006
+    reference_degC: ReferenceTemperature = 20.0,  # noqa: N803
+    job: ChosenJobs = [],  # noqa: B006
+) -> Response:
+    """Return `temperature.json`: the machine at any temperature of a range.
+
+    `truepath export` makes files of it at a temperature. Refused (422) as
+    `/temperature`.
+    """
+    calibrations = _choose_calibrations(service, machine_id, job)
+    content = temperature_model_json(calibrations, sensor, reference_degC)
+    name = 'attachment; filename="temperature.json"'
+    return Response(
+        encode_json(content),
+        media_type="application/json",
+        headers={"Content-Disposition": name},
+    )
+
+
+def _choose_calibrations(
+    service: ServiceDep, machine_id: str, jobs: Sequence[str]
+) -> Sequence[Calibration]:
+    """Return those of the jobs; all usable ones of the machine without any."""
+    service.setup.registry.get(machine_id)
+    chosen = [service.calibrations.find(machine_id, one) for one in jobs]
+    return chosen or service.calibrations.list_usable(machine_id)
+
+
+@router.get("/{machine_id}/standing", responses=declare_problems(404))
+def get_machine_standing(machine_id: MachinePath, service: ServiceDep) -> StandingOut:
+    """Return whether a machine is within its tolerance and as it was."""
+    service.setup.registry.get(machine_id)
+    service.calibrations.judge(machine_id)
+    standing = service.calibrations.find_standing(machine_id)
+    if standing is None:
+        raise NotFound(f"nothing is known of how machine {machine_id} stands")
+    return StandingOut(**standing.describe())
+
+
+comparison = APIRouter(tags=["machines"])
+
+
+@comparison.get("/machines:compare", responses=declare_problems(404, 422))
+def compare_machines(
+    service: ServiceDep,
+    quantity: Quantity = "volumetric",
+    position: Position = None,
+    machine: Annotated[
+        list[MachineId], Query(description="Only these; without them all.")
+    ] = [],  # noqa: B006
+) -> MachineComparisonOut:
+    """Compare machines by their newest usable calibrations."""
+    registry = service.setup.registry
+    records = [registry.get(i) for i in machine] or registry.list_all()
+    usable = [service.calibrations.list_usable(record.id) for record in records]
+    newest = [calibrations[-1] for calibrations in usable if calibrations]
+    tolerances_um = {record.id: record.tolerance_um for record in records}
+    found = comparison_json(newest, quantity, position, tolerances_um)
+    return MachineComparisonOut(**found)

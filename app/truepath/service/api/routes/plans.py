@@ -1,0 +1,247 @@
+"""What to measure: plans, and what a job commands, graded or taken to a control."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import PlainTextResponse
+from pydantic import BaseModel, Field
+
+from truepath.catalogue.job import Job, JobKind
+from truepath.errors import NotFound
+from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running.plan_orders import check_rows
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Commanded
+from truepath.motion.nc_programs.programs import (
+    name_controls,
+    name_file,
+    write_program,
+)
+from truepath.service.api.models.base import JobId, Mm, PlanId, Problem, address
+from truepath.service.api.models.jobs.grade import GradeOut
+from truepath.service.api.models.jobs.plan import (
+    CurvePoint,
+    PlanCurve,
+    PlanLinks,
+    PlanRequest,
+    PlanResource,
+)
+from truepath.service.api.models.jobs.plan_rows import PlanCheck, PlanCheckOut, PlanOut
+from truepath.service.api.problems import declare_problems, describe_failure
+from truepath.service.api.security.request_headers import (
+    IdempotencyKeyHeader,
+    format_etag,
+    make_key,
+)
+from truepath.service.api.security.session import ActorDep, owner_of
+from truepath.service.api.service import Service, ServiceDep
+
+router = APIRouter(prefix="/plans", tags=["plans"])
+of_jobs = APIRouter(tags=["jobs"])
+
+Dialect = Annotated[
+    str,
+    Query(
+        max_length=100,
+        description="A `name` of `GET /api/v1/nc-dialects`.",
+        examples=["heidenhain"],
+    ),
+]
+_PROGRAM = {
+    **declare_problems(404, 422),
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
+}
+_Place = Annotated[
+    list[Mm] | None,
+    Query(
+        alias="tracker_mm",
+        min_length=3,
+        max_length=3,
+        description="Where the tracker stands: x, y and z, each as a parameter of this "
+        "name. Without it four usual places are tried and the worst counts.",
+    ),
+]
+
+
+class DialectOut(BaseModel):
+    """A control that programs can be written for."""
+
+    name: str = Field(examples=["heidenhain"])
+    control: str = Field(examples=["Heidenhain TNC"])
+
+
+class DialectList(BaseModel):
+    """The controls, by name."""
+
+    items: list[DialectOut]
+
+
+@router.post("", status_code=202, responses=declare_problems(404, 409, 422))
+def create_plan(
+    request: PlanRequest,
+    response: Response,
+    service: ServiceDep,
+    actor: ActorDep,
+    idempotency_key: IdempotencyKeyHeader = None,
+) -> PlanResource:
+    """Choose the measurement that tells most in its time. Nothing moves.
+
+    A job of the same identifier computes it; follow that one's events, or ask again.
+    """
+    requested = RequestedJob(
+        JobKind.PLAN,
+        machine=request.machine,
+        perpendicular_only=request.perpendicular_only,
+        target_um=request.target_um,
+        model_id=request.model_id,
+        plan_request=request.order(),
+    )
+    owner = owner_of(actor)
+    key = make_key(idempotency_key, "plan ", request, owner)
+    job, _ = service.dispatcher.create(requested, key, owner=owner)
+    response.headers["Location"] = address(f"/plans/{job.id}")
+    return _describe(job, response, service)
+
+
+@router.get("/{plan_id}", responses=declare_problems(404))
+def get_plan(plan_id: PlanId, response: Response, service: ServiceDep) -> PlanResource:
+    """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
+    return _describe(_require_plan_job(plan_id, service), response, service)
+
+
+@router.get("/{plan_id}/curve", responses=declare_problems(404))
+def get_plan_curve(plan_id: PlanId, service: ServiceDep) -> PlanCurve:
+    """Return uncertainty against time along a plan, its grade and what is known least.
+
+    Any beginning of the plan can be driven alone: its rows are the first ones.
+    """
+    job = _require_plan_job(plan_id, service)
+    plan = service.store.read_plan(job.id)
+    document = plan["document"] if plan else None
+    if document is None:
+        raise NotFound(f"plan {plan_id} ({job.state}) has no curve")
+    return PlanCurve(
+        plan_id=job.id,
+        points=[CurvePoint(**point) for point in document["curve"]],
+        tracker_mm=document["tracker"]["position_mm"],
+        tracker_is_assumed=document["tracker"]["assumed"],
+        unobservable=document["unobservable"],
+    )
+
+
+@router.get(
+    "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+)
+def download_plan_nc_program(
+    plan_id: PlanId, dialect: Dialect, service: ServiceDep
+) -> PlainTextResponse:
+    """Return a plan as a program of a control, read back before it is given out."""
+    job = _require_plan_job(plan_id, service)
+    return _send_program(_read_set_up(job, service, "has no rows"), dialect)
+
+
+@router.post(":validate", responses=declare_problems(404, 409, 422))
+def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
+    """Check rows as the order of a measurement does, over the whole swept path.
+
+    A refusal names row and reason.
+    """
+    machine = service.machines.choose(check.machine).machine
+    workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
+    checked = check_rows(
+        machine,
+        check.rows(),
+        check.feed_mm_min,
+        workspace,
+        is_path=check.path is not None,
+    )
+    return PlanCheckOut(
+        rows=checked.rows,
+        duration_s=round(checked.duration_s, 3),
+        stays_open=checked.stays_open,
+    )
+
+
+@of_jobs.get("/jobs/{job_id}/plan/grade", responses=declare_problems(404, 422))
+def get_plan_grade(
+    job_id: JobId, service: ServiceDep, tracker_mm: _Place = None
+) -> GradeOut:
+    """Grade what a measuring job commands, from geometry alone, before it is armed."""
+    job = service.store.get(job_id)
+    set_up = _read_set_up(job, service, "commands nothing to be graded")
+    # Imported where it computes: the service itself carries no science.
+    from truepath.results.grade_json import grade_set_up
+
+    only = job.perpendicular_only
+    found = grade_set_up(*set_up, tracker_mm=tracker_mm, perpendicular_only=only)
+    return GradeOut(**found)
+
+
+@of_jobs.get("/nc-dialects")
+def list_nc_dialects() -> DialectList:
+    """List the controls that NC programs can be written for."""
+    named = name_controls().items()
+    return DialectList(items=[DialectOut(name=n, control=c) for n, c in named])
+
+
+@of_jobs.get(
+    "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+)
+def download_nc_program(
+    job_id: JobId, dialect: Dialect, service: ServiceDep
+) -> PlainTextResponse:
+    """Return what a measuring job commands as a program of a control.
+
+    The program moves in machine coordinates, stops exactly at each row and was read
+    back, row by row, before it is given out. It needs no link to this service: load it
+    at the control, record the tracker's stream, send both in as a bundle.
+    """
+    job = service.store.get(job_id)
+    set_up = _read_set_up(job, service, "commands no path of its own")
+    return _send_program(set_up, dialect)
+
+
+def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Commanded]:
+    """Return the machine and what the job commands; NotFound says what is missing."""
+    plan = service.store.read_plan(job.id)
+    if plan is None:
+        raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")
+    if service.machines.first is None:
+        raise NotFound("the service has no machine file to check the plan against")
+    machine = service.machines.choose(job.machine).machine
+    return machine, decode_commanded_json(plan)
+
+
+def _send_program(set_up: tuple[Machine, Commanded], dialect: str) -> PlainTextResponse:
+    machine, commanded = set_up
+    text = write_program(commanded, machine, dialect)
+    file = name_file(text, dialect)
+    return PlainTextResponse(
+        text, headers={"Content-Disposition": f'attachment; filename="{file}"'}
+    )
+
+
+def _require_plan_job(plan_id: str, service: Service) -> Job:
+    job = service.store.get(plan_id)
+    if job.kind is not JobKind.PLAN:
+        raise NotFound(f"job {plan_id} is no plan; its kind is {job.kind}")
+    return job
+
+
+def _describe(job: Job, response: Response, service: Service) -> PlanResource:
+    response.headers["ETag"] = format_etag(job)
+    plan, failure = service.store.read_plan(job.id), job.failure
+    return PlanResource(
+        id=job.id,
+        state=job.state,
+        created=job.created,
+        progress=job.progress.done if plan is None else 1.0,
+        request=dict(service.store.read_plan_request(job.id)),
+        commanded=PlanOut.of(plan, job.target_um) if plan else None,
+        document=dict(plan["document"]) if plan else None,
+        error=Problem(**describe_failure(failure)) if failure else None,
+        links=PlanLinks.of(id=job.id),
+    )

@@ -1,0 +1,156 @@
+"""Stop all motion, or that of one machine: open to everybody, never refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from anyio import CapacityLimiter, move_on_after
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Request, WebSocket
+from starlette.types import Message
+from starlette.websockets import WebSocketDisconnect
+
+from truepath.catalogue.job import Job
+from truepath.errors import TruepathError
+from truepath.machines.conditions.conditions import Level
+from truepath.machines.machine_cells import MachineCell
+from truepath.service.api.job_description import describe_job
+from truepath.service.api.models.base import PREFIX, MachinePath
+from truepath.service.api.models.jobs.job import MachineStop, Stopped
+from truepath.service.api.problems import declare_problems
+from truepath.service.api.security.access_control import read_token
+from truepath.service.api.security.trusted_proxies import find_peer
+from truepath.service.api.service import Service, ServiceDep
+from truepath.service.api.sockets import TRY_LATER
+from truepath.service.api.thread_pools import STOPPING
+
+router = APIRouter(tags=["jobs"])
+
+_LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
+
+_LOOKING_UP = CapacityLimiter(8)
+_LOOK_UP_S = 1.0  # of whoever stops
+
+MOST_CHANNELS = 256
+_open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
+
+
+@router.post("/stop", status_code=202)
+async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
+    """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
+    jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
+    stopped = _describe_stop(jobs, service.machines.list_all())
+    return await _hide_from_strangers(stopped, request, service)
+
+
+@router.post(
+    "/machines/{machine_id}/stop", status_code=202, responses=declare_problems(404)
+)
+async def stop_machine(
+    machine_id: MachinePath, request: Request, service: ServiceDep
+) -> Stopped:
+    """Stop one machine and end its job. Needs nothing, is refused for no reason."""
+    jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
+    stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
+    return await _hide_from_strangers(stopped, request, service)
+
+
+@router.post("/stop:check")
+async def check_stop(service: ServiceDep) -> Stopped:
+    """Go the way of a stop and stop nothing: whether a stop would arrive."""
+    return await _check(service.machines.list_all)
+
+
+@router.post("/machines/{machine_id}/stop:check", responses=declare_problems(404))
+async def check_stop_of_machine(
+    machine_id: MachinePath, service: ServiceDep
+) -> Stopped:
+    """Go the way of a stop of one machine and stop nothing."""
+    return await _check(lambda: [service.machines.get(machine_id)])
+
+
+async def _check(find_machines: Callable[[], Sequence[MachineCell]]) -> Stopped:
+    return _describe_stop([], await run_sync(find_machines, limiter=STOPPING))
+
+
+@router.websocket("/stop")
+async def stop_by_message(websocket: WebSocket) -> None:
+    """Take every message for a stop but `check`; answer as `POST /stop` does.
+
+    A channel that is open already waits for no other request of its browser.
+    """
+    await websocket.accept()
+    while len(_open) >= MOST_CHANNELS:  # whoever comes last is the one who looks
+        oldest = _open.pop(next(iter(_open)))
+        with suppress(RuntimeError):
+            await oldest.close(TRY_LATER)
+    _open[id(websocket)] = websocket
+    try:
+        while (message := await websocket.receive())["type"] == "websocket.receive":
+            path = f"{PREFIX}/stop{':check' if message.get('text') == 'check' else ''}"
+            await websocket.send_text(await _post(websocket, path))
+    except (WebSocketDisconnect, RuntimeError):
+        pass  # it has left; its stop was taken
+    finally:
+        _open.pop(id(websocket), None)
+
+
+async def _post(websocket: WebSocket, path: str) -> str:
+    """Post to this service itself, as whoever has opened the WebSocket."""
+    answer = bytearray()
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    async def send(message: Message) -> None:
+        answer.extend(message.get("body", b""))
+
+    kept = {k: websocket.scope.get(k) for k in ("asgi", "http_version", "server")}
+    own = {"type": "http", "method": "POST", "path": path, "query_string": b""}
+    client = (find_peer(websocket.scope), 0)
+    headers = websocket.scope["headers"]
+    await websocket.app(
+        {**kept, **own, "client": client, "headers": headers}, receive, send
+    )
+    return answer.decode()
+
+
+async def _hide_from_strangers(
+    stopped: Stopped, request: Request, service: Service
+) -> Stopped:
+    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
+
+    Looked up after the stop and not for long: neither waits for the catalogue.
+    """
+    if not service.access.rules.log_in_required:
+        return stopped
+    with move_on_after(_LOOK_UP_S), suppress(TruepathError):
+        known = await run_sync(
+            service.access.identify,
+            read_token(request.scope),
+            abandon_on_cancel=True,
+            limiter=_LOOKING_UP,
+        )
+        if known is not None:
+            return stopped
+    return stopped.model_copy(update={"jobs": []})
+
+
+def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
+    """Return what was stopped, and what the controllers say of themselves.
+
+    What one has said before its job has ended tells nothing of the stop.
+    """
+    ending = {job.machine for job in jobs}
+    stands = {
+        one.id: None if one.id in ending else one.cell.read_standstill()
+        for one in machines
+    }
+    return Stopped(
+        jobs=[describe_job(job) for job in jobs],
+        machines=[
+            MachineStop(machine=name, stopped=_LEVELS[known])
+            for name, known in stands.items()
+        ],
+    )

@@ -1,0 +1,1 @@
+"""Who may ask: connections, proxies, sessions, roles."""

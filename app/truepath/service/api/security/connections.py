@@ -1,0 +1,194 @@
+"""Limits on connections, so that one more is always accepted.
+
+A stop needs a connection like any other request. All connections together therefore
+take at most half of the free file descriptors, and those of one address half of that.
+Beyond it a new connection replaces the one whose client is nearest to its deadline: for
+sending the rest of a request, or for reading the answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import socket
+from collections.abc import Collection
+from typing import Any
+
+import psutil
+import structlog
+from uvicorn import Config
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.server import ServerState
+
+from truepath.seldom import Seldom
+from truepath.service.api.security.trusted_proxies import find_network, is_trusted_proxy
+
+HEAD_S = 10.0
+"""For the handshake of TLS, and for the head of a request."""
+BODY_S = 20.0
+"""For its body, and a second more for each `SLOWEST_BYTES_PER_S` of it."""
+SLOWEST_BYTES_PER_S = 4096
+UNREAD_S = 60.0
+"""Longest pause of a client that reads an answer, or that has sent much of a body."""
+LONGEST_HEAD_BYTES = 1 << 16
+USUAL = 512
+"""Enough connections, or twice the streams if those are more."""
+_MOST_DESCRIPTORS = 1 << 16
+_PAUSE_S = 0.05
+
+log = structlog.get_logger(__name__)
+
+
+class Connection(HttpToolsProtocol):
+    """A connection with a deadline for what its client has to do next."""
+
+    due_s = 0.0
+    _head_bytes = _unread_bytes = 0
+
+    def data_received(self, data: bytes) -> None:
+        """Give the client time for what it sends of a body, and none for a head."""
+        now_s = self.loop.time()
+        if self._waits_for_head:
+            self._head_bytes += len(data)
+        else:
+            longer_s = self.due_s + len(data) / SLOWEST_BYTES_PER_S
+            self.due_s = min(longer_s, now_s + UNREAD_S)
+        super().data_received(data)
+        if self._waits_for_head and self._head_bytes > LONGEST_HEAD_BYTES:
+            self.transport.abort()
+
+    def on_headers_complete(self) -> None:
+        """Wait for the body."""
+        self._head_bytes, self.due_s = 0, self.loop.time() + BODY_S
+        super().on_headers_complete()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next head."""
+        self.due_s = self.loop.time() + self.timeout_keep_alive + HEAD_S
+        super().on_response_complete()
+
+    @property
+    def waits_for_client(self) -> bool:
+        """Whether the client has to act next, and not the service."""
+        if self._waits_for_head or self.flow.write_paused:
+            return True
+        return self.cycle.more_body and not self.flow.read_paused
+
+    def is_overdue(self) -> bool:
+        """Whether the deadline of the client has passed; called at intervals."""
+        now_s, unread_bytes = self.loop.time(), self.transport.get_write_buffer_size()
+        if unread_bytes not in (0, self._unread_bytes):
+            self._unread_bytes, self.due_s = unread_bytes, now_s + UNREAD_S
+        return self.waits_for_client and now_s > self.due_s
+
+    @property
+    def _waits_for_head(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+
+class Connections:
+    """Accepts connections, and closes those that keep others out.
+
+    most_streams : that the service allows
+    trusted_proxies : addresses that many clients are behind
+    """
+
+    def __init__(
+        self, state: ServerState, most_streams: int, trusted_proxies: Collection[str]
+    ) -> None:
+        self._state, self._trusted = state, trusted_proxies
+        self._most = find_most_connections(most_streams)
+        self._opening: dict[Connection, socket.socket] = {}
+        self._seldom = Seldom()
+
+    async def accept(
+        self, listener: socket.socket, config: Config, app_state: dict[str, Any]
+    ) -> None:
+        """Accept connections until cancelled."""
+        loop = asyncio.get_running_loop()
+        listener.setblocking(False)
+        listener.listen(1024)
+        while True:
+            try:
+                sock, place = await loop.sock_accept(listener)
+            except OSError as error:
+                self._close_for_another(self._list_all(), f"accept: {error.strerror}")
+                await asyncio.sleep(_PAUSE_S)
+                continue
+            self._make_room(place[0])
+            one = Connection(config, self._state, app_state, loop)
+            one.client, one.due_s = place[:2], loop.time() + HEAD_S
+            self._opening[one] = sock
+            opening = loop.create_task(self._open(one, sock, config))
+            self._state.tasks.add(opening)
+            opening.add_done_callback(self._state.tasks.discard)
+            await asyncio.sleep(0)  # to those accepted
+
+    def close_overdue(self) -> None:
+        """Close the connections whose deadline has passed."""
+        for one in [*self._state.connections]:
+            if isinstance(one, Connection) and one.is_overdue():
+                log.info("connection closed", client=one.client, reason="deadline")
+                self._close(one)
+
+    async def _open(self, one: Connection, sock: socket.socket, config: Config) -> None:
+        try:
+            await one.loop.connect_accepted_socket(
+                lambda: one,
+                sock,
+                ssl=config.ssl,
+                ssl_handshake_timeout=HEAD_S if config.ssl else None,
+            )
+        except OSError as error:  # no TLS, or gone
+            log.debug("connection not opened", client=one.client, reason=str(error))
+            sock.close()
+        finally:
+            del self._opening[one]
+
+    def _make_room(self, host: str) -> None:
+        """Close the connection that one more of this address replaces, if any."""
+        held = self._list_all()
+        if len(held) >= self._most // 2 and not is_trusted_proxy(host, self._trusted):
+            network = find_network(host)
+            own = [one for one in held if find_network(_host_of(one)) == network]
+            if len(own) >= self._most // 2:
+                self._close_for_another(own, "too many of one address")
+                return
+        if len(held) >= self._most:
+            self._close_for_another(held, "too many in all")
+
+    def _list_all(self) -> list[Any]:
+        return list(self._state.connections | self._opening.keys())
+
+    def _close_for_another(self, some: list[Any], reason: str) -> None:
+        if self._seldom.is_due():
+            log.warning("connections closed", reason=reason, held=len(some))
+        if some:
+            self._close(min(some, key=_rank))
+
+    def _close(self, one: Any) -> None:
+        self._state.connections.discard(one)
+        if one.transport is not None:
+            one.transport.abort()
+        elif one in self._opening:
+            self._opening[one].shutdown(socket.SHUT_RDWR)
+
+
+def find_most_connections(most_streams: int) -> int:
+    """Return how many connections there may be; let the process have more if it may."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    soft = max(soft, min(hard, _MOST_DESCRIPTORS))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    left = soft - psutil.Process().num_fds()
+    return max(16, min(left // 2, max(USUAL, 2 * most_streams)))
+
+
+def _rank(one: Any) -> tuple[bool, float]:
+    """Connections that wait for their client come first, WebSockets last."""
+    if isinstance(one, Connection):
+        return not one.waits_for_client, one.due_s
+    return True, float("inf")
+
+
+def _host_of(one: Any) -> str:
+    return one.client[0] if one.client else ""

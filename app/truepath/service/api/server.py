@@ -1,0 +1,144 @@
+"""The HTTP server: where it listens, and in which order it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import threading
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+
+import structlog
+import uvicorn
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from truepath.errors import BadInput
+from truepath.service.api.security.connections import Connections
+from truepath.service.api.service import Service
+from truepath.service.api.service_manager import ServiceManager
+from truepath.users.certificates import TlsFiles
+
+GRACE_S = 3
+"""How long an answer under way may take once the service has to end."""
+
+_TICKS_A_LOOK = 5  # of 0.1 s
+_OWN = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
+
+log = structlog.get_logger(__name__)
+
+
+class Server(uvicorn.Server):
+    """Uvicorn that stops motion before it waits for anybody.
+
+    What has started it, systemd say, is told that it answers, lives and ends.
+
+    Not in the application's own shut-down: an open stream delays that, and a forced
+    exit skips it.
+
+    address : where it answers
+    listening : receives the address once it answers, in a thread of its own
+    tls : None for plain HTTP
+    trusted_proxies : addresses that many clients are behind
+    """
+
+    def __init__(
+        self,
+        app: FastAPI,
+        service: Service,
+        address: str,
+        listening: Callable[[str], None] | None,
+        *,
+        tls: TlsFiles | None = None,
+        trusted_proxies: Collection[str] = (),
+    ) -> None:
+        config = uvicorn.Config(
+            app,
+            workers=1,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,  # the application reads those of trusted proxies
+            timeout_graceful_shutdown=GRACE_S,
+            ssl_certfile=tls.cert if tls else None,
+            ssl_keyfile=tls.key if tls else None,
+        )
+        super().__init__(config)
+        self._service, self._address, self._listening = service, address, listening
+        self._manager = ServiceManager.of_environment()
+        self._connections = Connections(
+            self.server_state, service.max_streams, trusted_proxies
+        )
+        self._accepting: list[asyncio.Task[None]] = []
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to answer, and pass the address on."""
+        await super().startup([])
+        self._accepting = [
+            asyncio.create_task(
+                self._connections.accept(one, self.config, self.lifespan.state)
+            )
+            for one in sockets or ()
+        ]
+        if self.started:
+            self._manager.begin(self._address)
+        if self.started and self._listening is not None:
+            threading.Thread(
+                target=self._listening, args=(self._address,), daemon=True
+            ).start()
+
+    async def on_tick(self, counter: int) -> bool:
+        """Close overdue connections as well."""
+        if counter % _TICKS_A_LOOK == 0:
+            self._connections.close_overdue()
+        return await super().on_tick(counter)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Hold the feed, let streams end, then wait for answers under way."""
+        log.info("ending: motion first")
+        self._manager.end()
+        close = self._service.dispatcher.close
+        await run_sync(close, limiter=CapacityLimiter(1))
+        self._service.end_streams()
+        for accepting in self._accepting:
+            accepting.cancel()
+        await super().shutdown(sockets)
+
+
+@contextmanager
+def ignore_raised_signals() -> Iterator[None]:
+    """Let uvicorn raise the signal again without ending the process too early."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signals = (signal.SIGTERM, signal.SIGINT)
+    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def bind_socket(host: str, port: int) -> socket.socket:
+    """Listen there, port 0 on a free one; raise BadInput where that cannot be."""
+    try:
+        family, _, _, _, place = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM
+        )[0]
+        return socket.create_server(place[:2], family=family)
+    except OSError as error:
+        raise BadInput(
+            f"cannot listen on {host} port {port}: {error.strerror}; "
+            "stop what listens there, or give another --port"
+        ) from error
+
+
+def format_address(listener: socket.socket, *, is_encrypted: bool = False) -> str:
+    """Return where a program on this computer reaches it."""
+    bound, port = listener.getsockname()[:2]
+    host = _OWN.get(bound, str(bound))
+    shown = f"[{host}]" if ":" in host else host
+    return f"{'https' if is_encrypted else 'http'}://{shown}:{port}"

@@ -1,0 +1,128 @@
+"""Who sends a request, and whether that may be: what the routes ask."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+from truepath.catalogue.store.database import Database
+from truepath.users.accounts import Accounts
+from truepath.users.audit import AuditLog
+from truepath.users.audit_writer import AuditWriter
+from truepath.users.back_off import BackOff, RateLimit
+from truepath.users.errors import (
+    NotLoggedIn,
+    PersonNeeded,
+    RoleTooLow,
+    TooManyTries,
+    WrongPassword,
+)
+from truepath.users.passwords import is_password
+from truepath.users.roles import LOCAL, Actor, Role, includes
+from truepath.users.tokens import Tokens
+
+FREE_TRIES = 5
+FREE_TRIES_OF_SOURCE = 20
+LONGEST_DELAY_S = 2.0
+"""Of a name that fails from everywhere: it slows guessing, and keeps nobody out."""
+_BURST, _CHANGES_PER_S = 200, 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """How access is set up.
+
+    log_in_required : else whoever reaches the service may do everything
+    arming_by_key : whether a program may set the machine in motion
+    session_s : how long a session lasts
+    secure_cookie : whether the cookie of a session goes over TLS only
+    """
+
+    log_in_required: bool = False
+    arming_by_key: bool = False
+    session_s: float = 12 * 3600.0
+    secure_cookie: bool = True
+
+
+class Access:
+    """Users, tokens and audit log of one catalogue behind the routes."""
+
+    def __init__(self, database: Database, rules: AccessRules) -> None:
+        self.rules = rules
+        self.accounts = Accounts(database)
+        self.tokens = Tokens(database, session_s=rules.session_s)
+        self.audit_log = AuditLog(database)
+        self.audit_writer = AuditWriter(self.audit_log)
+        self._failed = BackOff(FREE_TRIES)
+        self._failed_of_source = BackOff(FREE_TRIES_OF_SOURCE)
+        self._failed_of_name = BackOff(FREE_TRIES, longest_s=LONGEST_DELAY_S)
+        self._changes = RateLimit(_BURST, _CHANGES_PER_S)
+        # One hash takes 64 MB and a core for 30 ms: not many at one time.
+        self._hashing = threading.Semaphore(2)
+
+    def identify(self, token: str) -> Actor | None:
+        """Return whose token it is; None if it is none or valid no more."""
+        if not self.rules.log_in_required:
+            return LOCAL
+        return self.tokens.find(token) if token else None
+
+    def find_delay_s(self, name: str, source: str) -> float:
+        """Return for how long a log-in is put off. Raises TooManyTries."""
+        self._check(name, source)
+        return self._failed_of_name.find_wait_s(name)
+
+    def log_in(self, name: str, password: str, source: str) -> tuple[str, Actor]:
+        """Return the token of a new session, and whose it is.
+
+        Raises WrongPassword; TooManyTries, before the password is looked at, while name
+        or source have to wait.
+        """
+        own = self._check(name, source)
+        found = self.accounts.find(name)
+        if not self._hashing.acquire(timeout=5.0):
+            raise TooManyTries("too many log-ins at one time", 5.0)
+        try:
+            is_right = is_password(password, found[1] if found else None)
+        finally:
+            self._hashing.release()
+        if found is None or not is_right:
+            self._failed.fail(own)
+            self._failed_of_source.fail(source)
+            self._failed_of_name.fail(name)
+            raise WrongPassword("name and password do not belong together")
+        self._failed.forget(own)
+        user = found[0]
+        return self.tokens.open_session(user.name), Actor(user.name, user.role)
+
+    def _check(self, name: str, source: str) -> str:
+        # By name and source: nobody else's mistakes keep a person from a machine.
+        own = f"{name}@{source}"
+        self._failed.check(own)
+        self._failed_of_source.check(source)
+        return own
+
+    def limit_changes(self, actor: Actor) -> None:
+        """Raise TooManyRequests if somebody changes too much in a short time."""
+        if self.rules.log_in_required:
+            self._changes.take(actor.name)
+
+    def close(self) -> None:
+        """Write what the audit log still lacks."""
+        self.audit_writer.close()
+
+
+def require_role(actor: Actor | None, least: Role) -> Actor:
+    """Return the actor. Raises NotLoggedIn, RoleTooLow."""
+    if actor is None:
+        raise NotLoggedIn("no valid session or API key came with the request")
+    if not includes(actor.role, least):
+        raise RoleTooLow(f"this needs the role {least}; {actor.name} is {actor.role}")
+    return actor
+
+
+def require_person(actor: Actor, rules: AccessRules) -> None:
+    """Raise PersonNeeded for the API key of a program, unless that is allowed."""
+    if not (actor.is_person or rules.arming_by_key):
+        raise PersonNeeded(
+            f"{actor.name} is an API key; the machine is set in motion by a person"
+        )

@@ -1,0 +1,154 @@
+"""The users of the service in its catalogue."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, delete, func, insert, select, update
+
+from truepath.catalogue.job import format_utc_now
+from truepath.catalogue.schema import tokens, users
+from truepath.catalogue.store.database import Database
+from truepath.errors import BadInput, NotFound
+from truepath.users.errors import UserConflict
+from truepath.users.passwords import hash_password
+from truepath.users.roles import PERSONAL_ROLES, Role
+
+_NAME = re.compile(r"^\w[\w.@-]{0,63}$")
+
+
+@dataclass(frozen=True, slots=True)
+class User:
+    """A person who may log in."""
+
+    name: str
+    role: Role
+    created: str
+
+
+class Accounts:
+    """Adds, changes and removes users; for any thread or process."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def list_all(self) -> list[User]:
+        """Return all users by name."""
+        query = select(users).order_by(users.c.name)
+        with self._database.read() as connection:
+            return [
+                User(row.name, Role(row.role), row.created)
+                for row in connection.execute(query)
+            ]
+
+    def find(self, name: str) -> tuple[User, str] | None:
+        """Return a user with the hash of the password; None if there is none."""
+        with self._database.read() as connection:
+            row = connection.execute(select(users).where(users.c.name == name)).first()
+        if row is None:
+            return None
+        return User(row.name, Role(row.role), row.created), row.password_hash
+
+    def add(self, name: str, role: Role, password: str) -> User:
+        """Add a user. Raises BadInput, UserConflict if there is one of that name."""
+        check_name(name)
+        _require_personal(role)
+        kept = hash_password(password)
+        user = User(name, role, format_utc_now())
+
+        def change(connection: Connection) -> None:
+            if _exists(connection, name):
+                raise UserConflict(f"there is a user {name} already")
+            row = {"name": name, "role": role, "created": user.created}
+            connection.execute(insert(users).values(**row, password_hash=kept))
+
+        self._database.write(change)
+        return user
+
+    def set_role(self, name: str, role: Role) -> Role:
+        """Give a user another role, at once; return the one before.
+
+        Raises NotFound, UserConflict for the last administrator.
+        """
+        _require_personal(role)
+
+        def change(connection: Connection) -> Role:
+            before = _read_role(connection, name)
+            if role is not Role.ADMINISTRATOR:
+                _keep_an_administrator(connection, name)
+            query = update(users).where(users.c.name == name).values(role=role)
+            connection.execute(query)
+            return before
+
+        return self._database.write(change)
+
+    def set_password(self, name: str, password: str) -> None:
+        """Give a user another password, and end all sessions. Raises NotFound."""
+        kept = hash_password(password)
+
+        def change(connection: Connection) -> None:
+            _read_role(connection, name)
+            query = update(users).where(users.c.name == name)
+            connection.execute(query.values(password_hash=kept))
+            _end_sessions(connection, name)
+
+        self._database.write(change)
+
+    def remove(self, name: str) -> Role:
+        """Remove a user and all sessions; return the role.
+
+        Raises NotFound, UserConflict for the last administrator.
+        """
+
+        def change(connection: Connection) -> Role:
+            role = _read_role(connection, name)
+            _keep_an_administrator(connection, name)
+            connection.execute(delete(users).where(users.c.name == name))
+            _end_sessions(connection, name)
+            return role
+
+        return self._database.write(change)
+
+
+def check_name(name: str) -> None:
+    """Raise BadInput for what is no name of a user or key."""
+    if not _NAME.match(name):
+        raise BadInput(
+            f"{name!r} is no name; use 1 to 64 letters, digits and _ . @ -, "
+            "a letter or digit first"
+        )
+
+
+def _require_personal(role: Role) -> None:
+    if role not in PERSONAL_ROLES:
+        raise BadInput(
+            f"{role} is a role of programs; make an API key, or choose one of "
+            + ", ".join(PERSONAL_ROLES)
+        )
+
+
+def _exists(connection: Connection, name: str) -> bool:
+    query = select(users.c.name).where(users.c.name == name)
+    return connection.execute(query).first() is not None
+
+
+def _read_role(connection: Connection, name: str) -> Role:
+    query = select(users.c.role).where(users.c.name == name)
+    role = connection.execute(query).scalar()
+    if role is None:
+        raise NotFound(f"there is no user {name}")
+    return Role(role)
+
+
+def _keep_an_administrator(connection: Connection, name: str) -> None:
+    if _read_role(connection, name) is not Role.ADMINISTRATOR:
+        return
+    others = (users.c.role == Role.ADMINISTRATOR) & (users.c.name != name)
+    if not connection.execute(select(func.count()).where(others)).scalar():
+        raise UserConflict(f"{name} is the last administrator; make another one first")
+
+
+def _end_sessions(connection: Connection, name: str) -> None:
+    own = (tokens.c.kind == "session") & (tokens.c.name == name)
+    connection.execute(delete(tokens).where(own))

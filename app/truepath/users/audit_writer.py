@@ -1,0 +1,155 @@
+"""Writes the audit log in a thread of its own: no request waits for a locked file.
+
+What anybody can send without end, refusals and stops, is a row the first time and then,
+however often it repeats, one row in `REPEATS_S` that counts.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+
+import structlog
+
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import format_utc_now
+from truepath.seldom import Seldom
+from truepath.users.audit import AuditLog, Entry
+
+log = structlog.get_logger(__name__)
+
+REPEATS_S = 10.0
+MOST_WAITING = 5_000
+"""What comes beyond is not in the audit log; the log of the service says how much."""
+MOST_KINDS = 200
+"""What repeats beyond so many kinds at one time is counted together, by outcome."""
+_PAUSE_S = 1.0
+_CLOSE_S = 5.0
+
+
+@dataclass(slots=True)
+class _Repeats:
+    """What repeats a row that was written: the newest of it, and how often."""
+
+    newest: Entry
+    due_s: float
+    count: int = 0
+
+
+class AuditWriter:
+    """Adds entries in the order in which they come."""
+
+    def __init__(self, audit_log: AuditLog) -> None:
+        self._audit_log, self._seldom = audit_log, Seldom()
+        self._changed = threading.Condition()
+        self._waiting: deque[tuple[Entry, Future[None]]] = deque()
+        self._repeats: dict[tuple[str, ...], _Repeats] = {}
+        self._closing = threading.Event()
+        self._lost = 0
+        self._thread = threading.Thread(
+            target=self._write_all, name="audit-writer", daemon=True
+        )
+        self._thread.start()
+
+    def record(self, entry: Entry, *, may_repeat: bool = False) -> Future[None]:
+        """Take an entry on; done once it is committed.
+
+        may_repeat : count it where the same was recorded shortly before
+        """
+        stamped = replace(entry, at=entry.at or format_utc_now())
+        done: Future[None] = Future()
+        done.set_running_or_notify_cancel()  # whoever waits cannot take it back
+        with self._changed:
+            if may_repeat and self._count_repeat(stamped):
+                done.set_result(None)
+            else:
+                self._add(stamped, done)
+        return done
+
+    def close(self) -> None:
+        """Write what waits, then end; log how much could not be written."""
+        with self._changed:
+            self._closing.set()
+            self._add_repeats(float("inf"))
+            self._changed.notify()
+        self._thread.join(timeout=_CLOSE_S)
+        with self._changed:
+            lost = self._lost + len(self._waiting)
+        if lost:
+            log.error("the audit log is not complete", not_written=lost)
+
+    def _count_repeat(self, entry: Entry) -> bool:
+        key = entry.who, entry.source, entry.what, entry.outcome, str(entry.new)
+        if key not in self._repeats and len(self._repeats) >= MOST_KINDS:
+            many = Entry("", "", "", "", "requests of many kinds", entry.outcome)
+            key, entry = ("", entry.outcome), replace(many, at=entry.at)
+        known = self._repeats.get(key)
+        if known is None:
+            due_s = time.monotonic() + REPEATS_S
+            self._repeats[key] = _Repeats(entry, due_s)
+            return False
+        known.newest, known.count = entry, known.count + 1
+        return True
+
+    def _add(self, entry: Entry, done: Future[None]) -> None:
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append((entry, done))
+            self._changed.notify()
+            return
+        self._lost += 1
+        done.set_result(None)
+        if self._seldom.is_due():
+            log.error("too much waits for the audit log", not_written=self._lost)
+
+    def _add_repeats(self, now_s: float) -> None:
+        """Let rows wait of what has repeated, and forget what has not."""
+        for key, one in [*self._repeats.items()]:
+            if one.due_s > now_s:
+                continue
+            if one.count == 0:
+                del self._repeats[key]
+                continue
+            counted = {**(one.newest.new or {}), "times": one.count}
+            self._add(replace(one.newest, new=counted), Future())
+            one.due_s, one.count = now_s + REPEATS_S, 0
+
+    def _write_all(self) -> None:
+        while (item := self._wait_for_next()) is not None and self._write(item[0]):
+            with self._changed:
+                self._waiting.popleft()
+            item[1].set_result(None)
+
+    def _wait_for_next(self) -> tuple[Entry, Future[None]] | None:
+        """Return the oldest that waits; None once nothing does and it ends."""
+        with self._changed:
+            self._add_repeats(time.monotonic())
+            while not self._waiting:
+                if self._closing.is_set():
+                    return None
+                dues_s = [one.due_s for one in self._repeats.values()]
+                now_s = time.monotonic()
+                wait_s = min(dues_s) - now_s if dues_s else None
+                self._changed.wait(None if wait_s is None else max(0.0, wait_s))
+                self._add_repeats(time.monotonic())
+            return self._waiting[0]
+
+    def _write(self, entry: Entry) -> bool:
+        """Write one entry, however long the catalogue is away; False at the end."""
+        while True:
+            try:
+                self._audit_log.append(entry)
+            except StorageUnavailable as error:
+                if self._seldom.is_due():
+                    reason = str(error)
+                    log.warning("the audit log waits", reason=reason, what=entry.what)
+                if self._closing.wait(_PAUSE_S):
+                    return False
+            except Exception:
+                log.exception("not in the audit log", what=entry.what, who=entry.who)
+                self._lost += 1
+                return True
+            else:
+                return True

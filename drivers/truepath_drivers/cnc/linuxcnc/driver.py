@@ -1,0 +1,284 @@
+"""The driver of LinuxCNC, over linuxcncrsh."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes
+from truepath_drivers.cnc.linuxcnc.motion import LinuxCncMotion
+from truepath_drivers.cnc.linuxcnc.program import (
+    store_program,
+    write_move,
+    write_program,
+)
+from truepath_drivers.cnc.linuxcnc.rsh import RshLink
+from truepath_drivers.cnc.linuxcnc.session import LinuxCncSession
+from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink
+from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.cnc.travel import (
+    arrange_path,
+    check_arcs,
+    check_dwells,
+    check_feeds,
+    check_positions,
+)
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    Refused,
+)
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
+from truepath_drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+_LEAST_FEED, _MOST_FEED = 0.01, 1e6
+_LONGEST_DWELL_S = 1e6
+
+
+class LinuxCncController(MotionController):
+    """LinuxCNC, whose linuxcncrsh listens at `host` and `port`.
+
+    program_folder : where programs are written; LinuxCNC sees it under the same name,
+        or as `remote_folder`
+    ini_file : copy of its INI file; the one it names itself if this can be read here
+    travel : in place of an INI file, `X 0 500, Y 0 400, Z -300 0` in order of joints
+    watchdog_port : where `truepath_watchdog.py` listens on that host, 0 without one
+    password, enable_password : of linuxcncrsh
+    prologue : blocks before each motion, separated by `;`, such as RTCP off
+    reset_at_connect, home_at_connect : clear the emergency stop and switch the drives
+        on; home what is not homed. The machine may move
+
+    Every verb may be called from any thread; `hold` and `abort` go before the others
+    and take the command back from any other client of linuxcncrsh.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str,
+        port: int = 5007,
+        program_folder: str = "",
+        remote_folder: str = "",
+        ini_file: str = "",
+        travel: str = "",
+        watchdog_port: int = 0,
+        password: str = "EMC",  # noqa: S107, of every linuxcncrsh that is not told one
+        enable_password: str = "EMCTOO",  # noqa: S107, likewise
+        serial_number: str = "",
+        prologue: str = "",
+        reset_at_connect: bool = False,
+        home_at_connect: bool = False,
+        home_timeout_s: float = 120.0,
+        reply_timeout_s: float = 1.0,
+        poll_s: float = 0.05,
+    ) -> None:
+        rsh = RshLink(TcpPort(host, port), password, enable_password, reply_timeout_s)
+        watchdog = (
+            WatchdogLink(TcpPort(host, watchdog_port), reply_timeout_s)
+            if watchdog_port
+            else None
+        )
+        self._session = LinuxCncSession(rsh, watchdog, ini_file, travel)
+        self._folder = FilePath(program_folder) if program_folder else None
+        self._remote_folder = FilePath(remote_folder or program_folder)
+        self._serial_number = serial_number
+        self._prologue = tuple(b.strip() for b in prologue.split(";") if b.strip())
+        self._at_connect = (reset_at_connect, home_at_connect)
+        self._home_timeout_s, self._poll_s = home_timeout_s, poll_s
+        self._lock = PriorityLock()
+        self._motion = LinuxCncMotion(self._session, self._lock)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes; none before `connect`."""
+        return self._session.machine.axes if self._session.machine else ()
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest position of each axis; none before `connect`."""
+        return self._session.machine.travel if self._session.machine else ()
+
+    def connect(self) -> Identity:
+        """Open the link, read axes and travel; reset and home if the options say so."""
+        with self._lock.hold():
+            self._session.open()
+            machine = self._require_machine()
+        reset, home = self._at_connect
+        if reset and self.status().state in (MotionState.ESTOP, MotionState.NOT_READY):
+            self.reset()
+        if home and self.status().state is MotionState.UNHOMED:
+            self.home(self._home_timeout_s)
+        return Identity(
+            "LinuxCNC",
+            machine.name or "LinuxCNC",
+            self._serial_number,
+            self._session.version,
+            has_watchdog=self._session.has_watchdog,
+            drives_arcs=True,
+        )
+
+    def status(self) -> MotionStatus:
+        """Read state, position, line and override."""
+        with self._lock.hold():
+            return self._motion.look()
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        """Start a straight move, by MDI; returns when it is under way."""
+        machine = self._require_machine()
+        where = np.atleast_2d(np.asarray(position, np.float64))
+        check_positions(machine.axes, machine.travel, where)
+        check_feeds(np.array([feed_mm_min]), _LEAST_FEED, _MOST_FEED)
+        move = write_move(machine.axes, where[0], feed_mm_min)
+        aborts = self._motion.aborts
+        with self._lock.hold():
+            self._motion.prepare("mdi")
+            self._session.drive_by_blocks(self._prologue)
+            self._session.require_joint_coordinates()
+        self._motion.begin(f"mdi {move.text}", move, aborts)
+
+    def load(self, path: Path) -> None:
+        """Write a path as a program, open it, and see that it is open."""
+        machine = self._require_machine()
+        path = arrange_path(path, machine.axes, drives_arcs=True)
+        if not len(path):
+            raise Refused("the path has no rows")
+        check_positions(machine.axes, machine.travel, path.position)
+        check_feeds(path.feed_mm_min, _LEAST_FEED, _MOST_FEED)
+        check_dwells(path.dwell_s, _LONGEST_DWELL_S)
+        check_arcs(path, machine.travel)
+        program, aborts = write_program(path, self._prologue), self._motion.aborts
+        store_program(program, self._folder)
+        with self._lock.hold():
+            self._motion.prepare("auto")
+            self._session.open_program(self._remote_folder / program.name)
+            if self._motion.aborts != aborts:
+                raise Refused("aborted while the path was being loaded")
+            self._motion.take(program)
+
+    def start(self) -> None:
+        """Run the loaded path from its first row."""
+        self._require_machine()
+        program, aborts = self._motion.loaded, self._motion.aborts
+        if program is None:
+            raise Refused("no path is loaded; load one")
+        file = self._remote_folder / program.name
+        with self._lock.hold():
+            self._motion.prepare("auto")
+            if not self._session.holds_program(file):
+                self._session.open_program(file)  # somebody has opened another one
+            if not self._prologue:
+                self._session.require_joint_coordinates()
+        self._motion.begin("run", program, aborts)
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        """Wait until the axes stand, beating meanwhile."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            self.send_heartbeat()
+            status = self.status()
+            self._motion.require_able(status)
+            if status.state is not MotionState.RUNNING:
+                return status
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise DeviceTimeout(
+                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
+                    f"at line {status.line}"
+                )
+            time.sleep(min(self._poll_s, left_s))
+
+    def hold(self) -> None:
+        """Feed hold. Where nothing was ever connected there is nothing to hold."""
+        if self._session.machine is None:
+            return
+        with self._lock.hold(urgent=True):
+            self._motion.hold()
+
+    def resume(self) -> None:
+        """Go on after a hold, of ours, of the operator or of the watchdog."""
+        self._require_machine()
+        with self._lock.hold():
+            self._motion.resume()
+
+    def abort(self) -> None:
+        """Stop and forget the path."""
+        self._motion.aborts += 1
+        if self._session.machine is None:
+            return
+        with self._lock.hold(urgent=True):
+            self._motion.abort()
+
+    def send_heartbeat(self) -> None:
+        """Beat for the watchdog in HAL, where there is one."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.beat()
+
+    def reset(self) -> None:
+        """Clear the emergency stop and switch the drives on."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.demand_and_see(
+                "estop off", lambda: self._session.reads("estop", "off")
+            )
+            self._session.demand_and_see(
+                "machine on", lambda: self._session.reads("machine", "on")
+            )
+
+    def home(self, timeout_s: float) -> None:
+        """Home all joints that are not homed. The machine may move."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.demand("mode manual")
+            self._session.take_errors()
+            self._session.demand("home -1")
+        deadline_s = time.monotonic() + timeout_s
+        while (status := self.status()).state is MotionState.UNHOMED:
+            with self._lock.hold():
+                errors = self._session.take_errors()
+            if errors:
+                raise MotionFault(f"{self._session.name} does not home: {errors[0]}")
+            if time.monotonic() > deadline_s:
+                raise DeviceTimeout(
+                    f"{self._session.name}: not homed in {timeout_s:g} s"
+                )
+            time.sleep(self._poll_s)
+        self._motion.require_able(status)
+
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override where it is above."""
+        self._require_machine()
+        with self._lock.hold():
+            if self._session.look().override > largest:
+                self._session.demand(f"feed_override {100 * largest:.0f}")
+
+    def close(self) -> None:
+        """Abort a motion that runs, release the ports."""
+        try:
+            if self._session.machine and self.status().state is MotionState.RUNNING:
+                self.abort()
+        except DeviceError as error:
+            log.warning("%s closed without an answer: %s", self._session.name, error)
+        with self._lock.hold(urgent=True):
+            self._session.close()
+
+    def _require_machine(self) -> LinuxCncAxes:
+        if self._session.machine is None:
+            raise ConnectionLost(
+                f"{self._session.name} is not connected; connect first"
+            )
+        return self._session.machine

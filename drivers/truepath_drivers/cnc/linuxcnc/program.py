@@ -1,0 +1,125 @@
+"""A path as a program of LinuxCNC, and its lines as rows."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from truepath_drivers.interfaces import rs274
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Arc, Path
+
+_PREFIX = "truepath-"
+_PLANES = {"XY": ("G17", "IJ"), "YZ": ("G19", "JK"), "ZX": ("G18", "KI")}
+_MODES = "G21 G90 G94 G61.1 G40 G49 G80"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramRow:
+    """What a block says of a row: its number, from 1, and its feed."""
+
+    number: int
+    feed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program that LinuxCNC has, or is to have.
+
+    lines : of the file, from 1, in which each row is driven to
+    goal : where it ends
+    """
+
+    name: str
+    text: str
+    lines: tuple[int, ...]
+    goal: tuple[float, ...]
+
+    def find_row(self, line: int) -> int:
+        """Return the row that is under way in a line of the file."""
+        if not self.lines:
+            return 0
+        row = int(np.searchsorted(self.lines, line, side="right")) - 1
+        return min(max(row, 0), len(self.lines) - 1)
+
+
+def write_program(path: Path, prologue: Sequence[str]) -> Program:
+    """Return the program of a path; its name tells its content."""
+    blocks = [*rs274.SAFE_START, *prologue]
+    lines: list[int] = []
+    for row, position in enumerate(path.position):
+        number = ProgramRow(row + 1, float(path.feed_mm_min[row]))
+        arc = path.arc[row] if path.arc else None
+        if arc is None:
+            blocks.append(_write_motion(path.axes, position, number))
+        else:
+            blocks.append(_write_arc(path, row, arc, number))
+        lines.append(len(blocks))
+        if arc is not None:
+            blocks.append(rs274.AFTER_ARC)
+        if path.dwell_s[row] > 0:
+            blocks.append(rs274.DWELL.format(path.dwell_s[row]))
+    text = "\n".join([*blocks, rs274.END, ""])
+    goal = tuple(float(value) for value in path.position[-1])
+    name = f"{_PREFIX}{zlib.crc32(text.encode()):08x}.ngc"
+    return Program(name, text, tuple(lines), goal)
+
+
+def write_move(
+    axes: Sequence[str], position: np.ndarray, feed_mm_min: float
+) -> Program:
+    """Return the one block of a move for MDI; it has no lines."""
+    block = _write_motion(axes, position, ProgramRow(1, feed_mm_min))
+    text = f"{_MODES} {block.split(' ', 1)[1]}"
+    return Program("", text, (), tuple(float(value) for value in position))
+
+
+def _write_motion(axes: Sequence[str], position: np.ndarray, row: ProgramRow) -> str:
+    words = zip(axes, position, strict=True)
+    ends = " ".join(f"{axis}{value:.{rs274.DECIMALS}f}" for axis, value in words)
+    return rs274.MOTION.format(row=row, ends=ends)
+
+
+def _write_arc(path: Path, row: int, arc: Arc, number: ProgramRow) -> str:
+    columns = [path.axes.index(name) for name in arc.axes]
+    begin, end = path.position[row - 1][columns], path.position[row][columns]
+    plane, letters = _PLANES[arc.axes]
+
+    def write(names: str, values: np.ndarray) -> str:
+        words = zip(names, values, strict=True)
+        return " ".join(f"{name}{value:.{rs274.DECIMALS}f}" for name, value in words)
+
+    return rs274.ARC.format(
+        row=number,
+        plane=plane,
+        verb="G3" if arc.turn_deg > 0.0 else "G2",
+        ends=write(arc.axes, end - begin),
+        centre=write(letters, np.array(arc.centre_mm) - begin),
+        turns=max(int(np.ceil(abs(arc.turn_deg) / 360.0 - 1e-9)), 1),
+    )
+
+
+def store_program(program: Program, folder: FilePath | None) -> None:
+    """Write a program as a file and remove those of earlier paths."""
+    if folder is None:
+        raise Refused(
+            "no program_folder is set; name a folder that this computer and LinuxCNC "
+            "share"
+        )
+    file = folder / program.name
+    part = file.with_suffix(".part")
+    try:
+        part.write_text(program.text, encoding="ascii")
+        part.replace(file)
+        for old in folder.glob(f"{_PREFIX}*.ngc"):
+            if old != file:
+                old.unlink(missing_ok=True)
+    except OSError as error:
+        raise Refused(
+            f"the program cannot be written to {folder} ({error.strerror}); name a "
+            "folder that this computer and LinuxCNC share as program_folder"
+        ) from error

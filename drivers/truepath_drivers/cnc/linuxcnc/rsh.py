@@ -1,0 +1,122 @@
+"""One connection to linuxcncrsh: a line for each request, one for each reply."""
+
+from __future__ import annotations
+
+import re
+import time
+
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    WrongDevice,
+)
+from truepath_drivers.transport.byte_port import BytePort
+
+_LINE = re.compile(rb"[\r\n]*([^\r\n]+)[\r\n]")
+_NO_ERROR = "OK"
+_MOST_ERRORS = 50
+
+
+class RshLink:
+    """Asks in the thread that calls, one request at a time; the caller locks.
+
+    A request without a reply closes the connection: the next reply would be taken for
+    this one. Only one connection at a time may command, the last that asked to.
+    """
+
+    def __init__(
+        self,
+        port: BytePort,
+        password: str,
+        enable_password: str,
+        reply_timeout_s: float,
+    ) -> None:
+        self._port, self._reply_timeout_s = port, reply_timeout_s
+        self._password, self._enable_password = password, enable_password
+        self._rest = b""
+        self.is_open = False
+        self.version = ""
+
+    @property
+    def name(self) -> str:
+        """Host and port."""
+        return self._port.name
+
+    def open(self) -> None:
+        """Connect, say who we are, and take the command."""
+        self._port.open()
+        self._rest, self.is_open = b"", True
+        try:
+            hello = self.ask(f"hello {self._password} truepath 1")
+            if not hello.startswith("HELLO ACK"):
+                raise WrongDevice(
+                    f"{self.name} answers {hello!r}, which is not linuxcncrsh's "
+                    "welcome; check port and password"
+                )
+            self.version = hello.removeprefix("HELLO ACK").strip()
+            self.ask("set echo off")  # this line still comes back
+            self.ask("set verbose on")
+            self.enable()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the connection. Idempotent."""
+        self.is_open = False
+        self._port.close()
+
+    def enable(self) -> bool:
+        """Take the command from any other connection; tell whether we have it."""
+        return self.order(f"enable {self._enable_password}")
+
+    def read(self, what: str) -> str:
+        """Return the value of `get what`."""
+        reply = self.ask(f"get {what}")
+        name, _, value = reply.partition(" ")
+        if name.lower() != what.split()[0].lower():
+            raise self._fail(f"{self.name} answers {reply!r} to 'get {what}'")
+        return value.strip()
+
+    def order(self, what: str) -> bool:
+        """Send `set what`; tell whether it was taken, which is not yet accepted."""
+        reply = self.ask(f"set {what}").upper()
+        expected = f"SET {what.split()[0].upper()} "
+        if not reply.startswith(expected):
+            raise self._fail(f"{self.name} answers {reply!r} to 'set {what}'")
+        return reply.removeprefix(expected).strip() == "ACK"
+
+    def take_errors(self) -> list[str]:
+        """Return the messages that wait, oldest first, and empty their queue."""
+        errors: list[str] = []
+        while len(errors) < _MOST_ERRORS:
+            text = self.read("error")
+            if text.upper() == _NO_ERROR:
+                break
+            errors.append(text)
+        return errors
+
+    def ask(self, line: str) -> str:
+        """Send a line, return the reply. ConnectionLost, DeviceTimeout."""
+        if not self.is_open:
+            raise ConnectionLost(f"{self.name} is not connected; connect first")
+        deadline_s = time.monotonic() + self._reply_timeout_s
+        try:
+            self._port.write(line.encode("ascii", "replace") + b"\r\n")
+            while not (found := _LINE.match(self._rest)):
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0:
+                    raise DeviceTimeout(
+                        f"{self.name} has not answered in {self._reply_timeout_s:g} s; "
+                        "LinuxCNC hangs, or something else listens there"
+                    )
+                self._rest += self._port.read(left_s)
+        except (ConnectionLost, DeviceTimeout):
+            self.close()
+            raise
+        self._rest = self._rest[found.end() :]
+        return found.group(1).decode("ascii", "replace").strip()
+
+    def _fail(self, text: str) -> ConnectionLost:
+        self.close()
+        return ConnectionLost(f"{text}; the connection is out of step, connect again")

@@ -1,0 +1,243 @@
+"""A LinuxCNC that is connected: what is asked of it, one thread at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes, parse_travel, read_ini
+from truepath_drivers.cnc.linuxcnc.readings import (
+    Reading,
+    differs_from_joints,
+    read_machine,
+)
+from truepath_drivers.cnc.linuxcnc.rsh import RshLink
+from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink, WatchdogState
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    MotionFault,
+    Refused,
+    WrongDevice,
+)
+
+log = logging.getLogger(__name__)
+
+_DONE_S = 2.0
+_LOOK_S = 0.02
+_UNITS = "MM"
+TIP_IS_FOLLOWED = (
+    "coordinates are not the positions of the axes: the tool tip is followed (RTCP); "
+    "switch that off, or name the blocks that do as prologue"
+)
+
+
+class LinuxCncSession:
+    """linuxcncrsh and the watchdog as one device. The caller locks.
+
+    A connection that was lost is opened again by the next request, until `close`.
+    """
+
+    def __init__(
+        self, rsh: RshLink, watchdog: WatchdogLink | None, ini_file: str, travel: str
+    ) -> None:
+        self._rsh, self._watchdog = rsh, watchdog
+        self._ini_file, self._travel = ini_file, travel
+        self._machine: LinuxCncAxes | None = None
+        self._was_standing = False
+
+    @property
+    def name(self) -> str:
+        """Host and port."""
+        return self._rsh.name
+
+    @property
+    def version(self) -> str:
+        """Of linuxcncrsh."""
+        return self._rsh.version
+
+    @property
+    def has_watchdog(self) -> bool:
+        """Whether a watchdog is configured; `open` has found it."""
+        return self._watchdog is not None
+
+    @property
+    def machine(self) -> LinuxCncAxes | None:
+        """Axes and travel, None before `open` and after `close`."""
+        return self._machine
+
+    def open(self) -> None:
+        """Connect and read what machine it is. Nothing is switched or moved."""
+        if self._machine is not None and self._rsh.is_open:
+            return
+        self.close()
+        self._rsh.open()
+        try:
+            units = self._rsh.read("user_linear_units").upper()
+            if units != _UNITS:
+                raise WrongDevice(
+                    f"{self.name}: LinuxCNC counts in {units}; this driver drives "
+                    "machines with LINEAR_UNITS = mm"
+                )
+            machine = self._find_machine()
+            if self._watchdog is not None:
+                self._watchdog.open()
+                if self._rsh.read("program_status").upper() == "IDLE":
+                    self._watchdog.tell("disarm")
+        except BaseException:
+            self.close()
+            raise
+        self._machine = machine
+
+    def close(self) -> None:
+        """Release both ports. Idempotent."""
+        self._machine = None
+        self._was_standing = False
+        self._rsh.close()
+        if self._watchdog is not None:
+            self._watchdog.close()
+
+    def look(self) -> Reading:
+        """Read the machine."""
+        machine = self._reopen()
+        tripped, dead = False, ""
+        if self._watchdog is not None:
+            tripped = self._watchdog.tell("state") is WatchdogState.TRIPPED
+            dead = self._watchdog.list_dead() if tripped else ""
+        reading = read_machine(
+            self._rsh, machine, is_tripped=tripped, was_standing=self._was_standing
+        )
+        self._was_standing = reading.stands
+        return replace(reading, dead=dead)
+
+    def is_running(self) -> bool:
+        """Tell whether the interpreter runs anything."""
+        self._reopen()
+        return self._rsh.read("program_status").upper() == "RUNNING"
+
+    def take_errors(self) -> list[str]:
+        """Return what LinuxCNC has to say, and empty its queue."""
+        self._reopen()
+        return self._rsh.take_errors()
+
+    def demand(self, what: str) -> None:
+        """Set something. Raises Refused if LinuxCNC does not take it."""
+        self._reopen()
+        if self._rsh.order(what):
+            return
+        if self._rsh.read("enable").upper() != "ON":
+            raise Refused(
+                f"{self.name} does not take '{what}': another client of linuxcncrsh "
+                "has the command; end it, then connect again"
+            )
+        errors = "; ".join(self._rsh.take_errors()) or "not in this state"
+        raise Refused(f"{self.name} does not take '{what}': {errors}")
+
+    def insist(self, what: str) -> None:
+        """Set something that must be done, taking the command from any other client."""
+        self._reopen()
+        if not self._rsh.order(what):
+            self._rsh.enable()
+            if not self._rsh.order(what):
+                log.warning("%s does not take '%s'", self.name, what)
+
+    def enter_mode(self, mode: str) -> None:
+        """Be in a mode. Raises Refused, also where another client has the command."""
+        if not self.reads("mode", mode) or not self.reads("enable", "on"):
+            self.demand_and_see(f"mode {mode}", lambda: self.reads("mode", mode))
+
+    def demand_and_see(self, what: str, is_done: Callable[[], bool]) -> None:
+        """Set something and wait until it is so. Raises Refused, MotionFault."""
+        self.demand(what)
+        deadline_s = time.monotonic() + _DONE_S
+        while not is_done():
+            if time.monotonic() > deadline_s:
+                errors = "; ".join(self._rsh.take_errors()) or "it gives no reason"
+                raise Refused(f"{self.name} has not done '{what}': {errors}")
+            time.sleep(_LOOK_S)
+
+    def reads(self, what: str, value: str) -> bool:
+        """Tell whether LinuxCNC says this value now."""
+        return self._rsh.read(what).upper() == value.upper()
+
+    def drive_by_blocks(self, blocks: tuple[str, ...]) -> None:
+        """Have blocks done one after another that move nothing."""
+        for block in blocks:
+            self.demand_and_see(f"mdi {block}", lambda: not self.is_running())
+
+    def require_joint_coordinates(self) -> None:
+        """Raise Refused where positions of axes are not those of joints."""
+        if differs_from_joints(self._rsh, self._reopen()):
+            raise Refused(f"{self.name}: {TIP_IS_FOLLOWED}")
+
+    def open_program(self, file: FilePath) -> None:
+        """Have a program opened. Raises Refused if another one is open then."""
+        errors = self._try_to_open(file)
+        if errors:
+            # The interpreter may still have the one before open, which an abort closes.
+            self.demand("abort")
+            self._rsh.take_errors()
+            errors = self._try_to_open(file)
+        if errors:
+            raise Refused(
+                f"{self.name} does not open {file}: {'; '.join(errors)}; check "
+                "program_folder and remote_folder"
+            )
+
+    def _try_to_open(self, file: FilePath) -> list[str]:
+        self.demand(f"open {file}")
+        errors = self._rsh.take_errors()
+        is_open = self.holds_program(file)
+        return errors or ([] if is_open else ["another program is open"])
+
+    def holds_program(self, file: FilePath) -> bool:
+        """Tell whether this program is the open one."""
+        return self._rsh.read("program") == str(file)
+
+    def beat(self) -> None:
+        """Feed the watchdog."""
+        self._reopen()
+        if self._watchdog is not None:
+            self._watchdog.tell("beat")
+
+    def arm(self) -> None:
+        """Expect a motion to begin or to go on, and have the watchdog watch it."""
+        self._was_standing = False
+        if self._watchdog is not None:
+            state = self._watchdog.tell("arm")
+            if state is not WatchdogState.ARMED:
+                raise MotionFault(
+                    f"{self.name}: the watchdog is {state} after it was armed; "
+                    "check truepath.hal"
+                )
+
+    def disarm(self) -> None:
+        """Let the watchdog rest: nothing of ours moves. Never raises."""
+        if self._watchdog is not None:
+            with contextlib.suppress(DeviceError):
+                self._watchdog.tell("disarm")
+
+    def _reopen(self) -> LinuxCncAxes:
+        if self._machine is None:
+            raise ConnectionLost(f"{self.name} is not connected; connect first")
+        if not self._rsh.is_open:
+            log.warning("%s: connecting again", self.name)
+            self._rsh.open()
+        return self._machine
+
+    def _find_machine(self) -> LinuxCncAxes:
+        if self._travel:
+            return parse_travel(self._travel)
+        if self._ini_file:
+            return read_ini(FilePath(self._ini_file))
+        told = FilePath(self._rsh.read("inifile"))
+        if not told.is_absolute():
+            raise Refused(
+                f"{self.name} does not tell the folder of its INI file ({told}); name "
+                "a copy as ini_file, or give travel = 'X 0 500, Y 0 400, Z -300 0'"
+            )
+        return read_ini(told)

@@ -1,0 +1,373 @@
+"""Commands that run once, over a link that may lose requests and replies."""
+
+from __future__ import annotations
+
+import logging
+import random
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+from truepath_drivers.cnc.modbus import registers as r
+from truepath_drivers.cnc.modbus.controller_map import (
+    Controller,
+    ControllerStatus,
+    parse_controller,
+    parse_status,
+)
+from truepath_drivers.cnc.modbus.register_values import decode_text, encode
+from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceBusy,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
+from truepath_drivers.transport.modbus_link import TIMEOUT_S, ModbusLink
+
+FIRST_S, LONGEST_S = 0.1, 1.0
+_LEAST_SHARE = 0.5  # of the pause, drawn at random up to the whole
+
+
+class BackOff:
+    """Pauses of `FIRST_S`, then each some twice as long, up to `LONGEST_S`.
+
+    draw : a number of 0 to 1
+    """
+
+    def __init__(self, draw: Callable[[], float] = random.random) -> None:
+        self._draw = draw
+        self._pause_s = self._due_s = 0.0
+
+    def is_due(self, now_s: float) -> bool:
+        """Tell whether the next attempt may be made."""
+        return now_s >= self._due_s
+
+    def wait(self, now_s: float) -> None:
+        """Let a pause begin: an attempt is made now."""
+        self._pause_s = min(2.0 * self._pause_s + FIRST_S, LONGEST_S)
+        share = _LEAST_SHARE + (1.0 - _LEAST_SHARE) * self._draw()
+        self._due_s = now_s + share * self._pause_s
+
+    def reset(self) -> None:
+        """Begin anew: the link is back."""
+        self._pause_s = self._due_s = 0.0
+
+
+log = logging.getLogger(__name__)
+
+_ACK_POLL_S = 0.002
+_BUSY_POLL_S = 0.02
+_BUSY_S = 0.2  # that a look or a beat waits: by 0.5 s without a look the feed is held
+_SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
+_URGENT_S = 0.45  # by then a hold that does not reach the controller says so
+_REASONS: dict[int, str] = {
+    r.Result.WRONG_STATE: "not in this state",
+    r.Result.NO_PATH: "no path is loaded",
+    r.Result.CRC_MISMATCH: "the path arrived damaged or is another; load it again",
+    r.Result.BAD_ARGUMENT: "an argument is out of range",
+    r.Result.UNKNOWN_COMMAND: "the device does not know this command",
+    r.Result.NOT_READY: "the machine is not ready; drives on, door closed, homed?",
+}
+
+T = TypeVar("T")
+
+
+class CommandChannel:
+    """The registers of one controller as reads, beats and commands. For any thread.
+
+    Every exchange has the link for itself, from a command's number to its
+    acknowledgement; what is urgent goes before all that waits.
+    """
+
+    def __init__(
+        self,
+        link: ModbusLink,
+        serial_number: str,
+        timeout_s: float,
+        watchdog_s: float = r.DEFAULT_WATCHDOG_S,
+    ) -> None:
+        self._link = link
+        self._serial_number = serial_number
+        self._timeout_s = timeout_s
+        self._watchdog_ms = round(1000 * watchdog_s)
+        self._lock = PriorityLock()
+        self._controller: Controller | None = None
+        self._sequence = 0
+        self._beats = 0
+        self._is_urgent = False  # what goes on now
+        self._answers = True  # as far as the last read has shown
+        self._back_off = BackOff()
+
+    @property
+    def name(self) -> str:
+        """Address and unit, for messages."""
+        return self._link.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the connection stands, as far as is known."""
+        return self._link.is_open
+
+    @property
+    def controller(self) -> Controller | None:
+        """Who answered at `open`; None before it and after `close`."""
+        return self._controller
+
+    def open(self) -> Controller:
+        """Connect where there is no connection, and ask who is there."""
+        with self._lock.hold():
+            if self._controller is None or not self._link.is_open:
+                self._controller = None
+                self._controller = self._open_link()
+                log.info(
+                    "%s: %s answers; this driver has met simulated CNCs only so far",
+                    self.name,
+                    self._controller.identity,
+                )
+            return self._controller
+
+    def close(self) -> None:
+        """Release the port. Idempotent."""
+        with self._lock.hold(urgent=True):
+            self._controller = None
+            self._link.close()
+
+    def status(self) -> ControllerStatus:
+        """Read the status, with the text of an alarm."""
+        with self._lock.hold():
+            status = self._read_status(_BUSY_S)
+            if status.motion.state is not MotionState.ALARM:
+                return status
+            alarm = self._alarm(status.motion)
+            return replace(status, motion=replace(status.motion, alarm=alarm))
+
+    def send_heartbeat(self) -> None:
+        """Write a new number for the watchdog."""
+        with self._lock.hold():
+            self._beats = (self._beats + 1) & 0xFFFF
+            words = encode("heartbeat", self._beats)
+            address = r.BY_NAME["heartbeat"].address
+            self._patiently(lambda: self._link.write(address, words), _BUSY_S)
+
+    def limit_override(self, largest: float) -> bool:
+        """Have the override lowered where it is above; tell whether it is not now."""
+        deadline_s = time.monotonic() + self._timeout_s
+        with self._lock.hold():
+            if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
+                return False
+            while (self._read_status().motion.override or 0.0) > largest + _SAME:
+                if time.monotonic() >= deadline_s:
+                    return False
+                time.sleep(_ACK_POLL_S)
+            return True
+
+    def command(
+        self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
+    ) -> ControllerStatus:
+        """Have a verb done once; return the status that acknowledges it."""
+        limit_s = _URGENT_S if urgent else self._timeout_s
+        deadline_s = time.monotonic() + limit_s
+        with self._lock.hold(urgent=urgent):
+            self._is_urgent = urgent
+            try:
+                request = [self._number(deadline_s), verb, *arguments]
+                status = self._deliver(request, deadline_s)
+                self._judge(verb, status)
+            finally:
+                self._is_urgent = False
+            return status
+
+    def _open_link(self) -> Controller:
+        self._link.open()
+        try:
+            return self._identify()
+        except DeviceError:
+            self._link.close()
+            raise
+
+    def _reopen(self) -> None:
+        """Open a broken link anew; the controller of before has to answer.
+
+        Raises ConnectionLost, at once where the last attempt was a moment ago.
+        """
+        if self._controller is None or self._link.is_open:
+            return
+        now_s = time.monotonic()
+        if not self._back_off.is_due(now_s):
+            raise ConnectionLost(
+                f"{self.name} is gone; check cable and power. It is tried again"
+            )
+        self._back_off.wait(now_s)
+        found = self._open_link()
+        if found != self._controller:
+            self._link.close()
+            raise WrongDevice(
+                f"{self.name}: {found.identity} answers after the link was gone, "
+                f"{self._controller.identity} did before; check it, then connect again"
+            )
+        self._back_off.reset()
+        log.warning("%s: the link is back, the same controller answers", self.name)
+
+    def _identify(self) -> Controller:
+        try:
+            controller = parse_controller(self._read(r.IDENTITY))
+        except (Refused, WrongDevice) as error:
+            raise WrongDevice(f"{self.name}: {error}") from error
+        answers = controller.identity.serial_number
+        if self._serial_number not in ("", answers):
+            raise WrongDevice(
+                f"{self.name}: controller {answers} answers, "
+                f"{self._serial_number} is configured; check the address"
+            )
+        has_watchdog = self._keeps("watchdog", self._watchdog_ms)
+        identity = replace(controller.identity, has_watchdog=has_watchdog)
+        controller = replace(controller, identity=identity)
+        # Over a new connection too, a number that was sent in vain is not used again.
+        self._sequence = self._sequence or self._read_status().acknowledged
+        return controller
+
+    def _keeps(self, register: str, value: int) -> bool:
+        """Write a register; tell whether the device has it and keeps the value."""
+        asked = encode(register, value)
+        address = r.BY_NAME[register].address
+        try:
+            self._patiently(lambda: self._link.write(address, asked))
+            return self._read(r.Block(address, len(asked))) == asked
+        except Refused as error:
+            log.warning("%s has no %s: %s", self.name, register, error)
+            return False
+
+    def _number(self, deadline_s: float) -> int:
+        """Return a number that the device has not just taken, and that is new for us.
+
+        Another master may have used the number that would be ours: the device would
+        take our command for a repeat and not run it. What is urgent is sent blindly
+        rather than late or not at all.
+        """
+        acknowledged = 0
+        if not self._is_urgent:
+            acknowledged = self._insist(self._read_status, deadline_s).acknowledged
+        elif self._answers and time.monotonic() + 2 * TIMEOUT_S < deadline_s:
+            with suppress(ConnectionLost, DeviceTimeout):
+                acknowledged = self._read_status().acknowledged
+        self._sequence = _following(self._sequence)
+        if self._sequence == acknowledged:
+            self._sequence = _following(acknowledged)
+        return self._sequence
+
+    def _deliver(self, request: list[int], deadline_s: float) -> ControllerStatus:
+        """Write a command and read until its number is acknowledged.
+
+        After a write without reply the state is read first; then the same number is
+        sent again, which runs nothing a second time. So it is after a broken link.
+        """
+        delivered = self._try_write(request, deadline_s)
+        while True:
+            status = self._insist(self._read_status, deadline_s)
+            if status.acknowledged == request[0]:
+                return status
+            if time.monotonic() >= deadline_s:
+                raise MotionFault(
+                    f"{self.name}: {r.Command(request[1]).name} was not taken in "
+                    f"{self._timeout_s:g} s; the device's program stands, or "
+                    "another master commands it"
+                )
+            if not delivered:
+                delivered = self._try_write(request, deadline_s)
+            time.sleep(_ACK_POLL_S)
+
+    def _try_write(self, request: list[int], deadline_s: float) -> bool:
+        """Write a command; False if its outcome is unknown and there is time to see."""
+        try:
+            self._reopen()
+            self._link.write(r.COMMAND.address, request)
+        except (ConnectionLost, DeviceTimeout) as error:
+            if time.monotonic() + TIMEOUT_S > deadline_s:
+                raise
+            log.warning("reading back the state: %s", error)
+            return False
+        return True
+
+    def _insist(self, request: Callable[[], T], deadline_s: float) -> T:
+        """Repeat a harmless request while there is time; reopen a broken link."""
+        while True:
+            try:
+                return request()
+            except (ConnectionLost, DeviceTimeout):
+                if time.monotonic() + TIMEOUT_S > deadline_s:
+                    raise
+                time.sleep(_BUSY_POLL_S)
+
+    def _judge(self, verb: r.Command, status: ControllerStatus) -> None:
+        place = f"{self.name} refuses {verb.name}"
+        match status.result:
+            case r.Result.DONE:
+                return
+            case r.Result.OUT_OF_TRAVEL:
+                raise OutOfTravel(f"{place}: beyond the travel of an axis")
+            case r.Result.IN_ALARM:
+                raise MotionFault(f"{place}: {self._alarm(status.motion)}")
+            case r.Result.NOT_READY if verb is not r.Command.RESET and (
+                why := UNABLE.get(status.motion.state)
+            ):
+                raise MotionFault(f"{place}: {why}")
+            case code:
+                reason = _REASONS.get(code, f"result {code}")
+                raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
+
+    def _read_status(self, patience_s: float | None = None) -> ControllerStatus:
+        controller = self._controller
+        block = controller.status_block if controller else r.STATUS
+        features = controller.features if controller else 0
+        status = parse_status(self._read(block, patience_s), features=features)
+        axes = len(controller.axes) if controller else r.MAX_AXES
+        position = status.motion.position[:axes]
+        return replace(status, motion=replace(status.motion, position=position))
+
+    def _alarm(self, motion: MotionStatus) -> str:
+        words = self._read(r.ALARM_TEXT)
+        return decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
+
+    def _read(self, block: r.Block, patience_s: float | None = None) -> list[int]:
+        self._answers = False
+        words = self._patiently(
+            lambda: self._link.read(block.address, block.count), patience_s
+        )
+        self._answers = True
+        return words
+
+    def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
+        """Repeat a harmless request: once, longer while the device says it is busy.
+
+        Nothing is repeated where somebody waits to hold the feed, or a gateway says
+        that it does not reach the device.
+        """
+        patience_s = self._timeout_s if limit_s is None else limit_s
+        deadline_s = time.monotonic() + patience_s
+        has_failed = False
+        while True:
+            try:
+                self._reopen()
+                return request()
+            except DeviceBusy:
+                if time.monotonic() >= deadline_s:
+                    raise
+                time.sleep(_BUSY_POLL_S)
+            except (ConnectionLost, DeviceTimeout) as error:
+                is_behind = isinstance(error, ConnectionLost) and self._link.is_open
+                is_late = self._is_urgent or self._lock.is_wanted
+                if has_failed or is_behind or is_late:
+                    raise
+                has_failed = True
+
+
+def _following(number: int) -> int:
+    return number % 0xFFFF + 1

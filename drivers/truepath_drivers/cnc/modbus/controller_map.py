@@ -1,0 +1,179 @@
+"""What the identity and the status block of the register map say, as records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from truepath_drivers.cnc.modbus import registers as r
+from truepath_drivers.cnc.modbus.register_values import decode, decode_text
+from truepath_drivers.interfaces.errors import WrongDevice
+from truepath_drivers.interfaces.records import (
+    UNABLE,
+    Identity,
+    MotionState,
+    MotionStatus,
+)
+
+_HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
+_HOLD_REASONS[r.HoldReason.NONE] = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """Who answers, and what it can do: read once, at `connect`.
+
+    features : bits of the register of that name
+    """
+
+    identity: Identity
+    axes: tuple[str, ...]
+    travel: tuple[tuple[float, float], ...]
+    max_feed_mm_min: float
+    max_waypoints: int
+    features: int = 0
+
+    @property
+    def status_block(self) -> r.Block:
+        """What is polled: the status, and the readiness where it is told."""
+        if self.features & (r.TELLS_REFERENCED | r.TELLS_COMPENSATION):
+            return r.Block(r.STATUS.address, r.STATUS.count + r.READINESS.count)
+        return r.STATUS
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """One reading of the status block; an alarm is a code here, not yet a text."""
+
+    motion: MotionStatus
+    acknowledged: int
+    result: int
+    path_rows: int
+    path_crc: int
+
+
+def parse_controller(words: Sequence[int]) -> Controller:
+    """Return what the identity block says. Raises WrongDevice if it is none."""
+    problem = explain_magic(words)
+    if problem:
+        raise WrongDevice(problem)
+
+    def numbers(name: str) -> tuple[int, ...]:
+        return decode(name, words, r.IDENTITY)
+
+    def text(name: str) -> str:
+        return decode_text(name, words, r.IDENTITY)
+
+    count = numbers("axis_count")[0]
+    if not 1 <= count <= r.MAX_AXES:
+        raise WrongDevice(f"the device says it has {count} axes; 1 to 6 are possible")
+    limits = zip(numbers("travel_min"), numbers("travel_max"), strict=True)
+    travel = tuple(
+        (low / r.POSITION_COUNTS, high / r.POSITION_COUNTS) for low, high in limits
+    )
+    drives_arcs = bool(numbers("features")[0] & r.DRIVES_ARCS)
+    return Controller(
+        Identity(
+            text("maker"),
+            text("model"),
+            text("serial_number"),
+            text("firmware"),
+            drives_arcs=drives_arcs,
+        ),
+        tuple(chr(code) for code in numbers("axis_names")[:count]),
+        travel[:count],
+        numbers("max_feed")[0] / r.FEED_COUNTS,
+        numbers("max_waypoints")[0],
+        numbers("features")[0],
+    )
+
+
+def explain_magic(words: Sequence[int]) -> str:
+    """Return what is wrong with magic, word or byte order, version; "" if nothing."""
+    (magic,) = decode("magic", words, r.IDENTITY)
+    (order,) = decode("order_test", words, r.IDENTITY)
+    (version,) = decode("map_version", words, r.IDENTITY)
+    high_first, low_first = _halves(r.ORDER_TEST)
+    swapped = {
+        _join_words(low_first, high_first): "low word first; set it to high word first",
+        _join_words(_bytes_swapped(high_first), _bytes_swapped(low_first)): (
+            "low byte first; set it to high byte first"
+        ),
+        _join_words(_bytes_swapped(low_first), _bytes_swapped(high_first)): (
+            "words and bytes swapped; set it to big-endian"
+        ),
+    }
+    if order in swapped:
+        return f"the device or a gateway sends 32-bit values with {swapped[order]}"
+    if (magic, order) != (r.MAGIC, r.ORDER_TEST):
+        return (
+            f"registers 0–3 hold {magic:08x} {order:08x}, not {r.MAGIC:08x} "
+            f"{r.ORDER_TEST:08x}: this is not the register map; check address and unit"
+        )
+    if version != r.MAP_VERSION:
+        return (
+            f"the device has register map {version}, this driver knows "
+            f"{r.MAP_VERSION}; update the older one"
+        )
+    return ""
+
+
+def parse_status(words: Sequence[int], *, features: int = 0) -> ControllerStatus:
+    """Return what the status block says, with positions of all six axes."""
+
+    def number(name: str) -> int:
+        return decode(name, words, r.STATUS)[0]
+
+    state, reason, alarm = number("state"), number("hold_reason"), number("alarm_code")
+    if state >= len(r.STATES):
+        raise WrongDevice(f"the device reports state {state}, which the map lacks")
+    positions = decode("position", words, r.STATUS)
+    override = number("override") / r.OVERRIDE_COUNTS
+    motion = MotionStatus(
+        r.STATES[state],
+        tuple(count / r.POSITION_COUNTS for count in positions),
+        number("line"),
+        _explain(r.STATES[state], alarm),
+        _HOLD_REASONS.get(reason, f"reason {reason}"),
+        override if override > 0.0 or features & r.TELLS_OVERRIDE else None,
+        *_read_readiness(words, features),
+    )
+    return ControllerStatus(
+        motion,
+        number("command_ack"),
+        number("command_result"),
+        number("path_rows"),
+        number("path_crc"),
+    )
+
+
+def _read_readiness(
+    words: Sequence[int], features: int
+) -> tuple[bool | None, bool | None]:
+    """Return whether it is referenced and compensates, None for what is not told."""
+    if len(words) <= r.STATUS.count:
+        return None, None
+    (bits,) = decode("readiness", words, r.STATUS)
+    referenced, compensates = bits & r.IS_REFERENCED, bits & r.IS_COMPENSATING
+    return (
+        bool(referenced) if features & r.TELLS_REFERENCED else None,
+        bool(compensates) if features & r.TELLS_COMPENSATION else None,
+    )
+
+
+def _explain(state: MotionState, alarm: int) -> str:
+    if state is MotionState.ALARM:
+        return f"alarm {alarm}"
+    return str(UNABLE[state]) if state in UNABLE else ""
+
+
+def _halves(value: int) -> tuple[int, int]:
+    return value >> 16, value & 0xFFFF
+
+
+def _join_words(high: int, low: int) -> int:
+    return high << 16 | low
+
+
+def _bytes_swapped(word: int) -> int:
+    return (word & 0xFF) << 8 | word >> 8

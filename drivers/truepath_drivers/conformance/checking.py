@@ -1,0 +1,103 @@
+"""What checks are made of: requirements, patience, what a process holds."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+from truepath_drivers.interfaces.errors import DeviceError
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What the checks ask for, and how long they wait.
+
+    rate_hz : of streams
+    patience_s : beyond a timeout that was asked for, the scheduler of a busy computer
+    motion_s : longest motion of a few mm
+    watchdog_s : by then a watchdog that gets no beat holds the feed
+    """
+
+    rate_hz: float = 500.0
+    patience_s: float = 1.0
+    motion_s: float = 30.0
+    watchdog_s: float = 5.0
+
+
+_USUAL = Terms()
+TERMS: ContextVar[Terms] = ContextVar("TERMS", default=_USUAL)
+
+
+@contextmanager
+def on_terms(**terms: float) -> Iterator[None]:
+    """Run checks on other terms: `with on_terms(rate_hz=100.0): check(make)`."""
+    token = TERMS.set(Terms(**terms))
+    try:
+        yield
+    finally:
+        TERMS.reset(token)
+
+
+class NotConforming(AssertionError):
+    """A driver does not keep what `truepath_drivers.interfaces` promises."""
+
+
+def require(kept: bool, otherwise: str) -> None:
+    """Raise NotConforming if something was not kept."""
+    if not kept:
+        raise NotConforming(otherwise)
+
+
+def expect(family: type[DeviceError], verb: Callable[[], object]) -> None:
+    """Require that a verb ends in an error of a family."""
+    try:
+        verb()
+    except family:
+        return
+    except DeviceError as error:
+        raise NotConforming(f"{error!r} came in place of {family.__name__}") from error
+    raise NotConforming(f"{family.__name__} did not come")
+
+
+@contextmanager
+def soon(doing: str, limit_s: float) -> Iterator[None]:
+    """Require that what is done takes no longer than asked, with patience."""
+    begin_s = time.monotonic()
+    yield
+    took_s = time.monotonic() - begin_s
+    require(took_s <= limit_s + TERMS.get().patience_s, f"{doing} took {took_s:.2f} s")
+
+
+@contextmanager
+def running(verb: Callable[[], None]) -> Iterator[None]:
+    """Run a verb in another thread meanwhile."""
+    thread = threading.Thread(target=verb)
+    thread.start()
+    yield
+    thread.join()
+
+
+def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
+    """Wait for a condition, with patience."""
+    deadline_s = time.monotonic() + TERMS.get().patience_s
+    while not condition():
+        require(time.monotonic() < deadline_s, otherwise)
+        time.sleep(0.01)
+
+
+def holdings() -> set[str]:
+    """Return the threads and open files of this process, by name and number."""
+    holdings = {f"thread {thread.ident}" for thread in threading.enumerate()}
+    if os.path.isdir("/proc/self/fd"):
+        holdings |= {f"file {number}" for number in _open_files()}
+    return holdings
+
+
+def _open_files() -> list[str]:
+    """Return the numbers of open files, without that of the listing itself."""
+    return [n for n in os.listdir("/proc/self/fd") if os.path.exists(f"/dev/fd/{n}")]

@@ -1,0 +1,283 @@
+"""What every motion controller keeps: travel, moves, paths, hold and abort."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
+from truepath_drivers.conformance.device import DEVICE_CHECKS
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    OutOfTravel,
+    Refused,
+)
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import MotionState, Path
+
+REACH = 2.0
+FEED_MM_MIN = 600.0
+STAND = 1e-3  # how far an axis that stands may move, mm or deg
+
+MakeController = Callable[[], MotionController]
+
+
+def axes_and_travel_are_known(make: MakeController) -> None:
+    """After `connect` each axis has a name of its own and a travel with an extent."""
+    with make() as controller:
+        axes, travel = controller.axes, controller.travel
+        position = controller.axis_positions()
+    require(bool(axes), "the controller has no axes")
+    require(len(set(axes)) == len(axes), f"names of axes are not unique: {axes}")
+    require(len(travel) == len(axes), "travels and axes differ in number")
+    require(len(position) == len(axes), "positions and axes differ in number")
+    require(all(low < high for low, high in travel), f"a travel is empty: {travel}")
+
+
+def out_of_travel_is_refused(make: MakeController) -> None:
+    """`move_to` and `load` beyond the travel, or to no number, are OutOfTravel."""
+    with make() as controller:
+        before = controller.status()
+        for position in _outside(controller):
+            path = _path(controller, [list(before.position), position])
+            expect(OutOfTravel, lambda p=position: controller.move_to(p, FEED_MM_MIN))
+            expect(OutOfTravel, lambda p=path: controller.load(p))
+        after = controller.status()
+    same = (before.state, before.position) == (after.state, after.position)
+    require(same, f"a refused position changed {before} into {after}")
+
+
+def a_path_of_other_axes_is_refused(make: MakeController) -> None:
+    """`load` of a path whose axes are not the machine's is Refused."""
+    with make() as controller:
+        here = list(controller.axis_positions())
+        strange = tuple(f"{axis}9" for axis in controller.axes)
+        path = Path(strange, np.array([here]), np.array([FEED_MM_MIN]), np.zeros(1))
+        expect(Refused, lambda: controller.load(path))
+
+
+def hold_and_abort_are_idempotent_in_any_state(make: MakeController) -> None:
+    """`hold` and `abort` before `connect`, twice, standing, after `close`."""
+    controller = make()
+    for verb in (controller.hold, controller.abort):
+        verb()
+        with controller:
+            verb()
+            verb()
+        verb()
+
+
+def a_move_ends_where_it_was_sent(make: MakeController) -> None:
+    """`move_to` and `wait` end at the position, to 1 µm."""
+    with make() as controller:
+        there = _near(controller)
+        controller.move_to(there, FEED_MM_MIN)
+        status = controller.wait(TERMS.get().motion_s)
+    require(status.state is MotionState.FINISHED, f"the move ended in {status}")
+    off = np.abs(np.subtract(status.position, there)).max()
+    require(bool(off <= 1e-3), f"the move ended at {status.position}, not {there}")
+
+
+def a_path_runs_to_its_last_row(make: MakeController) -> None:
+    """`load`, `start`, `wait` end FINISHED in the last row."""
+    with make() as controller:
+        here = list(controller.axis_positions())
+        path = _path(controller, [here, _near(controller), here])
+        controller.load(path)
+        state = controller.status().state
+        require(state is MotionState.READY, f"a loaded path is {state}, not ready")
+        controller.start()
+        status = controller.wait(TERMS.get().motion_s)
+    require(status.state is MotionState.FINISHED, f"the path ended in {status}")
+    off = np.abs(np.subtract(status.position, here)).max()
+    require(bool(off <= 1e-3), f"the path ended at {status.position}, not {here}")
+
+
+def hold_and_resume_are_absolute(make: MakeController) -> None:
+    """`hold` twice holds, `resume` twice goes on: neither is a toggle."""
+    with make() as controller:
+        controller.move_to(_near(controller), _slow())
+        controller.hold()
+        controller.hold()
+        status = controller.wait(TERMS.get().motion_s)
+        require(status.state is MotionState.HELD, f"hold ended in {status}")
+        require(bool(status.hold_reason), "a hold has no reason")
+        controller.resume()
+        controller.resume()
+        status = controller.wait(TERMS.get().motion_s)
+    require(status.state is MotionState.FINISHED, f"resume ended in {status}")
+
+
+def hold_means_standstill(make: MakeController) -> None:
+    """Once a status says HELD, the axes stand: none is still braking."""
+    with make() as controller:
+        controller.move_to(_near(controller), FEED_MM_MIN / 2)
+        controller.hold()
+        held = controller.wait(TERMS.get().motion_s)
+        time.sleep(0.3)
+        later = controller.status()
+        controller.abort()
+    moved = np.abs(np.subtract(later.position, held.position)).max()
+    require(bool(moved <= STAND), f"HELD, it went on by {moved:.4f}")
+
+
+def the_line_is_the_row_moved_towards(make: MakeController) -> None:
+    """`line` tells on which row the axes are under way; at the end it is the last."""
+    with make() as controller:
+        here = np.array(controller.axis_positions())
+        step = np.array(_near(controller)) - here
+        rows = [list(here + share * step) for share in (0.0, 0.5, 1.0)]
+        controller.load(_path(controller, rows, _slow()))
+        controller.start()
+        status = controller.status()
+        while status.state is MotionState.RUNNING:
+            share = float((np.array(status.position) - here) @ step / (step @ step))
+            off = abs(share - 0.5 * status.line + 0.25)
+            told = f"at {share:.2f} of the path it says line {status.line} of 2"
+            require(status.line == 0 or off <= 0.3, told)
+            controller.send_heartbeat()
+            time.sleep(0.05)
+            status = controller.status()
+    last = f"the path of 3 rows ended in {status}, not on line 2"
+    require(status.line == 2, last)
+
+
+def resume_of_nothing_does_nothing(make: MakeController) -> None:
+    """`resume` where nothing is held moves nothing, and starts no path either."""
+    with make() as controller:
+        before = controller.status()
+        controller.resume()
+        after = controller.status()
+        here = list(controller.axis_positions())
+        controller.load(_path(controller, [here, _near(controller)], _slow()))
+        controller.resume()
+        loaded = controller.status()
+        controller.abort()
+    require(before.position == after.position, "resume moved a machine that stood")
+    ready = f"resume left a loaded path {loaded.state}, not ready"
+    require(loaded.state is MotionState.READY, ready)
+
+
+def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
+    """`abort` during `wait` ends both; the path is forgotten."""
+    with make() as controller:
+        here = list(controller.axis_positions())
+        path = _path(controller, [here, _near(controller)], _slow())
+        controller.load(path)
+        controller.start()
+        with running(controller.abort):
+            status = controller.wait(TERMS.get().motion_s)
+        require(status.state is MotionState.ABORTED, f"abort ended in {status}")
+        expect(Refused, controller.start)
+
+
+def wait_ends_in_time(make: MakeController) -> None:
+    """`wait` for a motion that goes on is DeviceTimeout, within its time."""
+    with make() as controller:
+        controller.move_to(_near(controller), _slow())
+        with soon("wait(0.1)", 0.1):
+            expect(DeviceTimeout, lambda: controller.wait(0.1))
+        controller.abort()
+        controller.wait(TERMS.get().motion_s)
+
+
+def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
+    """A claimed watchdog holds within `watchdog_s` of the last beat, with a reason."""
+    with make() as controller:
+        if not controller.connect().has_watchdog:
+            return
+        controller.move_to(_near(controller), _endless())
+        status = controller.status()
+        begin_s = time.monotonic()
+        while status.state is MotionState.RUNNING:
+            waited_s = time.monotonic() - begin_s
+            require(
+                waited_s < TERMS.get().watchdog_s,
+                f"no beat for {waited_s:.1f} s, no hold",
+            )
+            time.sleep(0.05)
+            status = controller.status()
+        controller.abort()
+    require(status.state is MotionState.HELD, f"without a beat it ended in {status}")
+    require(bool(status.hold_reason), "a hold by the watchdog has no reason")
+
+
+def close_stops_the_motion(make: MakeController) -> None:
+    """`close` during a motion leaves a machine that comes to a stand."""
+    controller = make()
+    controller.connect()
+    controller.move_to(_near(controller), _slow())
+    controller.close()
+    with controller:
+        status = controller.wait(TERMS.get().motion_s)
+    ended = status.state in (MotionState.ABORTED, MotionState.HELD)
+    require(ended, f"close in motion ended in {status}")
+
+
+def a_closed_controller_moves_nothing(make: MakeController) -> None:
+    """Motion is ConnectionLost before `connect` and after `close`."""
+    controller = make()
+    for _ in range(2):
+        expect(ConnectionLost, controller.start)
+        expect(ConnectionLost, controller.status)
+        expect(ConnectionLost, lambda: controller.move_to([0.0], FEED_MM_MIN))
+        controller.connect()
+        controller.close()
+
+
+MOTION_CHECKS: tuple[Callable[[MakeController], None], ...] = (
+    *DEVICE_CHECKS,
+    axes_and_travel_are_known,
+    out_of_travel_is_refused,
+    a_path_of_other_axes_is_refused,
+    hold_and_abort_are_idempotent_in_any_state,
+    a_move_ends_where_it_was_sent,
+    a_path_runs_to_its_last_row,
+    hold_and_resume_are_absolute,
+    hold_means_standstill,
+    the_line_is_the_row_moved_towards,
+    resume_of_nothing_does_nothing,
+    abort_from_another_thread_ends_the_motion,
+    wait_ends_in_time,
+    a_claimed_watchdog_holds_the_feed,
+    close_stops_the_motion,
+    a_closed_controller_moves_nothing,
+)
+
+
+def _near(controller: MotionController) -> list[float]:
+    """Return a position `REACH` away, towards the middle of each travel."""
+    near: list[float] = []
+    here = controller.axis_positions()
+    for at, (low, high) in zip(here, controller.travel, strict=True):
+        step = min(REACH, (high - low) / 4)
+        near.append(at + step if at < (low + high) / 2 else at - step)
+    return near
+
+
+def _slow() -> float:
+    """Return a feed at which the way to `_near` takes some seconds."""
+    return 10 * REACH
+
+
+def _endless() -> float:
+    """Return a feed at which the way to `_near` takes a minute."""
+    return REACH
+
+
+def _outside(controller: MotionController) -> Iterator[list[float]]:
+    for axis, (low, high) in enumerate(controller.travel):
+        for beyond in (low - 0.01, high + 0.01, float("nan")):
+            position = [(a + b) / 2 for a, b in controller.travel]
+            position[axis] = beyond
+            yield position
+
+
+def _path(
+    controller: MotionController, rows: list[list[float]], feed: float = FEED_MM_MIN
+) -> Path:
+    n = len(rows)
+    return Path(controller.axes, np.array(rows), np.full(n, feed), np.zeros(n))

@@ -1,0 +1,208 @@
+"""What every tracker keeps: streams, silence, numbers, rates."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
+from truepath_drivers.conformance.device import DEVICE_CHECKS
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    Refused,
+)
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces.tracker import Tracker
+
+NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
+_HIDDEN = 0.005  # share of the steps; a link that loses so few tells nothing
+LEAST = 50  # samples over which rate and times are looked at, for a second
+
+MakeTracker = Callable[[], Tracker]
+
+
+def stop_is_idempotent_in_any_state(make: MakeTracker) -> None:
+    """`stop` before `connect`, twice, without a stream, in a stream, after `close`."""
+    tracker = make()
+    tracker.stop()
+    with tracker:
+        tracker.stop()
+        tracker.start(TERMS.get().rate_hz)
+        tracker.stop()
+        tracker.stop()
+    tracker.stop()
+
+
+def stop_from_another_thread_ends_the_stream(make: MakeTracker) -> None:
+    """`stop` needs no agreement with the thread that reads."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        _read(tracker, 10)
+        with running(tracker.stop):
+            tracker.read(0.2)
+        tracker.read(0.2)
+        require(len(tracker.read(0.2)) == 0, "samples come after stop")
+
+
+def silence_is_an_empty_block_in_time(make: MakeTracker) -> None:
+    """`read` without a stream returns an empty block within its timeout."""
+    with make() as tracker:
+        for timeout_s in (0.0, 0.05, 0.3):
+            with soon(f"read({timeout_s})", timeout_s):
+                block = tracker.read(timeout_s)
+            require(len(block) == 0, "samples came without a start")
+            _require_shapes(block)
+
+
+def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
+    """A stream has whole blocks, rising numbers and times, losses that are counted."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+        health = tracker.health
+    _require_shapes(samples)
+    require(bool((np.diff(samples.sequence) > 0).all()), "numbers do not rise")
+    require(bool((np.diff(samples.device_time_s) > 0).all()), "times do not rise")
+    finite = np.isfinite(samples.position_mm).all()
+    require(bool(finite), "a position is not finite")
+    gaps = int(samples.sequence[-1] - samples.sequence[0]) + 1 - len(samples)
+    require(health.lost_samples >= gaps, "a gap in the numbers is not in the health")
+
+
+def times_are_those_of_the_samples(make: MakeTracker) -> None:
+    """Numbers and times go on at the rate asked for, in seconds, evenly.
+
+    A driver that stamps by arrival, in ms, or streams at another rate is caught; one
+    whose device cannot do the rate refuses it. So is, where the link loses something,
+    one that counts what has come.
+    """
+    period_s = 1.0 / TERMS.get().rate_hz
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, max(LEAST, round(TERMS.get().rate_hz)))
+    steps, times = np.diff(samples.sequence), np.diff(samples.device_time_s)
+    mean_s = float(times.sum() / steps.sum())
+    found = f"a sample each {mean_s:.3g} s, {period_s:.3g} s was asked for"
+    require(abs(mean_s - period_s) <= 0.05 * period_s, found)
+    uneven = np.quantile(np.abs(times - steps * period_s), 0.95) / period_s
+    stamped = "times do not follow the numbers: are they those of arrival?"
+    require(bool(uneven <= 0.3), stamped)
+    hidden = float((np.rint(times / period_s) > steps).mean())
+    counted = "times leave gaps that the numbers hide: do these count what has come?"
+    require(hidden <= _HIDDEN, counted)
+
+
+def a_target_at_rest_is_valid_and_in_mm(make: MakeTracker) -> None:
+    """Of a target in the beam most samples are valid, some metres away, in mm."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+    valid = samples.status == 0
+    require(float(valid.mean()) > 0.5, "of a target in the beam no status is valid")
+    distance_mm = float(np.median(np.linalg.norm(samples.position_mm[valid], axis=1)))
+    near = NEAREST_MM <= distance_mm <= FARTHEST_MM
+    require(near, f"the target is {distance_mm:g} mm away: is that mm?")
+
+
+def health_counts_what_has_come(make: MakeTracker) -> None:
+    """The health counts every frame, and as lost what the numbers lack, no more."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+        tracker.stop()
+        samples = TrackerSamples.join([samples, tracker.read(0.05)])
+        health = tracker.health
+    frames = health.frames
+    require(frames >= len(samples), f"{len(samples)} samples came in {frames} frames")
+    gaps = int(samples.sequence[-1] - samples.sequence[0]) + 1 - len(samples)
+    lost = health.lost_samples
+    require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
+
+
+def start_twice_is_one_stream(make: MakeTracker) -> None:
+    """`start` at the rate that runs changes nothing."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        before = _read(tracker, 20)
+        tracker.start(TERMS.get().rate_hz)
+        after = _read(tracker, 20)
+        tracker.stop()
+    rising = after.sequence[0] > before.sequence[-1]
+    require(bool(rising), "a second start began the numbers anew")
+
+
+def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
+    """Numbers and times of one connection rise over `stop` and `start`.
+
+    What has come before the stop is read after it.
+    """
+    with make() as tracker:
+        blocks: list[TrackerSamples] = []
+        for _ in range(2):
+            tracker.start(TERMS.get().rate_hz)
+            blocks.append(_read(tracker, 20))
+            time.sleep(20 / TERMS.get().rate_hz)
+            tracker.stop()
+            blocks.append(tracker.read(0.05))
+        samples = TrackerSamples.join(blocks)
+        lost = tracker.health.lost_samples
+    sequence, time_s = samples.sequence, samples.device_time_s
+    require(bool((np.diff(sequence) > 0).all()), "numbers do not rise over a pause")
+    require(bool((np.diff(time_s) > 0).all()), "times do not rise over a pause")
+    gaps = int(sequence[-1] - sequence[0]) + 1 - len(sequence)
+    require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
+
+
+def impossible_rates_are_refused(make: MakeTracker) -> None:
+    """`start` at a rate of nothing or of a gigahertz is Refused."""
+    with make() as tracker:
+        for rate_hz in (0.0, -1.0, 1e9):
+            expect(Refused, lambda rate_hz=rate_hz: tracker.start(rate_hz))
+
+
+def a_closed_tracker_has_no_samples(make: MakeTracker) -> None:
+    """`start` and `read` are ConnectionLost before `connect` and after `close`."""
+    tracker = make()
+    for _ in range(2):
+        expect(ConnectionLost, lambda: tracker.start(TERMS.get().rate_hz))
+        expect(ConnectionLost, lambda: tracker.read(0.1))
+        tracker.connect()
+        tracker.close()
+
+
+TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
+    *DEVICE_CHECKS,
+    stop_is_idempotent_in_any_state,
+    stop_from_another_thread_ends_the_stream,
+    silence_is_an_empty_block_in_time,
+    samples_have_rising_numbers_and_times,
+    times_are_those_of_the_samples,
+    a_target_at_rest_is_valid_and_in_mm,
+    health_counts_what_has_come,
+    start_twice_is_one_stream,
+    numbers_go_on_after_a_pause,
+    impossible_rates_are_refused,
+    a_closed_tracker_has_no_samples,
+)
+
+
+def _read(tracker: Tracker, count: int) -> TrackerSamples:
+    deadline_s = (
+        time.monotonic() + count / TERMS.get().rate_hz + 5 * TERMS.get().patience_s
+    )
+    blocks: list[TrackerSamples] = []
+    while sum(map(len, blocks)) < count:
+        require(time.monotonic() < deadline_s, f"{count} samples did not come")
+        blocks.append(tracker.read(0.2))
+    return TrackerSamples.join(blocks)
+
+
+def _require_shapes(block: TrackerSamples) -> None:
+    n = len(block)
+    shapes = [a.shape for a in (block.sequence, block.device_time_s, block.status)]
+    require(shapes == [(n,)] * 3, f"columns of unequal length: {shapes}")
+    require(block.position_mm.shape == (n, 3), "positions are not (n, 3)")
+    types = [block.sequence.dtype, block.status.dtype]
+    require(types == [np.int64, np.int64], f"numbers and status are {types}")

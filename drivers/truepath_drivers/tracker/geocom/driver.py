@@ -1,0 +1,263 @@
+"""The driver of Leica instruments that speak GeoCOM."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath_drivers.interfaces.errors import (
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.tracker import AirExchange, TargetFinder
+from truepath_drivers.interfaces.tracker_records import (
+    Air,
+    Clock,
+    TrackerCapabilities,
+    TrackerEventKind,
+)
+from truepath_drivers.tracker.geocom.codec import (
+    NO_TARGET,
+    NOT_OFFERED,
+    WITH_A_WARNING,
+    Procedure,
+    Reply,
+    describe_code,
+    is_point,
+    to_cartesian_mm,
+)
+from truepath_drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
+from truepath_drivers.tracker.line_instrument import LineInstrument
+from truepath_drivers.transport.line_link import LineLink
+from truepath_drivers.transport.make_port import make_port
+
+log = logging.getLogger(__name__)
+
+P = Procedure
+_DISTANCE, _CLEAR = 1, 3  # programs of TMC_DoMeasure
+_AUTO = 1  # treatment of the inclination
+
+
+class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
+    """A Leica instrument on a serial port (`port`) or behind TCP (`host` and `port`).
+
+    serial_number : refuse any other instrument
+    prism_constant_mm : set in the instrument and read back; left as it is without
+    follows : lock on the prism and follow it from point to point
+    search_rad : width and height of the window in which a lost prism is sought
+    reply_timeout_s : longest wait for a reply; measuring and turning have longer ones
+    shot_s : the instrument's longest time for one distance
+    turn_s : its longest time to turn or to search
+    """
+
+    def __init__(
+        self,
+        port: str | int,
+        *,
+        host: str | None = None,
+        baudrate: int = 115_200,
+        serial_number: str = "",
+        prism_constant_mm: float | None = None,
+        follows: bool = True,
+        search_rad: float = 0.05,
+        reply_timeout_s: float = 2.0,
+        shot_s: float = 5.0,
+        turn_s: float = 20.0,
+    ) -> None:
+        super().__init__(LineLink(make_port(port, host, baudrate)))
+        self._serial_number = serial_number
+        self._prism_constant_mm = prism_constant_mm
+        self._follows, self._search_rad = follows, search_rad
+        self._session = GeoComSession(self._link, reply_timeout_s)
+        self._shot_s, self._turn_s = shot_s, turn_s
+        self._reply_timeout_s = reply_timeout_s
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """Polled; distances by EDM, with the atmosphere that the instrument holds."""
+        return TrackerCapabilities(
+            streams=False, clock=Clock.HOST, distance="EDM", corrects_air=True
+        )
+
+    @property
+    def verb_limit_s(self) -> float:
+        """Of a search: that, and locking on what it has found."""
+        return 2.0 * (self._turn_s + self._reply_timeout_s)
+
+    def home(self) -> None:
+        """Turn to Hz 0 at the horizon; the instrument levels itself."""
+        self._turn_to(0.0, 0.5 * math.pi)
+
+    def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
+        """Turn there; azimuth from x towards y."""
+        hz = (0.5 * math.pi - azimuth_rad) % (2.0 * math.pi)
+        self._turn_to(hz, 0.5 * math.pi - elevation_rad)
+
+    def search(self) -> None:
+        """Seek the prism around the beam, and lock on it where it is to be followed."""
+        with self._lock:
+            window = (self._search_rad, self._search_rad, 0)
+            expect_ok(self._session.ask(P.AUT_SEARCH, window, self._turn_s))
+            if self._follows:
+                expect_ok(self._session.ask(P.AUT_LOCK_IN, (), self._turn_s))
+
+    def push_air(self, air: Air) -> None:
+        """Set pressure, dry and wet temperature; read back what is in use."""
+        with self._lock:
+            wavelength = self._read_atmosphere()[0]
+            wet = find_wet_bulb(air.temperature_degc, air.humidity_percent)
+            told = (wavelength, air.pressure_hpa, air.temperature_degc, wet)
+            if not np.isfinite(told).all():
+                raise Refused("the air needs temperature, pressure and humidity")
+            expect_ok(self._session.ask(P.TMC_SET_ATMOSPHERE, told))
+            used = self._read_atmosphere()
+            if not np.allclose(used, told, atol=0.1):
+                raise Refused(f"{self._link.name} uses {used}, {told} was set")
+
+    def read_air(self) -> Air:
+        """Return the air that the instrument corrects its distances for."""
+        _, pressure, dry, wet = self._read_atmosphere()
+        return Air(dry, pressure, find_humidity(dry, wet))
+
+    def greet(self) -> Identity:
+        """Ask for name, serial number and firmware."""
+        try:
+            name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
+        except DeviceTimeout as error:
+            if not self._link.has_received:
+                raise
+            raise WrongDevice(
+                f"{self._link.name}: something answers, but not in GeoCOM; check the "
+                "port, its baud rate, and that GeoCOM is on at the instrument"
+            ) from error
+        model = decode(expect_ok(name), str)[0]
+        number = decode(expect_ok(self._session.ask(P.CSV_GET_SERIAL_NUMBER)), str)[0]
+        if self._serial_number not in ("", number):
+            raise WrongDevice(
+                f"{self._link.name}: instrument {number} answers, "
+                f"{self._serial_number} is configured; check which cable is where"
+            )
+        firmware = self._session.ask(P.CSV_GET_FIRMWARE_VERSION)
+        version = ".".join(v.decode("ascii", "replace") for v in firmware.values)
+        return Identity("Leica", model, number, version)
+
+    def prepare(self) -> None:
+        """Set prism constant and lock."""
+        if self._prism_constant_mm is not None:
+            told = float(self._prism_constant_mm)
+            expect_ok(self._session.ask(P.TMC_SET_PRISM_CORRECTION, (told,)))
+            reply = expect_ok(self._session.ask(P.TMC_GET_PRISM_CORRECTION))
+            used = decode(reply, float)[0]
+            if abs(used - told) > 1e-3:
+                raise Refused(
+                    f"{self._link.name} uses a prism constant of {used:g} mm, "
+                    f"{told:g} mm was set; select a user prism at the instrument"
+                )
+        if self._follows:
+            self._switch_on(P.AUT_SET_ATR, P.AUS_SET_USER_ATR)
+            self._switch_on(P.AUT_SET_LOCK, P.AUS_SET_USER_LOCK)
+            # Without a prism in view there is nothing to lock on yet.
+            self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
+
+    def _switch_on(self, procedure: Procedure, newer: Procedure) -> None:
+        """Switch on what later series know by another procedure alone."""
+        try:
+            expect_ok(self._session.ask(procedure, (1,)))
+        except Refused as error:
+            if error.code not in NOT_OFFERED:
+                raise
+            try:
+                expect_ok(self._session.ask(newer, (1,)))
+            except Refused as last:
+                raise Refused(
+                    f"{last}; set follows = false for one without lock", last.code
+                ) from error
+
+    def shoot(self) -> tuple[NDArray[np.float64], float]:
+        """Take one distance with its angles; doubtful where the instrument warns.
+
+        The last distance is cleared first, so that none of before is taken for it. A
+        prism that is lost is sought once.
+        """
+        reply = self._take_distance()
+        if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
+            self.tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
+            self.search()
+            self.tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
+            reply = self._take_distance()
+        is_warned = reply.code in WITH_A_WARNING
+        if is_warned:
+            self.tell(
+                TrackerEventKind.WARNING,
+                f"{self._link.name}: {describe_code(reply.code)}",
+            )
+        else:
+            expect_ok(reply)
+        hz, v, distance = decode(reply, float, 3)
+        if not is_point(hz, v, distance):
+            raise DeviceError(
+                f"{self._link.name}: Hz {hz}, V {v}, distance {distance} is no point"
+            )
+        return to_cartesian_mm(hz, v, distance), 0.0 if is_warned else 1.0
+
+    def _take_distance(self) -> Reply:
+        for program in (_CLEAR, _DISTANCE):
+            values = (program, _AUTO)
+            reply = self._session.ask_free(P.TMC_DO_MEASURE, values, self._stopping)
+            expect_ok(reply)
+        values = (int(1e3 * self._shot_s), _AUTO)
+        return self._session.ask_free(
+            P.TMC_GET_SIMPLE_MEASUREMENT, values, self._stopping, self._shot_s
+        )
+
+    def _turn_to(self, hz_rad: float, v_rad: float) -> None:
+        values = (float(hz_rad), float(v_rad), 1, 0, 0)
+        with self._lock:
+            expect_ok(self._session.ask(P.AUT_TURN_TO, values, self._turn_s))
+
+    def _read_atmosphere(self) -> tuple[float, ...]:
+        with self._lock:
+            reply = expect_ok(self._session.ask(P.TMC_GET_ATMOSPHERE))
+            return decode(reply, float, 4)
+
+    def find_air(self) -> Air | None:
+        """Return the air in use, if it is told."""
+        try:
+            return self.read_air()
+        except (Refused, DeviceTimeout) as error:
+            log.warning("%s tells no air: %s", self._link.name, error)
+            return None
+
+
+def find_wet_bulb(dry_degc: float, humidity_percent: float) -> float:
+    """Return the temperature of a wet thermometer near sea level.
+
+    R. Stull, J. Appl. Meteorol. Climatol. 50 (2011) 2267-2269: good to 1 K from 5 % to
+    99 % and -20 to 50 °C, which is 0.02 ppm of a distance.
+    """
+    t, rh = dry_degc, humidity_percent
+    return (
+        t * math.atan(0.151977 * math.sqrt(rh + 8.313659))
+        + math.atan(t + rh)
+        - math.atan(rh - 1.676331)
+        + 0.00391838 * rh**1.5 * math.atan(0.023101 * rh)
+        - 4.686035
+    )
+
+
+def find_humidity(dry_degc: float, wet_degc: float) -> float:
+    """Return the humidity in % at which a wet thermometer shows so much."""
+    low, high = 0.0, 100.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if find_wet_bulb(dry_degc, middle) < wet_degc:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

@@ -1,0 +1,121 @@
+"""What instruments share that measure one point at a time, asked in lines of text."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from abc import abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError, Refused
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
+from truepath_drivers.interfaces.tracker_records import (
+    Air,
+    PointMeasurement,
+    TrackerEvent,
+    TrackerEventKind,
+)
+from truepath_drivers.transport.line_link import LineLink
+
+log = logging.getLogger(__name__)
+
+
+class LineInstrument(PolledTracker, ByteLink, EventSource):
+    """A polled instrument; a driver says how it greets and how it takes a shot."""
+
+    def __init__(self, link: LineLink) -> None:
+        self._link = link
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._identity: Identity | None = None
+        self._events: list[TrackerEvent] = []
+
+    @abstractmethod
+    def greet(self) -> Identity:
+        """Ask who answers over the open link. Raises DeviceError."""
+
+    def prepare(self) -> None:
+        """Set what the instrument needs before its first point: here nothing."""
+
+    @abstractmethod
+    def shoot(self) -> tuple[NDArray[np.float64], float]:
+        """Return one point in mm, and its quality: 1 good, 0 doubtful, NaN not told."""
+
+    def find_air(self) -> Air | None:
+        """Return the air that a point was measured in, as the instrument says."""
+        return None
+
+    def connect(self) -> Identity:
+        """Open the link, ask who is there, prepare it. Idempotent."""
+        with self._lock:
+            if self._identity is None or not self._link.is_open:
+                self._stopping.clear()
+                self._link.close()
+                self._link.open()
+                try:
+                    self._identity = self.greet()
+                    self.prepare()
+                except DeviceError:
+                    self.close()
+                    raise
+                log.info(
+                    "%s: %s answers; this driver has met simulated instruments only",
+                    self._link.name,
+                    self._identity,
+                )
+            return self._identity
+
+    def close(self) -> None:
+        """End what runs and release the link."""
+        self.stop()
+        with self._lock:
+            self._identity = None
+            self._link.close()
+
+    def stop(self) -> None:
+        """End a dwell under way; what cannot be ended of a shot ends by itself."""
+        self._stopping.set()
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        """Take one shot after another for so long."""
+        if not 0.0 <= dwell_s < math.inf:
+            raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
+        with self._lock:
+            if self._identity is None:
+                raise ConnectionLost(f"{self._link.name}: connect first")
+            self._stopping.clear()
+            begin_s = time.monotonic()
+            shots: list[NDArray[np.float64]] = []
+            qualities: list[float] = []
+            times: list[float] = []
+            while not shots or time.monotonic() - begin_s < dwell_s:
+                before_s = time.monotonic()
+                shot, quality = self.shoot()
+                shots.append(shot)
+                qualities.append(quality)
+                times.append(0.5 * (before_s + time.monotonic()))
+                if self._stopping.is_set():
+                    raise Refused(f"{self._link.name}: the measurement was stopped")
+            good = float(np.mean(qualities))
+            return PointMeasurement.average(
+                np.array(times), np.array(shots), self.find_air(), good
+            )
+
+    def take_link_bytes(self) -> bytes:
+        """Return the bytes as they came, at most the last 1 MiB."""
+        return self._link.take_bytes()
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Return what has happened since the last call."""
+        taken = tuple(self._events)
+        del self._events[: len(taken)]
+        return taken
+
+    def tell(self, kind: TrackerEventKind, text: str, action: str = "") -> None:
+        """Keep what has happened for whoever asks."""
+        self._events.append(TrackerEvent(kind, text, action))

@@ -1,0 +1,159 @@
+"""The receiving end of a GST/1 link: one thread that reads, checks and sorts frames.
+
+The thread polls and reads, cuts frames (CRC), puts measurements into a bounded queue,
+hands replies to whoever waits for them, and sends a PING a second. Arithmetic is left
+to the thread that takes the queue.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_drivers.tracker.streaming.measurements import is_measurement
+from truepath_drivers.tracker.streaming.message_codec import parse_message
+from truepath_drivers.tracker.streaming.messages import Ack, Hello, Nak, Reply
+from truepath_drivers.transport.byte_port import BytePort
+
+log = logging.getLogger(__name__)
+
+# 65 s at 500 Hz, 6.5 s at 5 kHz: longer than any stall that was ever measured.
+QUEUED_FRAMES = 1 << 15
+KEPT_BYTES = 1 << 22
+PING_PERIOD_S = 1.0
+_POLL_S = 0.05
+
+
+class Receiver:
+    """Reads one open port until it is closed or lost.
+
+    ping : sends the keep-alive; called once a second by the receiving thread
+    """
+
+    def __init__(self, port: BytePort, ping: Callable[[], None]) -> None:
+        self.frames = FrameReader()
+        self.bytes_received = 0
+        self.echoes = False
+        self.error: ConnectionLost | None = None
+        self._port = port
+        self._ping = ping
+        self._changed = threading.Condition()
+        self._bodies: list[bytes] = []
+        self._kept: deque[bytes] = deque()
+        self._kept_bytes = 0
+        self._awaited: int | None = None
+        self._reply: Reply | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(
+            target=self._run, name=f"tracker {port.name}", daemon=True
+        )
+
+    def start(self) -> None:
+        """Begin to read the port, which is open."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; the port may be closed afterwards."""
+        self._closing.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def take(self, timeout_s: float, gather_s: float) -> list[bytes]:
+        """Return all bodies in the queue, waiting at most `timeout_s` for a first one.
+
+        Then it waits `gather_s` for more: a block of ten samples costs little more than
+        a single one. Raises ConnectionLost once the queue is empty and the port gone.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._bodies or self.error, timeout_s)
+            self._changed.wait_for(lambda: self.error, gather_s)
+            bodies, self._bodies = self._bodies, []
+        if self.error is not None and not bodies:
+            raise self.error
+        return bodies
+
+    def take_link_bytes(self) -> bytes:
+        """Return the bytes since the last call; the oldest go where nobody calls."""
+        with self._changed:
+            data = b"".join(self._kept)
+            self._kept.clear()
+            self._kept_bytes = 0
+        return data
+
+    def expect(self, transaction: int) -> None:
+        """Keep the reply of this transaction, and of no other."""
+        with self._changed:
+            self._awaited, self._reply = transaction, None
+
+    def wait_reply(self, timeout_s: float) -> Reply | None:
+        """Return the expected reply, None after `timeout_s`. Raises ConnectionLost."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._reply or self.error, timeout_s)
+            if self._reply is None and self.error is not None:
+                raise self.error
+            return self._reply
+
+    def _run(self) -> None:
+        due_s = time.monotonic() + PING_PERIOD_S
+        try:
+            while not self._closing.is_set():
+                data = self._port.read(_POLL_S)
+                if data:
+                    self._sort(data)
+                if time.monotonic() >= due_s:
+                    due_s += PING_PERIOD_S
+                    self._keep_alive()
+        except ConnectionLost as error:
+            with self._changed:
+                self.error = error
+                self._changed.notify_all()
+
+    def _keep_alive(self) -> None:
+        try:
+            self._ping()
+        except DeviceTimeout as error:
+            log.warning("keep-alive not sent: %s", error)
+
+    def _sort(self, data: bytes) -> None:
+        self.bytes_received += len(data)
+        bodies = self.frames.feed(data)
+        with self._changed:
+            self._keep(data)
+            was_empty = not self._bodies
+            answered = [self._queue(body) for body in bodies]
+            # The taker sleeps through the rest of its block, whatever else comes.
+            if any(answered) or (was_empty and self._bodies):
+                self._changed.notify_all()
+
+    def _queue(self, body: bytes) -> bool:
+        """Queue a body; tell whether it is the awaited reply.
+
+        Where nobody takes, the newest samples go: their numbers tell how many. Other
+        frames have as much room again for themselves, so that no START is missed.
+        """
+        measured = is_measurement(body)
+        if len(self._bodies) < (QUEUED_FRAMES if measured else 2 * QUEUED_FRAMES):
+            self._bodies.append(body)
+        return not measured and self._answers(body)
+
+    def _keep(self, data: bytes) -> None:
+        self._kept.append(data)
+        self._kept_bytes += len(data)
+        while self._kept_bytes > KEPT_BYTES:
+            self._kept_bytes -= len(self._kept.popleft())
+
+    def _answers(self, body: bytes) -> bool:
+        match parse_message(body):
+            case Ack() | Nak() as reply if reply.transaction == self._awaited:
+                self._reply, self._awaited = reply, None
+                return True
+            case Hello():
+                self.echoes = True
+            case _:
+                pass
+        return False

@@ -1,0 +1,179 @@
+"""The driver of trackers behind SpatialAnalyzer's T2SA application."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath_drivers.interfaces.errors import (
+    BeamLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.tracker_records import (
+    Clock,
+    TrackerCapabilities,
+    TrackerEventKind,
+)
+from truepath_drivers.tracker.line_instrument import LineInstrument
+from truepath_drivers.tracker.t2sa.codec import (
+    CONNECTED,
+    LASER_OFF,
+    LASER_ON,
+    NO_TARGET,
+    ErrorCode,
+    Reply,
+    parse_place,
+    parse_reply,
+)
+from truepath_drivers.transport.line_link import LineLink
+from truepath_drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+_MM = {"mm": 1.0, "m": 1e3, "inch": 25.4}
+_LOOK_S = 0.2  # between two looks at a busy application, and at `stop`
+
+
+class T2saTracker(LineInstrument):
+    """A tracker behind T2SA, one point at a time.
+
+    collection, group, point : of the job, under which a point is measured again and
+        again (`!MEAS_SINGLE_POINT`)
+    plan : a measurement plan to run in place of it (`!CMDEXE`, then `?POS`)
+    unit : of the job's coordinates, `mm`, `m` or `inch`; the working frame is the
+        instrument's own, or one that stands where the tracker stands
+    instrument : what it is called; the dialogue tells no serial number
+    reply_timeout_s : longest wait for a reply; shot_s : for a point
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        collection: str = "A",
+        group: str = "truepath",
+        point: str = "truepath_1",
+        plan: str = "",
+        unit: str = "mm",
+        instrument: str = "not told",
+        reply_timeout_s: float = 2.0,
+        shot_s: float = 15.0,
+    ) -> None:
+        if unit not in _MM:
+            raise ValueError(f"unit {unit!r} is none of {', '.join(_MM)}")
+        super().__init__(LineLink(TcpPort(host, int(port))))
+        self._name = plan or point
+        self._command = (
+            f"!CMDEXE:{plan}"
+            if plan
+            else f"!MEAS_SINGLE_POINT:{collection};{group};{point}"
+        )
+        self._is_plan, self._mm, self._instrument = bool(plan), _MM[unit], instrument
+        self._reply_timeout_s, self._shot_s = reply_timeout_s, shot_s
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """Polled; what is behind the application it does not tell."""
+        return TrackerCapabilities(streams=False, clock=Clock.HOST)
+
+    def greet(self) -> Identity:
+        """Ask for the instrument and switch its laser on."""
+        try:
+            status = self._ask("?STAT")
+        except DeviceTimeout as error:
+            if not self._link.has_received:
+                raise
+            raise WrongDevice(
+                f"{self._link.name}: something answers, but not as T2SA does; check "
+                "address and port"
+            ) from error
+        busy = not status.is_good and status.code in (
+            ErrorCode.BUSY,
+            ErrorCode.NOT_READY,
+        )
+        if not busy and CONNECTED not in self._expect(status):
+            raise WrongDevice(f"{self._link.name}: no instrument: {status.text}")
+        laser = self._expect(self._ask("?LSTA"))
+        if laser.startswith(LASER_OFF):
+            self._expect(self._ask("!LST:1"))
+        if not laser.startswith(LASER_ON):
+            text, action = "the tracker's laser warms up", "wait until it is warm"
+            self.tell(TrackerEventKind.WARNING, text, action)
+        return Identity("NRK", "T2SA", self._instrument, "")
+
+    def shoot(self) -> tuple[NDArray[np.float64], float]:
+        """Measure the point, or run the plan and ask where it lies."""
+        if not self._link.is_open:
+            self._link.open()
+        reply = self._ask_free(self._command)
+        text = self._expect(reply)
+        if self._is_plan:
+            text = self._expect(self._ask_free(f"?POS {self._name}"))
+        place = parse_place(text, self._name)
+        if place is None:
+            self._link.close()
+            raise DeviceError(
+                f"{self._link.name}: {text!r} is no place of {self._name}; check the "
+                "names in the settings and in the job"
+            )
+        return self._mm * place, math.nan
+
+    def _ask_free(self, command: str) -> Reply:
+        """Ask until the application is not busy with something else."""
+        deadline_s = time.monotonic() + self._shot_s
+        while True:
+            reply = self._ask(command, self._shot_s)
+            if reply.is_good or reply.code != ErrorCode.BUSY:
+                return reply
+            if self._stopping.wait(_LOOK_S) or time.monotonic() > deadline_s:
+                return reply
+
+    def _ask(self, command: str, longer_s: float = 0.0) -> Reply:
+        """Send a line; return the line that answers it.
+
+        A reply names no request. So what has come before is left out, and after a
+        reply that stayed away the connection is closed: a late one is never taken for
+        that of the next request.
+        """
+        with self._lock:
+            if self._link.is_open and (stale := self._link.drain()):
+                log.warning("%s: left out %r", self._link.name, stale)
+            self._link.send(command.encode())
+            deadline_s = time.monotonic() + self._reply_timeout_s + longer_s
+            while (now_s := time.monotonic()) < deadline_s:
+                line = self._link.receive(min(now_s + _LOOK_S, deadline_s))
+                reply = None if line is None else parse_reply(line)
+                if reply is not None:
+                    return reply
+                if longer_s and self._stopping.is_set():
+                    self._halt()
+            self._link.close()
+        raise DeviceTimeout(
+            f"{self._link.name}: no reply to {command} in "
+            f"{self._reply_timeout_s + longer_s:g} s; is T2SA running?"
+        )
+
+    def _halt(self) -> None:
+        self._link.send(b"!HALT")
+        self._link.close()
+        raise Refused(f"{self._link.name}: the measurement was stopped")
+
+    def _expect(self, reply: Reply) -> str:
+        """Return the text of a good reply. Raises BeamLost or Refused if it is none."""
+        if self._stopping.is_set() and self._identity is not None:
+            raise Refused(f"{self._link.name}: the measurement was stopped")
+        if reply.is_good:
+            return reply.text
+        text = f"{self._link.name}: {reply.text} (ERR-{reply.code})"
+        if reply.code in NO_TARGET:
+            raise BeamLost(f"{text}; bring the reflector into the beam, then go on")
+        raise Refused(text, reply.code)

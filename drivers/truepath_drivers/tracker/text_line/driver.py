@@ -1,0 +1,367 @@
+"""The driver of trackers whose software sends a line of text a sample."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath_drivers.interfaces.tracker import ByteLink, Tracker
+from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+from truepath_drivers.tracker.text_line.layout import LineBlock, LineLayout
+from truepath_drivers.transport.byte_port import BytePort
+from truepath_drivers.transport.serial_port import SerialPort
+from truepath_drivers.transport.tcp_port import TcpPort
+from truepath_drivers.transport.udp_port import UdpPort
+
+_LONGEST_BYTES = 1 << 12  # of a line
+_KEPT_BYTES = 1 << 20
+_FIRST_LINE_S = 2.0
+_STEP_S = 0.05
+_RATE_TOLERANCE = 0.01
+_MOST_APART_S = 0.2  # counter and time of one line
+_LONGEST_GAP_S = 2.0  # of lost lines, but for a pause of the stream
+
+
+class TextLineTracker(Tracker, ByteLink):
+    """A stream of lines from a serial port, a TCP server (`host`) or by UDP (`udp`).
+
+    port : path of the tty, or the number of a TCP or UDP port
+    columns : fields of a line in order, of x, y, z, time, counter, status and `-`
+    rate_hz : at which the sender was set; nothing here can ask it
+    counter_wraps : the counter starts again at 0 after so many; 0 if it never does
+    arrival_times : stamp lines as they arrive, where they carry neither time nor
+        counter; such samples are for points at standstill, and no loss can be seen
+    start_command, stop_command : lines to send, empty if it streams by itself
+    name, serial_number : of the instrument, as a Run shall call it
+
+    Other options are those of `LineLayout`. A damaged digit makes another number: text
+    has no check, so use a link that has one.
+    """
+
+    def __init__(
+        self,
+        port: str | int,
+        *,
+        rate_hz: float,
+        host: str | None = None,
+        udp: bool = False,
+        baudrate: int = 115_200,
+        columns: str = "counter,time,x,y,z,status",
+        delimiter: str = "comma",
+        decimal_comma: bool = False,
+        unit: str = "mm",
+        time_unit: str = "s",
+        axes: str = "x,y,z",
+        valid: str = "0",
+        counter_wraps: int = 0,
+        arrival_times: bool = False,
+        start_command: str = "",
+        stop_command: str = "",
+        name: str = "text stream",
+        serial_number: str = "not known",
+    ) -> None:
+        self._layout = LineLayout(
+            columns,
+            delimiter=delimiter,
+            decimal_comma=decimal_comma,
+            unit=unit,
+            time_unit=time_unit,
+            axes=axes,
+            valid=valid,
+        )
+        self._stamped = self._layout.has_time or self._layout.has_counter
+        _check_stamps(self._stamped, arrival_times)
+        if udp and (start_command or stop_command):
+            raise Refused("a UDP port listens only; leave the commands out")
+        self._port = _byte_port(port, host, baudrate, udp=udp)
+        self._rate_hz, self._wraps = rate_hz, counter_wraps
+        self._identity = Identity("text lines", name, serial_number, "")
+        self._commands = (start_command, stop_command)
+        self._lock = threading.RLock()
+        self._is_open = self._streams = False
+        self._health = LinkHealth()
+        self._kept = bytearray()
+        self._begin()
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """The rate it was set to, and whose clock stamps its samples."""
+        clock = Clock.DEVICE if self._stamped else Clock.HOST
+        return TrackerCapabilities(max_rate_hz=self._rate_hz, clock=clock)
+
+    def connect(self) -> Identity:
+        """Open the port. Who sends is not known: the name is that of the settings."""
+        with self._lock:
+            if not self._is_open:
+                self._port.open()
+                self._is_open, self._health = True, LinkHealth()
+                self._kept.clear()
+                self._begin()
+            return self._identity
+
+    def start(self, rate_hz: float) -> None:
+        """Begin to take lines; a first one must come within 2 s."""
+        with self._lock:
+            self._require_open()
+            if abs(rate_hz / self._rate_hz - 1.0) > _RATE_TOLERANCE:
+                raise Refused(
+                    f"{self._port.name} sends {self._rate_hz:g} Hz, not {rate_hz:g}; "
+                    "set the sender and rate_hz to the same rate"
+                )
+            if self._streams:
+                return
+            self._drop_stale()
+            self._send(self._commands[0])
+            self._await_line()
+            self._streams = True
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        """Return all lines since the last call."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._lock:
+            self._require_open()
+            if not self._streams:
+                return TrackerSamples.empty()
+            while self._streams:
+                self._take(max(0.0, min(_STEP_S, deadline_s - time.monotonic())))
+                samples = self._decode()
+                if len(samples) or time.monotonic() >= deadline_s:
+                    return samples
+            return TrackerSamples.empty()
+
+    def stop(self) -> None:
+        """End the stream, or no longer listen to one that has no end.
+
+        It takes no lock: a thread that reads holds it nearly all the time.
+        """
+        streamed, self._streams = self._streams, False
+        if streamed and self._is_open:
+            self._send(self._commands[1])
+
+    def close(self) -> None:
+        """Release the port."""
+        with self._lock:
+            try:
+                self.stop()
+            except (ConnectionLost, DeviceTimeout):
+                pass  # the link has gone already
+            finally:
+                self._is_open = self._streams = False
+                self._port.close()
+
+    @property
+    def health(self) -> LinkHealth:
+        """Lines; bad ones count as errors of a check."""
+        return self._health
+
+    def take_link_bytes(self) -> bytes:
+        """Return what has come since the last call."""
+        with self._lock:
+            data = bytes(self._kept)
+            self._kept.clear()
+            return data
+
+    def _begin(self) -> None:
+        """Forget the connection before: its counter, its clock, half a line."""
+        self._rest, self._in_step = b"", False
+        self._jumps, self._refused, self._pace = True, 0, Pace()
+        self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
+
+    def _drop_stale(self) -> None:
+        """Drop what a sender without commands has sent since the stream before."""
+        self._rest, self._in_step, self._jumps = b"", False, True
+        self._pace = Pace()
+        while self._port.read(0.0):
+            pass
+
+    def _require_open(self) -> None:
+        if not self._is_open:
+            raise ConnectionLost(f"{self._port.name} is not connected; connect first")
+
+    def _send(self, command: str) -> None:
+        if command:
+            self._port.write(command.encode() + b"\r\n")
+
+    def _await_line(self) -> None:
+        """Wait for a line that can be read; the first may have begun before."""
+        deadline_s = time.monotonic() + _FIRST_LINE_S
+        while True:
+            whole = self._rest.split(b"\n")[:-1]
+            problems = [self._layout.explain(line) for line in whole]
+            if "" in problems:
+                return
+            if time.monotonic() > deadline_s:
+                break
+            self._take(_STEP_S)
+        if not problems:
+            raise DeviceTimeout(
+                f"{self._port.name} sends no line within {_FIRST_LINE_S:g} s; "
+                "start the stream at the tracker's software"
+            )
+        raise Refused(
+            f"{self._port.name}: none of {len(whole)} lines can be read; the last, "
+            f"{whole[-1][:60]!r}, {problems[-1]}: correct columns, delimiter or "
+            "decimal_comma, or the format of the sender"
+        )
+
+    def _take(self, timeout_s: float) -> None:
+        try:
+            data = self._port.read(timeout_s)
+        except ConnectionLost:
+            self._is_open = False
+            raise
+        self._kept += data
+        del self._kept[:-_KEPT_BYTES]
+        self._rest += data
+
+    def _decode(self) -> TrackerSamples:
+        *lines, self._rest = self._rest.split(b"\n")
+        if len(self._rest) > _LONGEST_BYTES:
+            self._count(skipped_bytes=len(self._rest))
+            self._rest, self._in_step = b"", False
+        if lines and not self._in_step:  # the first may have begun before we listened
+            lines, self._in_step = lines[1:], True
+        lines = [line for line in lines if line.strip()]
+        block, bad = self._layout.parse(lines)
+        self._count(frames=len(lines), crc_errors=bad)
+        return self._stamp(block)
+
+    def _count(self, **more: int) -> None:
+        old = self._health
+        sums = {key: getattr(old, key) + value for key, value in more.items()}
+        self._health = replace(old, **sums)
+
+    def _stamp(self, block: LineBlock) -> TrackerSamples:
+        """Return the samples with a rising sequence and clock; others are bad lines."""
+        if not len(block):
+            return TrackerSamples.empty()
+        if self._layout.has_time and self._last_sequence < 0:
+            self._first_s = float(block.time_s[0])
+        times_s = block.time_s if self._stamped else self._spread(len(block))
+        taken: list[tuple[int, float]] = []
+        good = np.zeros(len(block), bool)
+        for row, time_s in enumerate(times_s.tolist()):
+            step = self._count_step(float(block.counter[row]), time_s)
+            if not self._layout.has_time and self._stamped:
+                time_s = step / self._rate_hz
+            if self._accept(step, time_s):
+                taken.append((step, time_s))
+                good[row] = True
+        self._count(crc_errors=int((~good).sum()))
+        if taken:
+            self._keep_pace(*taken[-1])
+        sequence = np.array([step for step, _ in taken], np.int64)
+        stamps_s = np.array([time_s for _, time_s in taken], np.float64)
+        return TrackerSamples(
+            sequence, stamps_s, block.position_mm[good], block.status[good]
+        )
+
+    def _keep_pace(self, step: int, time_s: float) -> None:
+        """Refuse a stream whose rate or unit of time is not the one that is stated."""
+        found = self._pace.look(time_s if self._stamped else step / self._rate_hz)
+        if found is not None:
+            raise ConnectionLost(
+                f"{self._port.name}: its clock runs {found:.3g} times as fast as the "
+                f"one of this computer: correct rate_hz (now {self._rate_hz:g}), "
+                "time_unit or columns; or several instruments send here"
+            )
+
+    def _count_step(self, counter: float, time_s: float) -> int:
+        """Return the number of a line, counted on from the last one that was good."""
+        if not self._layout.has_counter:
+            if self._layout.has_time:
+                return round((time_s - self._first_s) * self._rate_hz)
+            return self._last_sequence + 1
+        if not self._wraps or self._last_sequence < 0:
+            return int(counter)
+        return self._last_sequence + int(counter - self._last_sequence) % self._wraps
+
+    def _accept(self, step: int, time_s: float) -> bool:
+        """Tell whether a line follows the last one, and count what is missing between.
+
+        A damaged digit of a counter or time must not end the stream: what is far ahead
+        is refused as well, but at the start of a stream.
+        """
+        first = self._last_sequence < 0
+        missing = 0 if first else step - self._last_sequence - 1
+        gap_s = time_s - self._last_time_s
+        steps_s = (missing + 1) / self._rate_hz
+        near = max(steps_s, gap_s) < _LONGEST_GAP_S
+        agrees = abs(gap_s - steps_s) < _MOST_APART_S or not self._stamped
+        goes_on = self._jumps or (near and agrees)
+        if missing < 0 or gap_s <= 0.0 or not goes_on:
+            self._refused += 1
+            if self._refused > _LONGEST_GAP_S * self._rate_hz:
+                raise ConnectionLost(
+                    f"{self._port.name}: counter or time has begun anew or jumped; "
+                    "connect again; if the counter wraps, say counter_wraps"
+                )
+            return False
+        self._count(lost_samples=missing)
+        self._last_sequence, self._last_time_s = step, time_s
+        self._jumps, self._refused = False, 0
+        return True
+
+    def _spread(self, count: int) -> NDArray[np.float64]:
+        """Return times of lines that came at once, at the nominal rate up to now."""
+        now_s, period_s = time.monotonic(), 1.0 / self._rate_hz
+        first_s = now_s - (count - 1) * period_s
+        if first_s <= self._last_time_s:
+            period_s = (now_s - self._last_time_s) / count
+            first_s = self._last_time_s + period_s
+        return np.asarray(first_s + period_s * np.arange(count), np.float64)
+
+
+def _check_stamps(stamped: bool, arrival_times: bool) -> None:
+    if not stamped and not arrival_times:
+        raise Refused(
+            "lines carry neither a time nor a counter of the tracker; add one, or "
+            "say arrival_times = true: then only points at standstill can be measured, "
+            "and lost lines cannot be seen"
+        )
+    if stamped and arrival_times:
+        raise Refused("lines carry a time or counter; leave arrival_times out")
+
+
+def _byte_port(
+    port: str | int, host: str | None, baudrate: int, *, udp: bool
+) -> BytePort:
+    if udp:
+        return UdpPort(host or "", int(port))
+    if host is not None:
+        return TcpPort(host, int(port))
+    return SerialPort(str(port), baudrate)
+
+
+_WINDOW_S = 5.0
+_MOST = 0.1  # of a window; whoever states a wrong rate or unit is farther off
+
+
+class Pace:
+    """The best of what arrives in a window tells: late lines are late once only."""
+
+    def __init__(self) -> None:
+        self._begin_s = time.monotonic()
+        self._ahead_s, self._ahead_before_s = -np.inf, np.nan
+        self._drifts_s: list[float] = []
+
+    def look(self, device_s: float) -> float | None:
+        """Take the newest stamp; the clock's rate where it is off twice in a row."""
+        now_s = time.monotonic()
+        self._ahead_s = max(self._ahead_s, device_s - now_s)
+        passed_s = now_s - self._begin_s
+        if passed_s < _WINDOW_S:
+            return None
+        self._drifts_s.append((self._ahead_s - self._ahead_before_s) / passed_s)
+        self._begin_s, self._ahead_before_s = now_s, self._ahead_s
+        self._ahead_s = -np.inf
+        newest = np.array(self._drifts_s[-2:])
+        if len(newest) < 2 or not (np.all(newest > _MOST) or np.all(newest < -_MOST)):
+            return None
+        return float(1.0 + newest.mean())

@@ -1,0 +1,100 @@
+"""Lines of text over a port: one request out, lines in, every wait bounded."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.transport.byte_port import BytePort
+
+_END = b"\r\n"
+_KEPT_BYTES = 1 << 20
+_LONGEST = 1 << 12  # of a line; more without an end is no text of ours
+
+
+class LineLink:
+    """Requests and replies that end in CR LF. One thread talks, any closes.
+
+    lines : received since `open`
+    """
+
+    def __init__(self, port: BytePort) -> None:
+        self._port = port
+        self._is_open = False
+        self._rest = b""
+        self._kept = bytearray()
+        self._lock = threading.Lock()
+        self.lines = 0
+
+    @property
+    def name(self) -> str:
+        """What the port is called in messages."""
+        return self._port.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it was opened and not lost since."""
+        return self._is_open
+
+    @property
+    def has_received(self) -> bool:
+        """Whether anything has come, whole lines or not."""
+        return bool(self._kept or self._rest)
+
+    def open(self) -> None:
+        """Open the port."""
+        self._port.open()
+        self._is_open, self._rest, self.lines = True, b"", 0
+        self.take_bytes()
+
+    def close(self) -> None:
+        """Release the port. Idempotent."""
+        self._is_open = False
+        self._port.close()
+
+    def send(self, line: bytes) -> None:
+        """Send a line, whose end is added."""
+        if not self._is_open:
+            raise ConnectionLost(f"{self.name} is not connected; connect first")
+        try:
+            self._port.write(line + _END)
+        except ConnectionLost:
+            self._is_open = False
+            raise
+
+    def receive(self, deadline_s: float) -> bytes | None:
+        """Return the next line, None if none is whole by then (`time.monotonic`)."""
+        while _END not in self._rest:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return None
+            try:
+                data = self._port.read(left_s)
+            except ConnectionLost:
+                self._is_open = False
+                raise
+            self._keep(data)
+            self._rest = (self._rest + data)[-_LONGEST:]
+        line, self._rest = self._rest.split(_END, 1)
+        self.lines += 1
+        return line
+
+    def drain(self) -> bytes:
+        """Return what has come already; it belongs to no request."""
+        stale, self._rest = self._rest, b""
+        while data := self._port.read(0.0):
+            self._keep(data)
+            stale += data
+        return stale
+
+    def take_bytes(self) -> bytes:
+        """Return what has come since the last call, at most the last 1 MiB."""
+        with self._lock:
+            data, self._kept = bytes(self._kept), bytearray()
+        return data
+
+    def _keep(self, data: bytes) -> None:
+        with self._lock:
+            self._kept += data
+            del self._kept[:-_KEPT_BYTES]

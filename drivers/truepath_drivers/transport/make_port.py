@@ -1,0 +1,16 @@
+"""Which way to a device its options mean."""
+
+from __future__ import annotations
+
+from truepath_drivers.transport.byte_port import BytePort
+from truepath_drivers.transport.serial_port import SerialPort
+from truepath_drivers.transport.tcp_port import TcpPort
+
+
+def make_port(port: str | int, host: str | None, baudrate: int) -> BytePort:
+    """Return a TCP connection where there is a host, else a serial port by its path."""
+    if host is not None:
+        return TcpPort(host, int(port))
+    if isinstance(port, int):
+        raise ValueError(f"port {port} is a TCP port number: give its host as well")
+    return SerialPort(port, baudrate)

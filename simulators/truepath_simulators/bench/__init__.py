@@ -1,0 +1,1 @@
+"""The bench: simulated devices started together, steered by a command or a test."""

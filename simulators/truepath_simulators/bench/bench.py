@@ -1,0 +1,288 @@
+"""Tracker and CNC as processes, ready to be driven by demonstrations and tests."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from truepath_simulators.board import BoardReader, new_board
+from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.faults import parse_fault
+from truepath_simulators.hidden.drawing import as_json, parse_hidden
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.motion import MotionFollower
+from truepath_simulators.hidden.superposition import locate_target_mm
+from truepath_simulators.links.links import require_free
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_head import (
+    TrackerPose,
+    place_anew,
+    random_clock,
+    random_pose,
+)
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_clock import MachineClock
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.followed_positions import open_source
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.processes import DeviceProcess, DeviceProcesses
+from truepath_simulators.scenario import load_machine
+
+_HOSTS = {"thermometers": "cnc"}  # devices in the process of another
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedMotion:
+    """Where axes and target are at some times.
+
+    time_s : (n,) of the machine's clock
+    position : (n, axes) as commanded
+    target_mm : (n, 3) in the frame that the tracker stands on
+    """
+
+    time_s: np.ndarray
+    position: np.ndarray
+    target_mm: np.ndarray
+
+
+class Bench(DeviceProcesses):
+    """A simulated machine with its tracker, behind real links.
+
+    machine : content of machine.json; the bundled demonstration machine without it
+    speed : device clocks run so many times faster than the wall clock; the patience of
+        links (keep-alive, watchdog) stays in wall seconds
+    faults : see `truepath_simulators.faults`; `inject` adds more while it runs
+    workdir : holds the links `tracker` and `modbus-rtu` to the terminals
+    tracker : link of the tracker, `pty` or `tcp`
+    source : axis positions in place of the simulated CNC, a name or a descriptor, see
+        `followed_positions`; source_unit_s : a step of its first column
+    protocol : `gst` where it streams; `geocom` and `t2sa` are polled
+    hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
+        seed; their time begins with the bench
+    compensation : tables that the controller has, or their files
+    """
+
+    def __init__(
+        self,
+        machine: Mapping[str, Any] | None = None,
+        seed: int = 1,
+        speed: float = 1.0,
+        faults: Sequence[str] = (),
+        workdir: Path | None = None,
+        *,
+        tracker: Literal["pty", "tcp"] = "pty",
+        host: str = "127.0.0.1",
+        tracker_port: int = 0,
+        modbus_port: int = 0,
+        error_scale: float = 1.0,
+        limits: Limits | None = None,
+        rtu: bool = True,
+        hidden: Sequence[HiddenEffect | str] = (),
+        source: str | int | None = None,
+        source_unit_s: float = 1.0,
+        protocol: Literal["gst", "geocom", "t2sa"] = "gst",
+        compensation: LoadedTables | Sequence[Path | str] = (),
+    ) -> None:
+        super().__init__()
+        if not 0.0 < speed < math.inf:
+            raise SimulatorError(f"speed: {speed} is not above zero")
+        if protocol == "t2sa" and tracker == "pty":
+            raise SimulatorError("tracker: T2SA is reached over TCP alone; choose tcp")
+        self._content = dict(machine) if machine is not None else load_machine("demo")
+        nominal = parse_machine(self._content)
+        self.truth: TruthMachine = random_machine(nominal, seed, scale=error_scale)
+        self.hidden = tuple(
+            parse_hidden(one, seed, nominal) if isinstance(one, str) else one
+            for one in hidden
+        )
+        self._clock = random_clock(seed)
+        self._faults = [(parse_fault(text).device, text) for text in faults]
+        self._workdir = workdir
+        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
+        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
+        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
+        self.has_rtu = rtu and source is None
+        self._source, self._source_unit_s = source, source_unit_s
+        self._common = {
+            "machine": self._content,
+            "seed": seed,
+            "speed": speed,
+            "error_scale": error_scale,
+            "protocol": protocol,
+            "limits": asdict(limits or Limits()),
+            "hidden": [as_json(effect) for effect in self.hidden],
+        }
+        self._reader: BoardReader | None = None
+        self._pose = random_pose(nominal, seed)
+        self._follower = MotionFollower(nominal, remembers=bool(self.hidden))
+        self._take_tables(compensation)
+
+    @property
+    def machine(self) -> Mapping[str, Any]:
+        """Content of machine.json."""
+        return self._content
+
+    @property
+    def pose(self) -> TrackerPose:
+        """Where the tracker stands, in the frame that it stands on."""
+        return self._pose
+
+    def start(self) -> Self:
+        """Start both processes; returns when both listen.
+
+        Raises SimulatorError if one does not come up.
+        """
+        folder = self._folder()
+        motion = new_board() if self._source is None else _open(self._source)
+        self._common |= {
+            "epoch_ns": time.monotonic_ns(),
+            "board": motion,
+            "source_unit_s": None if self._source is None else self._source_unit_s,
+        }
+        tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
+        cnc_link = self._cnc_link | {
+            "rtu_symlink": str(folder / "modbus-rtu"),
+        }
+        links = {"cnc": cnc_link, "tracker": tracker_link}
+        if self._source is not None:
+            del links["cnc"]
+        try:
+            for device, link in links.items():
+                faults = [
+                    t for name, t in self._faults if _HOSTS.get(name, name) == device
+                ]
+                orders = self._common | {"link": link, "faults": faults}
+                module = f"{device}.{device}_process"
+                self._processes[device] = DeviceProcess(module, orders, [motion])
+            for device, process in self._processes.items():
+                self._addresses[device] = process.listening()
+            if self._source is None:
+                self._reader = BoardReader(motion)
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            os.close(motion)
+        return self
+
+    def inject(self, fault: str) -> None:
+        """Let a fault begin now, or as long after now as it says."""
+        named = parse_fault(fault).device
+        device = _HOSTS.get(named, named)
+        if device not in self._processes:
+            raise SimulatorError(f"{fault}: there is no simulated {named} here")
+        self._processes[device].tell(fault)
+
+    def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
+        """Set the tracker down at a place, turned and tilted anew by the number."""
+        place = [float(v) for v in place_mm]
+        self._processes["tracker"].tell(json.dumps({"place": place, "number": number}))
+        self._pose = place_anew(place, self._common["seed"] + 1000 * number)
+
+    def load_compensation(
+        self,
+        compensation: LoadedTables | Sequence[Path | str],
+        rules: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Give the controller other tables, while its axes stand; none without files.
+
+        rules : of files, as `truepath_simulators.compensation.rules.Rules` has them
+
+        Raises SimulatorError if they move, or naming what is wrong with the tables.
+        """
+        if self._reader is not None:
+            timeline = self._reader.timeline()
+            if timeline is not None and timeline.end_s > self.now_s():
+                raise SimulatorError("the axes move; load tables while they stand")
+        if not isinstance(compensation, LoadedTables):
+            compensation = LoadedTables.from_paths(compensation, Rules(**(rules or {})))
+        self._take_tables(compensation)
+        for device in self._processes.values():
+            device.tell(json.dumps({"compensation": self.compensation.as_json()}))
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what every device says of itself, and which tables are loaded."""
+        state = super().read_state()
+        state.get("cnc", {})["compensation"] = list(self.compensation.files)
+        return state
+
+    def truth_at(self, points_mm: np.ndarray, direction: float = 1.0) -> np.ndarray:
+        """Return the true volumetric error in µm at axis positions, (n, 3).
+
+        That of the machine with its tables, where all axes came in the direction.
+        """
+        points = np.asarray(points_mm, float)
+        return 1e3 * measure_deviation_mm(
+            self.truth, self._correction, points, direction
+        )
+
+    def now_s(self) -> float:
+        """Return the time of the machine's clock."""
+        return MachineClock(self._common["epoch_ns"], self._common["speed"]).now_s()
+
+    def follow(self, time_s: np.ndarray, target: str = "") -> FollowedMotion:
+        """Return where axes and target truly are at times (n,) of the machine's clock.
+
+        Up to now, and as far back as the last minute of the wall clock; hidden effects
+        are in it, the pose of the tracker and its noise are not.
+        """
+        timeline = None if self._reader is None else self._reader.timeline()
+        if timeline is None:
+            raise SimulatorError(
+                "the bench has not started, or its positions come from outside"
+            )
+        motion, time_s = self._follower.follow(timeline), np.asarray(time_s, float)
+        name = target or self.truth.machine.reflectors[0].name
+        names = [name] * len(time_s)
+        place = locate_target_mm(self.truth, motion, time_s, names, self.hidden)
+        return FollowedMotion(time_s, timeline.positions(time_s), place)
+
+    def hidden_truth(self) -> list[dict[str, Any]]:
+        """Return the hidden effects in the form of `discovery.json`."""
+        return [effect.truth(self._clock) for effect in self.hidden]
+
+    def close(self) -> None:
+        """End both processes and wait for them. Idempotent."""
+        super().close()
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+        if self._own_workdir is not None:
+            self._own_workdir.cleanup()
+            self._own_workdir = None
+
+    def _take_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
+        tables = (
+            compensation
+            if isinstance(compensation, LoadedTables)
+            else LoadedTables.from_paths(compensation)
+        )
+        self._correction = tables.correct(self.truth.machine)
+        self.compensation = tables
+        self._common["compensation"] = tables.as_json()
+        self._follower.correct(self._correction)
+
+    def _folder(self) -> Path:
+        if self._workdir is not None:
+            self._workdir.mkdir(parents=True, exist_ok=True)
+            for name in ("tracker", "modbus-rtu"):
+                require_free(self._workdir / name)
+            return self._workdir
+        self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
+        return Path(self._own_workdir.name)
+
+
+def _open(source: str | int) -> int:
+    return open_source(source) if isinstance(source, str) else os.dup(source)

@@ -1,0 +1,139 @@
+"""The control socket of a rig: orders in, answers out, one JSON object a line.
+
+A Unix socket that its owner alone can open. Nothing blocks: the rig serves it beside
+everything else. `truepath_simulators.bench.rig` is the other end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from truepath_simulators.errors import SimulatorError
+
+MAX_LINE = 1 << 20
+_BLOCK = 1 << 16
+_BACKLOG = 8
+_WRITE_S = 1.0
+
+Answer = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+class ControlSocket:
+    """Takes any number of clients.
+
+    path : of the socket; one left behind by a rig that was killed is replaced
+    answer : does an order and returns the answer; raises SimulatorError
+
+    Raises SimulatorError if something else is there, or a rig that still listens.
+    """
+
+    def __init__(self, path: Path, answer: Answer) -> None:
+        self._path, self._answer = path, answer
+        self._listener = _listen(path)
+        self._identity = os.stat(path).st_ino
+        self._clients: dict[int, _Client] = {}
+        self.has_lost_owner = False
+
+    def descriptors(self) -> list[int]:
+        """Descriptors that become readable when there is something to do."""
+        return [self._listener.fileno(), *self._clients]
+
+    def serve(self) -> None:
+        """Take new clients and answer what has come."""
+        with contextlib.suppress(BlockingIOError):
+            link, _ = self._listener.accept()
+            link.settimeout(0.0)
+            self._clients[link.fileno()] = _Client(link)
+        for number, client in list(self._clients.items()):
+            if not client.serve(self._answer):
+                self._clients.pop(number)
+                self.has_lost_owner |= client.owns
+                client.close()
+
+    def close(self) -> None:
+        """Release the socket; remove its path if it is still ours."""
+        self._listener.close()
+        for client in self._clients.values():
+            client.close()
+        with contextlib.suppress(OSError):
+            if os.stat(self._path).st_ino == self._identity:
+                self._path.unlink()
+
+
+class _Client:
+    """One connection.
+
+    owns : the rig ends with this connection
+    """
+
+    def __init__(self, link: socket.socket) -> None:
+        self.owns = False
+        self._link, self._rest = link, b""
+
+    def serve(self, answer: Answer) -> bool:
+        """Answer what has come; False once the client has gone."""
+        try:
+            data = self._link.recv(_BLOCK)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if not data or len(self._rest) > MAX_LINE:
+            return False
+        return all(self._reply(line, answer) for line in lines if line.strip())
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _reply(self, line: bytes, answer: Answer) -> bool:
+        try:
+            order = _parse(line)
+            self.owns = self.owns or order.get("do") == "own"
+            told = {"ok": True, **answer(order)}
+        except (SimulatorError, ValueError, TypeError, KeyError) as error:
+            told = {"ok": False, "error": str(error)}
+        self._link.settimeout(_WRITE_S)  # a client that does not read is left alone
+        try:
+            self._link.sendall(json.dumps(told).encode() + b"\n")
+        except OSError:
+            return False
+        self._link.settimeout(0.0)
+        return True
+
+
+def _parse(line: bytes) -> dict[str, Any]:
+    order = json.loads(line)
+    if not isinstance(order, dict):
+        raise SimulatorError('expected an object such as {"do": "state"}')
+    return order
+
+
+def _listen(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX)
+    before = os.umask(0o177)  # the owner alone reads and writes, from the first moment
+    try:
+        if path.is_socket() and not _is_served(path):
+            path.unlink()
+        listener.bind(str(path))
+    except OSError as error:
+        listener.close()
+        raise SimulatorError(
+            f"control socket {path}: {error.strerror or error}; give another path"
+        ) from error
+    finally:
+        os.umask(before)
+    listener.listen(_BACKLOG)
+    listener.setblocking(False)
+    return listener
+
+
+def _is_served(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe:
+        return probe.connect_ex(str(path)) == 0

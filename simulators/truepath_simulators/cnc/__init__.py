@@ -1,0 +1,1 @@
+"""A controller behind Modbus, and the process that is one."""

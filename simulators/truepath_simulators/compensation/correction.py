@@ -1,0 +1,131 @@
+"""Curves over axis positions, their products, and what they add to the axes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from truepath_simulators.machine.truth_machine import TruthMachine
+
+
+class Correction(ABC):
+    """What a controller adds to the commanded positions of its axes."""
+
+    @abstractmethod
+    def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return mm or deg to add to each axis, (n, axes).
+
+        position : (n, axes) as commanded
+        heading : (n, axes) direction in which each axis moves or last moved, 1 or −1,
+            0 where it has not moved yet
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Values at positions of an axis, straight between them; end values hold beyond.
+
+    column : of the axis; at, value : (m,) ascending
+    side : 1 or −1 for a curve of that direction of travel alone, 0 for both. An axis
+        that has not moved yet counts as one that came in + direction
+    period : length after which the curve repeats, 0 for none
+    is_stepped : the value of the nearest position in place of a straight line
+    """
+
+    column: int
+    at: np.ndarray
+    value: np.ndarray
+    side: int = 0
+    period: float = 0.0
+    is_stepped: bool = False
+
+    def read(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return its values, (n,), 0 in the direction that it is not for."""
+        place = position[:, self.column]
+        if self.period:
+            place = self.at[0] + np.mod(place - self.at[0], self.period)
+        if self.is_stepped:
+            between = 0.5 * (self.at[1:] + self.at[:-1])
+            value = self.value[np.searchsorted(between, place, side="right")]
+        else:
+            value = np.interp(place, self.at, self.value)
+        if not self.side:
+            return value
+        direction = np.where(heading[:, self.column] < 0.0, -1, 1)
+        return np.where(direction == self.side, value, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A product of curves that is added to an axis.
+
+    out : column of that axis; factor : of the product
+    """
+
+    out: int
+    curves: tuple[Curve, ...]
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TableCorrection(Correction):
+    """The sum of terms."""
+
+    terms: tuple[Term, ...]
+
+    def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return the sum for each axis."""
+        total = np.zeros_like(position, dtype=float)
+        for term in self.terms:
+            value = np.full(len(position), term.factor)
+            for curve in term.curves:
+                value = value * curve.read(position, heading)
+            total[:, term.out] += value
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class ChainedCorrection(Correction):
+    """What one adds, and another one where the first has sent the axes."""
+
+    first: Correction
+    then: Correction
+
+    def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return what both add."""
+        once = self.first.added(position, heading)
+        return once + self.then.added(position + once, heading)
+
+
+@dataclass(frozen=True, slots=True)
+class ReversedCorrection(Correction):
+    """Tables that were entered with the wrong sign."""
+
+    right: Correction
+
+    def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Return the negative."""
+        return -self.right.added(position, heading)
+
+
+def measure_deviation_mm(
+    truth: TruthMachine,
+    correction: Correction | None,
+    position: np.ndarray,
+    direction: float = 1.0,
+    target: str = "",
+) -> np.ndarray:
+    """Return actual minus nominal tool point of the machine with its tables, (n, 3).
+
+    position : (n, axes) as commanded; direction : in which all axes came there
+    """
+    driven = position
+    if correction is not None:
+        heading = np.full_like(position, direction, dtype=float)
+        driven = position + correction.added(position, heading)
+    reflector = truth.machine.reflector(target)
+    return truth.point_mm(driven, reflector) - truth.nominal_point_mm(
+        position, reflector
+    )

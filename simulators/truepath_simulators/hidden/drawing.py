@@ -1,0 +1,163 @@
+"""Effects by name, at random by seed, and as text for other processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.dynamics import (
+    InertialBend,
+    ReversalSpike,
+    ServoMismatch,
+    Vibration,
+)
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.guides import (
+    ElasticSag,
+    FloatingSlide,
+    LeaningColumn,
+    Squareness,
+    Twist,
+    WavyGuide,
+)
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.hidden.screws import (
+    Backlash,
+    LateralBacklash,
+    ScrewCyclic,
+    WornScrew,
+)
+from truepath_simulators.hidden.setup import (
+    LooseNest,
+    SettlingStand,
+    SetupStep,
+    TableDrift,
+)
+from truepath_simulators.hidden.tracker import (
+    TrackerEccentricity,
+    TrackerRangeOffset,
+    WarmPlume,
+)
+from truepath_simulators.hidden.warming import (
+    CoolantCycle,
+    SpindleGrowth,
+    ThermalGrowth,
+)
+from truepath_simulators.machine_file import MachineFile
+from truepath_simulators.randomness import generator
+from truepath_simulators.timeline import standing
+
+EFFECTS: dict[str, type[HiddenEffect]] = {
+    kind.name: kind
+    for kind in (
+        Backlash,
+        LateralBacklash,
+        ScrewCyclic,
+        ThermalGrowth,
+        TableDrift,
+        ElasticSag,
+        Squareness,
+        ServoMismatch,
+        ReversalSpike,
+        TrackerEccentricity,
+        TrackerRangeOffset,
+        Vibration,
+        SetupStep,
+        SpindleGrowth,
+        CoolantCycle,
+        WavyGuide,
+        Twist,
+        FloatingSlide,
+        LeaningColumn,
+        SettlingStand,
+        WarmPlume,
+        WornScrew,
+        LooseNest,
+        InertialBend,
+    )
+}
+CATALOGUED = tuple(
+    n for n, kind in EFFECTS.items() if kind.in_catalogue and not kind.needs_model
+)
+UNCATALOGUED = tuple(
+    n
+    for n, kind in EFFECTS.items()
+    if not kind.in_catalogue and not kind.on_ramps_alone
+)
+_USUAL_UM = 4.0
+_AT_REST = np.zeros(1)
+
+
+def draw(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
+    """Draw an effect of a name; raises SimulatorError naming those there are."""
+    rng = generator(seed, f"hidden: {name}")
+    return _kind(name).draw(rng, occasion)
+
+
+def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
+    """Return the effect of a text.
+
+    `name[*size_um]` draws one for a recording of usual length; a JSON object,
+    `{"name": "backlash", "axis": "X", "width_um": 8}`, gives its numbers.
+
+    Raises SimulatorError on an unknown name, a size that is no number, or numbers that
+    the machine cannot have.
+    """
+    if text.lstrip().startswith("{"):
+        return _try_effect(text, machine)
+    name, _, size = text.partition("*")
+    try:
+        size_um = float(size or _USUAL_UM)
+    except ValueError as error:
+        raise SimulatorError(f"hidden: {text!r} is not name*size_um") from error
+    return draw(name, seed, Occasion.usual(machine, size_um))
+
+
+def as_json(effect: HiddenEffect) -> dict[str, Any]:
+    """Return an effect as the content of a JSON object."""
+    return {"name": effect.name, **asdict(effect)}
+
+
+def from_json(content: Mapping[str, Any]) -> HiddenEffect:
+    """Return the effect of `as_json`; raises SimulatorError on what it is not."""
+    values = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in content.items()
+        if key != "name"
+    }
+    try:
+        return _kind(str(content.get("name"))).__call__(**values)
+    except TypeError as error:
+        raise SimulatorError(f"hidden: {content.get('name')}: {error}") from error
+
+
+def _try_effect(text: str, machine: MachineFile) -> HiddenEffect:
+    """Return the effect of a JSON object once it has moved the machine at rest."""
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise SimulatorError(f"hidden: {text}: not JSON: {error}") from error
+    effect = from_json(content)
+    motion = Motion(machine, standing(machine.low, 0.0, 0))
+    try:
+        moved = effect.carry(motion, _AT_REST)
+        _ = effect.shift_mm(motion, _AT_REST), effect.misread(np.ones((1, 3)))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SimulatorError(
+            f"hidden: {text}: machine {machine.name} cannot have it: {error}"
+        ) from error
+    strangers = sorted(set(moved) - set(machine.axis_names))
+    if strangers:
+        raise SimulatorError(f"hidden: {text}: the machine has no axis {strangers[0]}")
+    return effect
+
+
+def _kind(name: str) -> type[HiddenEffect]:
+    if name not in EFFECTS:
+        raise SimulatorError(f"hidden: no effect {name!r}; there are {list(EFFECTS)}")
+    return EFFECTS[name]

@@ -1,0 +1,218 @@
+"""Guides and frames that bend, lean and twist, or are out of square."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.machine.joint import rotation_matrices
+from truepath_simulators.machine.tracker_head import TrackerClock
+from truepath_simulators.machine.truth_machine import SQUARENESS
+from truepath_simulators.machine_file import DIRECTIONS
+
+
+# A guide that bends under the carriage that travels on it.
+@dataclass(frozen=True, slots=True)
+class ElasticSag(HiddenEffect):
+    """−amplitude 4u(1 − u) v: most in mid guide, in proportion to what it bears.
+
+    u : share of the travel along `axis`, the guide; v : along `by`, whose carriage
+        brings the load from one guide to the other
+    """
+
+    name = "elastic-sag"
+    axis: str
+    by: str
+    direction: str
+    amplitude_um: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw guide, carriage and direction.
+
+        The mean over v is straightness, the mean over u a tilt, so that four times the
+        size is needed to move the point by the size about what is rigid.
+        """
+        axis = occasion.axis(rng)
+        by = str(rng.choice([n for n in "XYZ" if n != axis]))
+        amplitude = 4.0 * occasion.size_um * float(rng.choice([-1.0, 1.0]))
+        return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the guide's deflection under the carriage."""
+        u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
+        deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
+        return error_motion(f"E{self.direction}{self.axis}", deflection)
+
+
+# A slide that floats up on its oil: the faster, the higher.
+@dataclass(frozen=True, slots=True)
+class FloatingSlide(HiddenEffect):
+    """lift v² / (v² + usual²) across an axis, whichever way it goes at v."""
+
+    name = "floating-slide"
+    in_catalogue = False
+    unstated = ("usual_mm_s",)
+    axis: str
+    direction: str
+    lift_um: float
+    usual_mm_s: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw an axis and a direction across it."""
+        axis = occasion.axis(rng)
+        direction = str(rng.choice([d for d in "XYZ" if d != axis]))
+        return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how far the oil film carries."""
+        square = motion.derivatives(self.axis, time_s)[0] ** 2
+        lift = square / (square + self.usual_mm_s**2)
+        return error_motion(f"E{self.direction}{self.axis}", 1e-3 * self.lift_um * lift)
+
+
+# A column that leans as another carriage moves: a rotation of two axes at once.
+_ARM_M = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class LeaningColumn(HiddenEffect):
+    """An angle of one axis, amplitude sin(π u) cos(π v), v of the other axis.
+
+    u, v : shares of both travels
+    """
+
+    name = "leaning-column"
+    in_catalogue = False
+    motion: str
+    by: str
+    amplitude_urad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw two axes and an angle; it acts over a quarter of a metre."""
+        first, second, _ = rng.permutation(list("XYZ"))
+        amplitude = 2.0 * occasion.size_um / _ARM_M
+        return cls(f"E{rng.choice(list('ABC'))}{first}", str(second), amplitude)
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the lean where both axes are."""
+        u, v = (motion.share(name, time_s) for name in (self.motion[2], self.by))
+        lean = np.sin(np.pi * u) * np.cos(np.pi * v)
+        return error_motion(self.motion, 1e-6 * self.amplitude_urad * lean)
+
+
+# A guide whose straightness waves with the pitch of its screws or rollers.
+@dataclass(frozen=True, slots=True)
+class WavyGuide(HiddenEffect):
+    """A rail drawn down by bolts of one pitch: the carriage rides over the waves."""
+
+    name = "wavy-guide"
+    in_catalogue = False
+    axis: str
+    direction: str
+    pitch_mm: float
+    amplitude_um: float
+    phase_rad: float = 0.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw an axis, a direction across it, and a pitch."""
+        axis = occasion.axis(rng)
+        return cls(
+            axis,
+            str(rng.choice([d for d in "XYZ" if d != axis])),
+            float(rng.uniform(8.0, 40.0)),
+            occasion.size_um,
+            float(rng.uniform(0.0, 2.0 * np.pi)),
+        )
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return pitch and amplitude."""
+        del clock
+        return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the height of the rail under the carriage."""
+        run = motion.position_mm(self.axis, time_s) / self.pitch_mm
+        wave = np.sin(2.0 * np.pi * run + self.phase_rad)
+        return error_motion(
+            f"E{self.direction}{self.axis}", 1e-3 * self.amplitude_um * wave
+        )
+
+
+# A frame that twists with two axes at once, in no shape that a catalogue has.
+@dataclass(frozen=True, slots=True)
+class Twist(HiddenEffect):
+    """amplitude sin(π waves u) sin(π waves v), u and v the shares of the travels."""
+
+    name = "twist"
+    in_catalogue = False
+    first: str
+    second: str
+    direction: str
+    amplitude_um: float
+    waves: tuple[float, float] = (2.0, 2.0)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw two axes and how often each bulges: at least once up and once down."""
+        first, second, _ = rng.permutation(list("XYZ"))
+        waves = (float(rng.uniform(1.8, 2.2)), float(rng.uniform(1.8, 2.2)))
+        direction = str(rng.choice(list("XYZ")))
+        return cls(str(first), str(second), direction, 2.0 * occasion.size_um, waves)
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Both axes and the direction."""
+        return {"plane": self.first + self.second, "direction": self.direction}
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the bulge where both axes are."""
+        bulge = np.ones(len(time_s))
+        for name, waves in zip((self.first, self.second), self.waves, strict=True):
+            bulge *= np.sin(np.pi * waves * motion.share(name, time_s))
+        return error_motion(
+            f"E{self.direction}{self.first}", 1e-3 * self.amplitude_um * bulge
+        )
+
+
+# Two axes that are out of square since the model in use was made: a crash, a move.
+@dataclass(frozen=True, slots=True)
+class Squareness(HiddenEffect):
+    """The direction of travel of an axis is turned, as in the truth machine."""
+
+    name = "squareness"
+    needs_model: ClassVar[bool] = True
+    symbol: str
+    value_urad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a pair of axes; from end to end of its travel one leans twice the size.
+
+        The tracker's place takes up the mean.
+        """
+        symbol = str(rng.choice(list(SQUARENESS)))
+        travel_m = 1e-3 * occasion.travel_mm(SQUARENESS[symbol][0])
+        sign = float(rng.choice([-1.0, 1.0]))
+        return cls(symbol, sign * 2.0 * occasion.size_um / travel_m)
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return s (R d − d) for the position s on the direction d of travel."""
+        axis, around = SQUARENESS[self.symbol]
+        angle = 1e-6 * self.value_urad
+        turn = rotation_matrices(
+            *(np.array([angle if name == around else 0.0]) for name in DIRECTIONS)
+        )[0]
+        direction = np.array(DIRECTIONS[axis])
+        motions = np.zeros((len(time_s), 6))
+        motions[:, :3] = np.outer(
+            motion.position_mm(axis, time_s), turn @ direction - direction
+        )
+        return {axis: motions}

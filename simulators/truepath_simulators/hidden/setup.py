@@ -1,0 +1,122 @@
+"""Tracker, stand, table and nest that do not stay where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.machine.tracker_head import TrackerClock
+
+
+# A knock against the tracker, its stand or the target's nest.
+@dataclass(frozen=True, slots=True)
+class SetupStep(HiddenEffect):
+    """All points are shifted from one moment on.
+
+    time_s : of the machine's clock
+    """
+
+    name = "setup-step"
+    time_s: float
+    step_um: tuple[float, float, float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a moment in the middle two thirds; the step is twice the size."""
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        x, y, z = 2.0 * occasion.size_um * direction
+        moment_s = float(rng.uniform(1.0 / 6.0, 5.0 / 6.0) * occasion.duration_s)
+        return cls(moment_s, (float(x), float(y), float(z)))
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float | tuple[float, ...]]:
+        """Return the moment on the tracker's clock, and the step."""
+        return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}
+
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return the step after the moment."""
+        del motion
+        return 1e-3 * np.outer(time_s >= self.time_s, self.step_um)
+
+
+# A tripod of the tracker that gives way and leans, fast at first, then slower.
+@dataclass(frozen=True, slots=True)
+class SettlingStand(HiddenEffect):
+    """All points turn about the foot of the stand, by tilt (1 − exp(−t/τ)).
+
+    tilt_urad : about X and Y, in the end
+    """
+
+    name = "settling-stand"
+    in_catalogue = False
+    tilt_urad: tuple[float, float]
+    tau_s: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw which way it leans, and how soon it rests."""
+        angle = float(rng.uniform(0.0, 2.0 * np.pi))
+        tilt = 4.0 * 1e3 * occasion.size_um / occasion.distance_mm
+        tau_s = float(rng.uniform(0.15, 0.4) * occasion.duration_s)
+        return cls((tilt * float(np.cos(angle)), tilt * float(np.sin(angle))), tau_s)
+
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return how the points turn about a foot below the travel's low corner."""
+        place = [motion.position_mm(name, time_s) for name in "XYZ"]
+        arm = np.stack(place, axis=1) - motion.machine.low_mm
+        arm[:, 2] += 1000.0
+        leans = -np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
+        turn = 1e-6 * np.outer(leans, [*self.tilt_urad, 0.0])
+        return np.cross(turn, arm)
+
+
+# A tracker stand or a table that creeps.
+@dataclass(frozen=True, slots=True)
+class TableDrift(HiddenEffect):
+    """All points shift at a steady rate."""
+
+    name = "table-drift"
+    rate_um_per_s: tuple[float, float, float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a direction; from begin to end it creeps twice the size."""
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        x, y, z = 2.0 * occasion.size_um / occasion.duration_s * direction
+        return cls((float(x), float(y), float(z)))
+
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return the rate times the time."""
+        del motion
+        return 1e-3 * np.outer(time_s, self.rate_um_per_s)
+
+
+# A target that sits loose in its nest: each start from rest seats it anew.
+_SEATS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class LooseNest(HiddenEffect):
+    """Another shift on every line, at random: spread_um along each axis."""
+
+    name = "loose-nest"
+    in_catalogue = False
+    unstated = ("chance",)
+    spread_um: float
+    chance: int
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw how it will sit."""
+        return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
+
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return where it sits on each line."""
+        seats = np.random.default_rng(self.chance).normal(size=(_SEATS, 3))
+        row = motion.timeline.rows(time_s) % _SEATS
+        return 1e-3 * self.spread_um * seats[row]

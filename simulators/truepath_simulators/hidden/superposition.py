@@ -1,0 +1,51 @@
+"""All hidden effects together, as the tracker sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.motion import Motion
+from truepath_simulators.machine.truth_machine import TruthMachine
+
+
+def locate_target_mm(
+    truth: TruthMachine,
+    motion: Motion,
+    time_s: np.ndarray,
+    target: Sequence[str],
+    hidden: Sequence[HiddenEffect],
+) -> np.ndarray:
+    """Return the target at each time where the tracker stands, (n, 3).
+
+    target : (n,) its name at each time
+    """
+    position = motion.driven(time_s)
+    carry = carry_all(motion, time_s, hidden)
+    names = np.array(target)
+    point = np.empty((len(time_s), 3))
+    for name in set(target):
+        mine = names == name
+        part = {axis: value[mine] for axis, value in carry.items()}
+        point[mine] = truth.locate_target_mm(position[mine], name, part)
+    for effect in hidden:
+        point += effect.shift_mm(motion, time_s)
+    return point
+
+
+def carry_all(
+    motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
+) -> dict[str, np.ndarray]:
+    """Return what all effects add to the error motions of joints, (n, 6) by axis."""
+    total: dict[str, np.ndarray] = {}
+    for effect in hidden:
+        for axis, value in effect.carry(motion, time_s).items():
+            total[axis] = total[axis] + value if axis in total else value
+    return total
+
+
+def misread(polar: np.ndarray, hidden: Sequence[HiddenEffect]) -> np.ndarray:
+    """Return readings (n, 3) with what effects do to them."""
+    return polar + sum((e.misread(polar) for e in hidden), np.zeros_like(polar))

@@ -1,0 +1,95 @@
+"""What the tracker reads wrong, and the air that its beam goes through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+
+# An encoder circle of the tracker that sits off its axis.
+_CIRCLES = {"azimuth": 1, "elevation": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerEccentricity(HiddenEffect):
+    """The angle read is wrong by amplitude sin(angle + phase)."""
+
+    name = "tracker-eccentricity"
+    circle: str
+    amplitude_urad: float
+    phase_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a circle and a phase.
+
+        Offset and slope of the wave over the angles in use turn the tracker: ten times
+        the size is needed for its bend alone to move the point by the size.
+        """
+        amplitude = 10.0 * 1e3 * occasion.size_um / occasion.distance_mm
+        circle = str(rng.choice(list(_CIRCLES)))
+        return cls(circle, amplitude, float(rng.uniform(0.0, 2.0 * np.pi)))
+
+    def misread(self, polar: np.ndarray) -> np.ndarray:
+        """Return the error of the reading head."""
+        column = _CIRCLES[self.circle]
+        error = np.zeros_like(polar)
+        error[:, column] = (
+            1e-6 * self.amplitude_urad * np.sin(polar[:, column] + self.phase_rad)
+        )
+        return error
+
+
+# A wrong home distance, or the constant of another reflector.
+@dataclass(frozen=True, slots=True)
+class TrackerRangeOffset(HiddenEffect):
+    """Every range is read too long by the same amount."""
+
+    name = "tracker-range-offset"
+    offset_um: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a sign.
+
+        Most of it shifts the tracker: eight times the size is needed for its bend to
+        move the point by the size.
+        """
+        return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
+
+    def misread(self, polar: np.ndarray) -> np.ndarray:
+        """Return the offset in every range."""
+        error = np.zeros_like(polar)
+        error[:, 0] = 1e-3 * self.offset_um
+        return error
+
+
+# A plume of warm air beside the machine: distances through it read too short.
+@dataclass(frozen=True, slots=True)
+class WarmPlume(HiddenEffect):
+    """The range errs by amplitude exp(−½ ((azimuth − middle) / width)²)."""
+
+    name = "warm-plume"
+    in_catalogue = False
+    amplitude_um: float
+    middle_rad: float
+    width_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw where it rises, over directions that a beam may have."""
+        return cls(
+            -3.0 * occasion.size_um,
+            float(rng.uniform(-np.pi, np.pi)),
+            float(rng.uniform(0.08, 0.2)),
+        )
+
+    def misread(self, polar: np.ndarray) -> np.ndarray:
+        """Return what beams through it lack."""
+        off = np.angle(np.exp(1j * (polar[:, 1] - self.middle_rad))) / self.width_rad
+        error = np.zeros_like(polar)
+        error[:, 0] = 1e-3 * self.amplitude_um * np.exp(-0.5 * off**2)
+        return error

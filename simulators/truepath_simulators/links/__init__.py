@@ -1,0 +1,1 @@
+"""Serial, TCP and UDP ends of the wire, and what damages what passes through them."""

@@ -1,0 +1,1 @@
+"""The truth machine: joints with error motions, composed exactly."""

@@ -1,0 +1,1 @@
+"""How a controller moves: programs, profiles, driven and interrupted motion."""

@@ -1,0 +1,190 @@
+"""The motion of a machine that is driven: along one line, or through a program.
+
+Each ride (`profile`) becomes pieces of a timeline, with standstill after the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truepath_simulators.motion.profile import Limits, Stretch, rest_to_rest
+from truepath_simulators.motion.program import SHORTEST_MM, Program, path_length
+from truepath_simulators.timeline import State, Timeline, bend, join, standing, turn
+
+_ROUNDED_MM = 0.01  # of an arc: its ends are rounded, so that it never quite ends
+
+
+def along(
+    stretches: Sequence[Stretch], state: State, begin_s: float, end: np.ndarray | None
+) -> Timeline:
+    """Return stretches on the line of a state, then standstill (at `end` if given)."""
+    pieces = [s for s in stretches if s.duration_s > 0.0]
+    start, run, speed = [begin_s], [0.0], [state.speed]
+    for t, a, j in pieces:
+        start.append(start[-1] + t)
+        run.append(run[-1] + t * (speed[-1] + t * (a / 2.0 + t * j / 6.0)))
+        speed.append(max(speed[-1] + t * (a + t * j / 2.0), 0.0))
+    here = state.position[None], state.direction[None], state.curvature[None]
+    first, length = np.zeros(len(run), np.int64), np.array(run)
+    origin = bend(*here, first, length)
+    direction, curvature = turn(*here[1:], first, length)
+    curvature[-1] = 0.0
+    if end is not None:
+        origin[-1] = end
+    motion = Timeline(
+        np.array(start),
+        origin,
+        direction,
+        np.array([*speed[:-1], 0.0]),
+        np.array([*(s.acceleration for s in pieces), 0.0]),
+        np.array([*(s.jerk for s in pieces), 0.0]),
+        np.full(len(start), state.row),
+        curvature,
+        state.gone + length,
+    )
+    return split_at_reversals(motion)
+
+
+def follow(
+    program: Program,
+    origin: np.ndarray,
+    begin_s: float,
+    limits: Limits,
+    first_row: int = 0,
+    gone: float = 0.0,
+) -> Timeline:
+    """Return the motion from standstill at `origin` through rows from `first_row`.
+
+    gone : length of the arc to the first of these rows that is behind
+    """
+    rows = np.arange(first_row, len(program))
+    target = program.position[first_row:]
+    begin = np.vstack([origin, target[:-1]])[: len(target)]
+    length = path_length(target - begin)
+    moved = length > SHORTEST_MM
+    direction, curvature = np.zeros_like(target), np.zeros_like(target)
+    direction[moved] = (target[moved] - begin[moved]) / length[moved, None]
+    done = np.zeros(len(rows))
+    done[:1] = gone
+    for k, arc in enumerate(program.arc[first_row:]):
+        if arc is not None:
+            length[k] = arc.length_mm(begin[k]) - done[k]
+            moved[k] = length[k] > _ROUNDED_MM
+            direction[k] = moved[k] * arc.direction(begin[k])
+            curvature[k] = moved[k] * arc.curvature(begin[k])
+    stretches = np.zeros((len(rows), 8, 3))
+    stretches[moved, :7] = rest_to_rest(
+        length[moved], program.feed_mm_s[first_row:][moved], limits
+    )
+    stretches[:, 7, 0] = program.dwell_s[first_row:]
+    lines = _Lines(begin, direction, curvature, target, rows, done)
+    return _laid_out(stretches, lines, begin_s, origin)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Ways to rows, each from its begin; done : length of each that is behind."""
+
+    begin: np.ndarray
+    direction: np.ndarray
+    curvature: np.ndarray
+    target: np.ndarray
+    row: np.ndarray
+    done: np.ndarray
+
+
+def _laid_out(
+    stretches: np.ndarray, lines: _Lines, begin_s: float, origin: np.ndarray
+) -> Timeline:
+    """Join the eight stretches of each row, seven of motion and one of dwell."""
+    t, a, j = np.moveaxis(stretches, 2, 0)
+    change = t * (a + t * j / 2.0)
+    speed = np.cumsum(change, axis=1) - change
+    step = t * (speed + t * (a / 2.0 + t * j / 6.0))
+    run = np.cumsum(step, axis=1) - step
+    count, axes = lines.target.shape
+    of = np.repeat(np.arange(count), 8)
+    place = bend(lines.begin, lines.direction, lines.curvature, of, run.ravel())
+    heading, curvature = turn(lines.direction, lines.curvature, of, run.ravel())
+    at_end = np.arange(7, 8 * count, 8)
+    place[at_end], heading[at_end], curvature[at_end] = lines.target, 0.0, 0.0
+    speed[:, 7] = 0.0
+    start = begin_s + np.cumsum(t.ravel()) - t.ravel()
+    some = t.ravel() > 0.0
+    motion = Timeline(
+        start[some],
+        place.reshape(-1, axes)[some],
+        heading.reshape(-1, axes)[some],
+        np.maximum(speed, 0.0).ravel()[some],
+        a.ravel()[some],
+        j.ravel()[some],
+        lines.row[of][some],
+        curvature.reshape(-1, axes)[some],
+        (lines.done[:, None] + run).ravel()[some],
+    )
+    end = begin_s + float(t.sum())
+    last = lines.target[-1] if count else origin
+    motion = motion.then(standing(last, end, int(lines.row[-1]) if count else 0))
+    return split_at_reversals(motion)
+
+
+_BISECTIONS = 50  # of a piece of some minutes: to a picosecond
+
+
+def split_at_reversals(timeline: Timeline) -> Timeline:
+    """Return the motion with its arcs divided where an axis turns back."""
+    parts: list[Timeline] = []
+    first = 0
+    for piece in np.flatnonzero(timeline.curvature.any(axis=1)).tolist():
+        parts.append(timeline.select(slice(first, piece)))
+        parts.append(_split_piece(timeline, piece))
+        first = piece + 1
+    if not parts:
+        return timeline
+    return join([*parts, timeline.select(slice(first, None))])
+
+
+def _split_piece(timeline: Timeline, piece: int) -> Timeline:
+    """Return one piece on an arc as pieces in which no axis turns back."""
+    begin_s, end_s = timeline.start_s[piece : piece + 2].tolist()
+    own = timeline.select(slice(piece, piece + 1))
+    direction, curvature = own.direction[0], own.curvature[0]
+    bend_per_mm = float(np.linalg.norm(curvature))
+    whole = float(own.state(end_s).gone - own.gone[0])
+    at: set[float] = set()
+    for d, c in zip(direction, curvature / bend_per_mm, strict=True):
+        if np.hypot(d, c) > SHORTEST_MM:  # d cos x + c sin x = 0
+            x = float(np.arctan2(-d, c)) % np.pi
+            at |= {
+                run
+                for k in range(int(bend_per_mm * whole / np.pi) + 1)
+                if 0.0 < (run := (x + k * np.pi) / bend_per_mm) < whole
+            }
+    times = [begin_s, *(_find_time(own, run, end_s) for run in sorted(at))]
+    times = [t for t in times if begin_s <= t < end_s]
+    states = [own.state(t) for t in times]
+    return Timeline(
+        np.array(times),
+        np.array([s.position for s in states]),
+        np.array([s.direction for s in states]),
+        np.array([s.speed for s in states]),
+        np.array([s.acceleration for s in states]),
+        np.repeat(own.jerk, len(times)),
+        np.repeat(own.row, len(times)),
+        np.array([s.curvature for s in states]),
+        np.array([s.gone for s in states]),
+    )
+
+
+def _find_time(own: Timeline, run: float, end_s: float) -> float:
+    low, high = float(own.start_s[0]), end_s
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if own.state(middle).gone - own.gone[0] < run:
+            low = middle
+        else:
+            high = middle
+    return high

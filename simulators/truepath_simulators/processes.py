@@ -1,0 +1,208 @@
+"""Simulated devices as processes of their own, seen from the process that starts them.
+
+The life line of `truepath_simulators.child`, from the other end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+from truepath_simulators.errors import SimulatorError
+
+_START_TIMEOUT_S = 20.0
+_STOP_TIMEOUT_S = 3.0
+_ANSWER_TIMEOUT_S = 3.0
+
+
+class DeviceProcess:
+    """One simulator process and its life line.
+
+    module : in `truepath_simulators`, what it runs
+    descriptors : what it inherits
+    """
+
+    def __init__(
+        self, module: str, orders: Mapping[str, Any], descriptors: Sequence[int] = ()
+    ) -> None:
+        self._name = module.rpartition(".")[2].removesuffix("_process")
+        # Many small matrices: threads of a BLAS would only fight for the cores.
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(  # noqa: S603, our own module
+            [sys.executable, "-m", f"truepath_simulators.{module}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            pass_fds=descriptors,
+            env=environment,
+        )
+        self._rest = b""
+        self.tell(json.dumps(orders))
+
+    @property
+    def process_id(self) -> int:
+        """Identifier of the process."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._process.poll() is None
+
+    def tell(self, line: str) -> None:
+        """Send a line. Raises SimulatorError if the process has ended."""
+        if self._process.stdin is None:
+            raise SimulatorError(f"the simulated {self._name} is closed")
+        try:
+            self._process.stdin.write(line.encode() + b"\n")
+        except (BrokenPipeError, ValueError) as error:
+            raise SimulatorError(f"the simulated {self._name} has ended") from error
+
+    def listening(self) -> dict[str, Any]:
+        """Wait until the process listens; return where."""
+        report = self._read_report(_START_TIMEOUT_S)
+        if "error" in report:
+            raise SimulatorError(f"the simulated {self._name}: {report['error']}")
+        return report
+
+    def ask_state(self) -> dict[str, Any]:
+        """Return what the device says of itself."""
+        self.tell(json.dumps({"ask": "state"}))
+        return self._read_report(_ANSWER_TIMEOUT_S)
+
+    def release(self) -> None:
+        """Let go of the life line; the process ends by itself."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def end(self) -> None:
+        """Wait for the end, with force if it takes longer."""
+        try:
+            self._process.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _read_report(self, timeout_s: float) -> dict[str, Any]:
+        """Wait for a line of JSON."""
+        stdout = self._process.stdout
+        if stdout is None:
+            raise SimulatorError(f"the simulated {self._name} is closed")
+        deadline_s = time.monotonic() + timeout_s
+        while b"\n" not in self._rest:
+            left_s = max(deadline_s - time.monotonic(), 0.0)
+            ready, _, _ = select.select([stdout], [], [], left_s)
+            part = os.read(stdout.fileno(), 4096) if ready else b""
+            if not part:
+                raise SimulatorError(
+                    f"the simulated {self._name} does not answer; "
+                    f"its last words are on standard error"
+                )
+            self._rest += part
+        line, _, self._rest = self._rest.partition(b"\n")
+        return json.loads(line)
+
+
+class DeviceProcesses:
+    """The processes of a rig, each behind its links, from `start` to `close`.
+
+    Deriving classes fill `_processes` and `_addresses` in `start`.
+    """
+
+    has_rtu = False
+
+    def __init__(self) -> None:
+        self._processes: dict[str, DeviceProcess] = {}
+        self._addresses: dict[str, dict[str, Any]] = {}
+
+    def start(self) -> Self:
+        """Start all; return when they listen. Raises SimulatorError if one does not."""
+        raise NotImplementedError
+
+    @property
+    def machine(self) -> Mapping[str, Any]:
+        """Content of machine.json."""
+        raise NotImplementedError
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether a CNC is there."""
+        return "tcp" in self._addresses.get("cnc", {})
+
+    @property
+    def tracker_options(self) -> dict[str, Any]:
+        """Options for the factory of the tracker driver."""
+        return dict(self._addresses["tracker"])
+
+    @property
+    def motion_options(self) -> dict[str, Any]:
+        """Options for the factory of the motion driver, over Modbus TCP."""
+        return {**self._addresses["cnc"]["tcp"], "unit": 1}
+
+    @property
+    def motion_options_rtu(self) -> dict[str, Any]:
+        """Options for the factory of the motion driver, over Modbus RTU."""
+        return {**self._addresses["cnc"]["rtu"], "baudrate": 115_200, "unit": 1}
+
+    @property
+    def thermometer_options(self) -> dict[str, Any]:
+        """Options for the factory of the driver of thermometers; empty without any."""
+        return dict(self._addresses.get("cnc", {}).get("thermometers", {}))
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Process identifiers by name."""
+        return {name: process.process_id for name, process in self._processes.items()}
+
+    @property
+    def alive(self) -> bool:
+        """Whether all processes run."""
+        return bool(self._processes) and all(
+            process.alive for process in self._processes.values()
+        )
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what every device says of itself."""
+        return {name: process.ask_state() for name, process in self._processes.items()}
+
+    def describe(self) -> dict[str, Any]:
+        """Return where the devices listen, whose they are and which processes run."""
+        where: dict[str, Any] = {"tracker": self.tracker_options}
+        if self.has_motion:
+            where["modbus_tcp"] = self.motion_options
+        if self.has_rtu:
+            where["modbus_rtu"] = self.motion_options_rtu
+        if self.thermometer_options:
+            where["thermometers"] = self.thermometer_options
+        return where | {
+            "machine": self.machine.get("name", ""),
+            "pids": self.process_ids,
+        }
+
+    def close(self) -> None:
+        """End all processes and wait for them. Idempotent."""
+        for process in self._processes.values():
+            process.release()
+        for process in self._processes.values():
+            process.end()
+        self._processes = {}
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

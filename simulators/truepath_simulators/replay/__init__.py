@@ -1,0 +1,1 @@
+"""A recorded Run played back as devices."""

@@ -1,0 +1,204 @@
+"""A Run on disk, as a script for devices that repeat it.
+
+Read from the file alone: tables `manifest`, `batch` and `event` as docs/measurement.md
+states them. All times are seconds of the host that recorded, from the first byte on.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.framing import check_frame
+from truepath_drivers.tracker.streaming.message_codec import parse_message
+from truepath_drivers.tracker.streaming.messages import Ack, StreamInfo, Type
+from truepath_simulators.errors import SimulatorError
+
+_SAMPLE_BYTES = 48  # a record of the stream `tracker`, its number first
+_BATCH_S = 0.15  # the bytes of a batch came in this time before it, at most
+_SETTLED = 5e-3  # mm or deg: an axis that is as near as this has arrived
+_TYPE_AT = 2  # of a frame: code byte, version, type; none of them is zero
+_REPLIES = {Type.ACK, Type.NAK}
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One motion of the recording: ordered, arrived, where it ended."""
+
+    begin_s: float
+    end_s: float
+    goal: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """What the devices did.
+
+    pieces : what stood between the zero bytes of the link, without replies
+    piece_s : (n,) when each came, rising
+    opening : reply to the START of the stream
+    samples, is_exact : number of samples, and whether the bytes decode to just these
+    axes_s, position : (m,), (m, axes) what the controller said; empty without a CNC
+    stands_at_points : it stood at points and had no path
+    """
+
+    name: str
+    machine: Mapping[str, Any]
+    devices: Mapping[str, Mapping[str, Any]]
+    pieces: list[bytes]
+    piece_s: np.ndarray
+    opening: StreamInfo
+    samples: int
+    is_exact: bool
+    axes_s: np.ndarray
+    position: np.ndarray
+    moves: tuple[Move, ...]
+
+
+def read_recorded_run(file: Path) -> RecordedRun:
+    """Return a closed Run. Raises SimulatorError if it cannot be repeated."""
+    manifest, batches, events = _read_tables(file)
+    link = [row for row in batches if row[0] == "tracker.link"]
+    if not link:
+        raise SimulatorError(
+            f"{file} holds no bytes of the tracker's link, so it cannot be repeated: "
+            "the driver it was recorded with does not hand them out"
+        )
+    zero_s = 1e-9 * link[0][2] - _BATCH_S
+    numbers = _read_numbers(batches)
+    pieces, piece_s, opening = _cut_frames(link, zero_s, len(numbers), file)
+    decoded = StreamDecoder().feed(b"\0".join(pieces) + b"\0").samples.sequence
+    axes_s, position = _read_axes(batches, len(manifest["axes"]), zero_s)
+    return RecordedRun(
+        manifest["name"],
+        manifest["machine"],
+        manifest["devices"],
+        pieces,
+        piece_s,
+        opening,
+        len(numbers),
+        np.array_equal(np.diff(decoded), np.diff(numbers)) and len(numbers) > 0,
+        axes_s,
+        position,
+        _find_moves(events, axes_s, position, zero_s),
+    )
+
+
+def _read_tables(
+    file: Path,
+) -> tuple[dict[str, Any], list[tuple[Any, ...]], list[tuple[str, int]]]:
+    if not file.is_file():
+        raise SimulatorError(f"{file}: no such Run; check the path")
+    address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            rows = dict(database.execute("SELECT key, value FROM manifest").fetchall())
+            batches = database.execute(
+                "SELECT stream, n, mono_ns, payload, seq0, wall_ns, crc32 FROM batch "
+                "ORDER BY stream, seq0"
+            ).fetchall()
+            events = database.execute(
+                "SELECT kind, mono_ns FROM event ORDER BY seq"
+            ).fetchall()
+        if "closed" not in rows:
+            raise SimulatorError(f"{file} is not closed; open it with truepath first")
+        manifest = {key: json.loads(rows[key]) for key in rows}
+        batches = [row[:4] for row in batches if _is_whole(row)]
+        return manifest, batches, events
+    except (sqlite3.Error, KeyError, ValueError) as error:
+        if isinstance(error, SimulatorError):
+            raise
+        raise SimulatorError(f"{file} is not a Run ({error}); use a copy") from error
+
+
+def _is_whole(row: tuple[Any, ...]) -> bool:
+    stream, n, mono_ns, payload, seq0, wall_ns, crc = row
+    head = stream.encode() + np.array([seq0, n, mono_ns, wall_ns], "<i8").tobytes()
+    return zlib.crc32(payload, zlib.crc32(head)) == crc
+
+
+def _read_numbers(batches: list[tuple[Any, ...]]) -> np.ndarray:
+    payload = b"".join(row[3] for row in batches if row[0] == "tracker")
+    return np.frombuffer(payload, "<i8").reshape(-1, _SAMPLE_BYTES // 8)[:, 0]
+
+
+def _read_axes(
+    batches: list[tuple[Any, ...]], axes: int, zero_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    payload = b"".join(row[3] for row in batches if row[0] == "axes")
+    rows = np.frombuffer(payload, "<f8").reshape(-1, 1 + axes)
+    return rows[:, 0] - zero_s, rows[:, 1:]
+
+
+def _cut_frames(
+    link: list[tuple[Any, ...]], zero_s: float, samples: int, file: Path
+) -> tuple[list[bytes], np.ndarray, StreamInfo]:
+    """Return the link's pieces without replies, up to the last recorded sample."""
+    pieces = b"".join(row[3] for row in link).split(b"\0")
+    ends = np.cumsum([len(piece) + 1 for piece in pieces])
+    came_s = _date_bytes(link, zero_s, ends)
+    opening, kept, measured = None, [], []
+    for number, piece in enumerate(pieces):
+        kind = piece[_TYPE_AT] if len(piece) > _TYPE_AT else 0
+        if kind in _REPLIES and (body := check_frame(piece)) is not None:
+            match parse_message(body):
+                case Ack(detail=StreamInfo() as info) if opening is None:
+                    opening = info
+                case _:
+                    pass
+            continue
+        if kind in (Type.MEAS, Type.MEAS64) and check_frame(piece) is not None:
+            measured.append(len(kept))
+        kept.append(number)
+    if not measured or opening is None:
+        raise SimulatorError(
+            f"{file}: the bytes of its link are not GST/1, which is all that a "
+            "simulated tracker speaks"
+        )
+    # Bytes go to the disk a little before their samples: what came last may be cut.
+    last = measured[min(samples, len(measured)) - 1] if samples else -1
+    kept = kept[: last + 1]
+    return [pieces[k] for k in kept], came_s[kept], opening
+
+
+def _date_bytes(
+    link: list[tuple[Any, ...]], zero_s: float, ends: np.ndarray
+) -> np.ndarray:
+    """Return when bytes came: evenly in the time before their batch."""
+    count = np.cumsum([row[1] for row in link])
+    done_s = 1e-9 * np.array([row[2] for row in link]) - zero_s
+    begin_s = np.maximum(done_s - _BATCH_S, np.append(0.0, done_s[:-1]))
+    at = np.stack([count - [row[1] for row in link], count], 1).ravel()
+    return np.interp(ends, at, np.stack([begin_s, done_s], 1).ravel())
+
+
+def _find_moves(
+    events: list[tuple[str, int]],
+    axes_s: np.ndarray,
+    position: np.ndarray,
+    zero_s: float,
+) -> tuple[Move, ...]:
+    """Return the motions under the stream: paths, or the ways from point to point."""
+    begins = [(kind, 1e-9 * ns - zero_s) for kind, ns in events]
+    orders = [s for kind, s in begins if kind == "start"]
+    # The last point is followed by no motion.
+    orders = orders or [s for kind, s in begins if kind == "point"][:-1]
+    moves: list[Move] = []
+    for begin_s, end_s in zip(orders, [*orders[1:], np.inf], strict=True):
+        rows = np.flatnonzero((axes_s > begin_s) & (axes_s <= end_s))
+        if not len(rows):
+            continue
+        goal = position[rows[-1]]
+        away = np.abs(position[rows] - goal).max(axis=1) > _SETTLED
+        arrived = rows[np.flatnonzero(away)[-1] + 1] if away.any() else rows[0]
+        moves.append(Move(begin_s, float(axes_s[arrived]), goal))
+    return tuple(moves)

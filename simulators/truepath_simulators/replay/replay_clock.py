@@ -1,0 +1,104 @@
+"""The time of a replay: that of the recording, which waits for the host where need be.
+
+A host never works at just the same pace twice. So the recording stands still before
+each of its motions until the host orders it, and at its end until the host has been
+told: the host then sees no less of the stream at every standstill than it once did. It
+waits a moment only; then the stream goes on, for the same samples come in any case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from truepath_simulators.replay.recorded_run import Move
+
+_TELL_EARLY_S = 0.25  # a host looks a few times a second
+_OPENING_S = 0.06  # of the stream, until a host has seen it begin
+_PATIENCE_S = 0.3  # of the wall clock: a host takes half a second for silence
+
+
+@dataclass(slots=True)
+class _Gate:
+    """A time at which the recording waits."""
+
+    time_s: float
+    is_open: bool = False
+
+
+class ReplayClock:
+    """Seconds of the recording.
+
+    speed : how many of them pass in a wall second
+    """
+
+    def __init__(self, moves: tuple[Move, ...], speed: float) -> None:
+        self._moves, self._speed = moves, speed
+        self._wall_s: float | None = None
+        self._rewind()
+
+    @property
+    def runs(self) -> bool:
+        """Whether the stream has begun."""
+        return self._wall_s is not None
+
+    @property
+    def is_past_moves(self) -> bool:
+        """Whether the host knows that the last motion has ended."""
+        return all(gate.is_open for gate in self._told)
+
+    def begin(self, wall_s: float) -> None:
+        """Begin at the beginning."""
+        self._rewind()
+        self._wall_s = wall_s
+
+    def advance(self, wall_s: float) -> None:
+        """Let time pass, up to the next thing that the host has still to do."""
+        if self._wall_s is None:
+            return
+        self.now_s += self._speed * (wall_s - self._wall_s)
+        self._wall_s = wall_s
+        closed = [g for g in self._gates if not g.is_open and g.time_s <= self.now_s]
+        if not closed:
+            self._waits_since_s = None
+            return
+        self._waits_since_s = self._waits_since_s or wall_s
+        self.now_s = min(gate.time_s for gate in closed)
+        if wall_s - self._waits_since_s > _PATIENCE_S:
+            self._waits_since_s = None
+            for gate in closed:
+                gate.is_open |= gate.time_s <= self.now_s
+
+    def end(self) -> None:
+        """Stop; the host has ended the stream."""
+        self._wall_s = None
+
+    def has_arrived(self, move: int) -> bool:
+        """Tell whether a motion is over."""
+        return self.now_s >= self._told[move].time_s
+
+    def order(self, move: int) -> None:
+        """The host has ordered this motion: nothing before it is waited for."""
+        for number in range(move + 1):
+            self._ordered[number].is_open = True
+            self._told[number].is_open |= number < move
+
+    def pass_through(self, first: int, last: int) -> None:
+        """The host drives motions in one, and is told of the last alone."""
+        for number in range(first, last):
+            self._ordered[number + 1].is_open = self._told[number].is_open = True
+
+    def tell(self, move: int) -> None:
+        """The host has been told that this motion is over."""
+        self._told[move].is_open = True
+
+    @property
+    def _gates(self) -> list[_Gate]:
+        return [self._opening, *self._ordered, *self._told]
+
+    def _rewind(self) -> None:
+        self.now_s = 0.0
+        self._waits_since_s: float | None = None
+        self._opening = _Gate(_OPENING_S, is_open=not self._moves)
+        self._ordered = [_Gate(move.begin_s) for move in self._moves]
+        told = [(m.begin_s, m.end_s - _TELL_EARLY_S) for m in self._moves]
+        self._told = [_Gate(max(times)) for times in told]

@@ -1,0 +1,1 @@
+"""Laser trackers in each protocol that the drivers know."""

@@ -1,0 +1,1 @@
+"""Whole measurements without devices: bundles and recordings with known truth."""
