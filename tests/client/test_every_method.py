@@ -174,7 +174,7 @@ def find_operation(method, path):
 
 
 def test_the_client_that_waits_is_the_asynchronous_one_without_its_words(tmp_path):
-    written = ROOT / "truepath" / "client" / "sync_client.py"
+    written = ROOT / "app" / "truepath" / "client" / "sync_client.py"
     program = (
         "import sys; sys.path.insert(0, 'docs'); import write_sync_client as w; "
         "print(w.write_sync((w.CLIENT / 'async_client.py').read_text('utf-8')), end='')"
