@@ -91,6 +91,39 @@ def test_the_way_of_a_sample_names_its_files(root):
             assert (folder / name).is_file(), name
 
 
+@pytest.mark.parametrize("heading", ["A job, an analysis", "Where logic lives"])
+def test_what_is_named_below_the_service_is_there(heading, root):
+    text = (root / "docs" / "architecture.md").read_text()
+    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
+    named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
+    assert len(named) > 10
+    near = (root / "app" / "truepath", root)
+    missing = [n for n in named if not any((place / n).exists() for place in near)]
+    assert not missing
+
+
+def test_the_tree_of_rooms_is_the_one_on_disk(root):
+    text = (root / "docs" / "architecture.md").read_text()
+    tree = text.partition("```text\n")[2].partition("\n```")[0]
+    named, ahead = set(), {}
+    for line in tree.splitlines():
+        indent = len(line) - len(line.lstrip())
+        names = re.split(r" {2,}", line.strip())[0].split(" ")
+        for name in names:
+            place = ahead.get(indent - 2, root) / name
+            assert place.exists(), f"not there: {line}"
+            named.add(place)
+        ahead[indent] = place
+    rooms = root / "app" / "truepath"
+    there = {
+        path.parent
+        for path in [*rooms.glob("*/__init__.py"), *rooms.glob("*/*/__init__.py")]
+        if path.parent.parent.name != "cli"
+    }
+    left_out = sorted(str(place.relative_to(root)) for place in there - named)
+    assert not left_out, f"left out: {left_out}"
+
+
 def commands(documents):
     """Return (document, words) of every shell line of the documents."""
     for document in documents:
