@@ -3,12 +3,14 @@
 import re
 import shlex
 import subprocess
+from importlib.util import find_spec
 
 import pytest
 
 from truepath.files.earlier.verdict import SENTENCES, STATED
 from truepath.service.api.application import create_application
 
+PARTS = {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs"}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
@@ -19,8 +21,7 @@ def documents(project_files, root):
     return [
         path
         for path in project_files
-        if path.suffix == ".md"
-        and path.relative_to(root).parts[0] in {"README.md", "docs"}
+        if path.suffix == ".md" and path.relative_to(root).parts[0] in PARTS
     ]
 
 
@@ -122,6 +123,15 @@ def test_the_tree_of_rooms_is_the_one_on_disk(root):
     }
     left_out = sorted(str(place.relative_to(root)) for place in there - named)
     assert not left_out, f"left out: {left_out}"
+
+
+def test_the_new_import_names_of_the_changelog_are_there(root):
+    text = (root / "CHANGELOG.md").read_text()
+    table = text.partition("| for | before | now |")[2].partition("\n\n")[0]
+    names = re.findall(r"\| `(truepath[\w.]+)`[^|]*\|$", table, re.MULTILINE)
+    assert len(names) > 20
+    missing = [name for name in names if find_spec(name) is None]
+    assert not missing
 
 
 def commands(documents):
