@@ -16,26 +16,18 @@ Two processes share one motion. The CNC process plans it as pieces of cubic poly
 memory; the tracker process evaluates them at its own sample times. Positions follow in
 closed form from seed and time alone, at any speed of the clock.
 
-    machine_file    the nominal machine, as machine.json states it
-    error_motions   random smooth error motions; turning_motions: of rotary axes
-    rotary_joint    a rotary axis, its location and error motions
-    truth_machine   where the tool really is
-    random_machine  machines that err, drawn
-    profile         feed along one line with limited acceleration and jerk
-    program         waypoints, as a CNC is given them
-    timeline        a whole motion, piece by piece
-    driven_motion   the motion along a line or through a program; reversals: its arcs
-    interruption    hold, resume, override
-    tracker_head    range and angles of a point, with noise correlated in time
-    paths           paths and points without a planner; turning_paths: with rotary axes
-    synthetic       whole recordings without wire and without waiting
-    hidden          effects that no rigid-body model knows, one physical cause a file
-    scale_sensors   temperatures of the axis scales
-    faults          what goes wrong, when
-    tracker_*       the tracker behind its wire
-    cnc_*, modbus_* the CNC behind its wire
-    thermometer_gateway  sensors of machine and air on Modbus, in the process of the CNC
-    bench, command  both processes together, for tests and for test rigs
-    replay*         devices that repeat a recorded Run
-    control_*, rig  a rig worked from outside; pytest_plugin: fixtures on it
+    machine         joints with error motions, composed exactly; random machines
+    motion          feed, acceleration, jerk; programs, holds, paths without a planner
+    hidden          effects that no rigid-body model knows, one physical cause a class
+    tracker, cnc    the devices behind their wires; sensors of machine and air
+    links           the wires, and what damages what passes through them
+    compensation    what a control makes of compensation files
+    bench           all of it together, for tests and for test rigs
+    worlds          whole recordings without wire and without waiting
+    replay          devices that repeat a recorded Run
+    linuxcnc        a real LinuxCNC, started for tests
+    scenarios       machines by name, as `machine.json` states them
+
+Single files here (`board`, `timeline`, `processes`, `faults`, …) are shared by these.
+Not here: anything that the service imports.
 """

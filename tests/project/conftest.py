@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = {"pyproject.toml", "README.md", "app", "drivers", "simulators"}
+SHIPPED = {"pyproject.toml", "README.md", "LICENSE", "app", "drivers", "simulators"}
 
 
 @pytest.fixture(scope="session")

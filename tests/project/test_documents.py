@@ -3,12 +3,14 @@
 import re
 import shlex
 import subprocess
+from importlib.util import find_spec
 
 import pytest
 
 from truepath.files.earlier.verdict import SENTENCES, STATED
 from truepath.service.api.application import create_application
 
+PARTS = {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs"}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
@@ -19,8 +21,7 @@ def documents(project_files, root):
     return [
         path
         for path in project_files
-        if path.suffix == ".md"
-        and path.relative_to(root).parts[0] in {"README.md", "docs"}
+        if path.suffix == ".md" and path.relative_to(root).parts[0] in PARTS
     ]
 
 
@@ -89,6 +90,48 @@ def test_the_way_of_a_sample_names_its_files(root):
         for name in beside:
             folder = root if "/" in name else (root / first).parent
             assert (folder / name).is_file(), name
+
+
+@pytest.mark.parametrize("heading", ["A job, an analysis", "Where logic lives"])
+def test_what_is_named_below_the_service_is_there(heading, root):
+    text = (root / "docs" / "architecture.md").read_text()
+    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
+    named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
+    assert len(named) > 10
+    near = (root / "app" / "truepath", root)
+    missing = [n for n in named if not any((place / n).exists() for place in near)]
+    assert not missing
+
+
+def test_the_tree_of_rooms_is_the_one_on_disk(root):
+    text = (root / "docs" / "architecture.md").read_text()
+    tree = text.partition("```text\n")[2].partition("\n```")[0]
+    named, ahead = set(), {}
+    for line in tree.splitlines():
+        indent = len(line) - len(line.lstrip())
+        names = re.split(r" {2,}", line.strip())[0].split(" ")
+        for name in names:
+            place = ahead.get(indent - 2, root) / name
+            assert place.exists(), f"not there: {line}"
+            named.add(place)
+        ahead[indent] = place
+    rooms = root / "app" / "truepath"
+    there = {
+        path.parent
+        for path in [*rooms.glob("*/__init__.py"), *rooms.glob("*/*/__init__.py")]
+        if path.parent.parent.name != "cli"
+    }
+    left_out = sorted(str(place.relative_to(root)) for place in there - named)
+    assert not left_out, f"left out: {left_out}"
+
+
+def test_the_new_import_names_of_the_changelog_are_there(root):
+    text = (root / "CHANGELOG.md").read_text()
+    table = text.partition("| for | before | now |")[2].partition("\n\n")[0]
+    names = re.findall(r"\| `(truepath[\w.]+)`[^|]*\|$", table, re.MULTILINE)
+    assert len(names) > 20
+    missing = [name for name in names if find_spec(name) is None]
+    assert not missing
 
 
 def commands(documents):

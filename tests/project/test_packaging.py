@@ -3,8 +3,10 @@
 import re
 import zipfile
 from importlib.metadata import PackageNotFoundError, distribution
+from itertools import takewhile
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -48,6 +50,41 @@ def test_what_is_installed_is_what_is_pinned(pins):
 
     differing = {n: (v, installed(n)) for n, v in pins.items() if installed(n) != v}
     assert not differing
+
+
+def licence_of(name):
+    about = distribution(name).metadata
+    kinds = [line for line in about.get_all("Classifier", []) if "License ::" in line]
+    stated = about.get("License-Expression") or about.get("License") or ""
+    return about.get("License-Expression") or " ".join(kinds) or stated
+
+
+def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
+    plain = required("truepath", {"pg", "dask", "pdf"}) - {"truepath"}
+    unknown = {name for name in plain if not licence_of(name)}
+    assert not unknown
+    bound = {n for n in plain if re.search("GPL|GNU|MPL|EUPL|CDDL", licence_of(n))}
+    assert bound == {"psycopg", "psycopg-binary", "pyphen"}
+    assert not bound & required("truepath", ())
+    text = (root / "docs" / "installation.md").read_text()
+    assert all(f"`{name}`" in text for name in bound)
+
+
+def test_the_wheel_carries_the_licence(wheel, root):
+    with zipfile.ZipFile(wheel) as archive:
+        names = [n for n in archive.namelist() if n.endswith("licenses/LICENSE")]
+        texts = [archive.read(name).decode() for name in names]
+    assert texts == [(root / "LICENSE").read_text()]
+
+
+def test_hooks_before_a_commit_run_what_make_check_runs(root):
+    text = (root / "Makefile").read_text().partition("\ncheck: ")[2]
+    lines = text.splitlines()[1:]
+    checks = [line.strip() for line in takewhile(lambda line: line, lines)]
+    (local,) = yaml.safe_load((root / ".pre-commit-config.yaml").read_text())["repos"]
+    assert local["repo"] == "local"
+    entries = [hook["entry"] for hook in local["hooks"]]
+    assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
 def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):

@@ -146,3 +146,14 @@ def test_the_import_contracts_hold(root):
     linter = Path(sys.executable).with_name("lint-imports")
     linted = subprocess.run([linter], cwd=root, capture_output=True, text=True)
     assert linted.returncode == 0, linted.stdout
+
+
+def test_starting_the_service_loads_no_heavy_library():
+    heavy = {"scipy", "matplotlib", "pyarrow.compute"}
+    code = (
+        f"import sys, truepath.main\nprint(*sorted({heavy} & set(sys.modules)), end='')"
+    )
+    asked = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert not asked.stdout, f"import truepath.main loads {asked.stdout}"

@@ -1,5 +1,8 @@
 """From one Run to observations: which samples belong to which commanded line.
 
+Here: what is found by geometry in one Run. Not here: the noise of observations and the
+errors of the machine (`estimation`), the file of the Run (`measurement`, `files`).
+
 No clock is shared between controller and tracker, so the geometry has to tell. Where
 the target stands still is found by its speed (`stops`). Distances
 between standstills do not depend on where the tracker stands: the longest chain of

@@ -1,19 +1,15 @@
-"""How results are shown: the pages of results, plans, comparisons and discoveries.
+"""What is stated to people: one folder a kind of answer, from computation to report.
 
-Nothing is computed here that a file does not state as well. Python modules turn records
-into views: plain dictionaries of texts, numbers and figures. Jinja2 templates turn
-views into pages; markup stands in templates only, and every text from outside is
-escaped. A page is one file with its style sheet and its figures inside, right on
-screens light and dark and on paper.
+Here: what a client asks of results (a certificate, a comparison, a discovery, a trend,
+a verification, …): computed, as a JSON file, as a report. Not here: the estimate
+(`estimation`), its tables and `result.json` (`results`), files for controls
+(`compensation`), bodies of REST (`service.api.models`).
 
-    calibration_report    the report of a result, a section a template
-    discovery_report      which effects a model lacks, and the lines that would decide
-    comparison_report     a result against a direct measurement
-    plan_report           a plan: what it determines, and in what time
-    error_sections, measurement_sections    views of the calibration report
-    templating            the environment of the templates
-    svg, chart            shapes, scales and frames of figures
-    *_figures, volume_figure   one kind of report a file
+A report computes nothing that a file does not state as well. `*_report` and
+`*_sections` turn records into views: plain dictionaries of texts, numbers and figures.
+Jinja2 templates (`shown`) turn views into pages; markup is in templates only, and every
+text from outside is escaped. A page is one file with its style sheet and its figures
+inside, right on screens light and dark and on paper.
 
 The calibration report follows the order of ISO/TR 16907: machine and measurement, error
 motions, volumetric error, residuals, limits, validation, documentation. Files state

@@ -1,4 +1,6 @@
-"""The database of jobs, Runs and machines, its schema, its file and its lock.
+"""The database of jobs, Runs and machines: rows, schema, file, lock, job states.
 
-What a job does is `truepath.jobs`; what a Run holds is `measurement.run_file`.
+`transitions` says which state of a job may follow which; `data_folder` where files are.
+Not here: what a job does (`jobs`), what a Run's file holds (`measurement.run_file`),
+accounts and audit log (`users`).
 """

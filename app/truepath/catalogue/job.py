@@ -155,7 +155,7 @@ class EarlyEnd:
 class Failure:
     """Why a job did not succeed.
 
-    family : name of the error's class, by which `api.failures` finds the problem
+    family : name of the error's class, by which the interface finds the problem
     code, action : as the machine named them; empty to take those of the family
     """
 

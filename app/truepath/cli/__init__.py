@@ -8,12 +8,12 @@ what is wrong and what to do. A defect of the program keeps its traceback and gi
 Commands import what they need when they run, so that `truepath --help` answers at once.
 
     command             the list of commands; from an error to an exit status
-    *_commands          the commands of a group: their options, and what they do
+    analyse, measure, results, service
+                        groups of commands: their options, and what they call
     service_client      the options and refusals of a running service
     terminal            options, progress and tables that commands share
     summary             a result, and an effect, in a few lines
     demo                a measurement on simulated devices, without a service
-    import_command      a recording of other software, as a bundle
     recording           the tracker alone, beside a CNC without a link
-    client              the service as its REST clients see it; a calibration through it
+    calibration         a calibration through the REST interface of a service
 """

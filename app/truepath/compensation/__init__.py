@@ -1,5 +1,9 @@
 """A result as the tables of a controller, and the error that remains with them.
 
+Here: files for controls, and what they leave. Not here: error tables as a result states
+them (`results`), NC programs (`motion.nc_programs`), a control's own reading of the
+files (`truepath_simulators.compensation`).
+
 All files are written from one map: the volumetric error δ of the result. Controllers
 that correct an axis by a table get δ along the middle of the travel; those that compute
 the volume get the error motions. Compensation is −δ; the sign in a file follows the
@@ -11,15 +15,16 @@ correction, on a grid and between the rows of the tables, is stated with the fil
 files that make the error larger are refused.
 
     format                the interface of a controller's format; tables that it adds
-    error_map             δ of the result at any position, in + and − direction; δ and
-                          the error motions of each axis at equal spacing, mm, rad
+    installed             the formats that are installed, by name
+    active_files          files that the control applied while it was measured
+    tables                δ of the result at any position, in + and − direction; δ and
+                          the error motions of each axis at equal spacing, mm, rad;
+                          rotary axes, tool length
+    formats               files of one maker each
     export                writing, reading back, what remains of the whole and of each
                           effect of a model: the account of the files
-    linuxcnc, siemens, heidenhain, fanuc, isg_csv, etalon_exchange
-                          one maker a file
-    rotary, axis_places   positioning of rotary axes as tables; where their axes are
-    rotary_left           what files leave of rotary axes, and where all axes move
-    tool_length           of the tool in use, where a control follows it
+    account               what files leave, where all axes move
+    order, kept_files     files ordered for a result, and kept with it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
 

@@ -1,8 +1,11 @@
 """What the model still lacks: where it errs, which effect is missing, and the proof.
 
-Runs are compared with a baseline (`estimation.baseline`): the rigid-body model fitted
-to them, or a reference model. Each further effect is a term that is linear in its
-parameters; leads, time constants and event times are scanned, then refined.
+Here: search, evidence, names, open questions. Not here: the effects themselves
+(`kinematics.effects`), documents and report of a discovery (`answers.discovery`).
+
+Runs are compared with a baseline (`estimation.noise.baseline`): the rigid-body model
+fitted to them, or a reference model. Each further effect is a term that is linear in
+its parameters; leads, time constants and event times are scanned, then refined.
 
 Evidence. Machine, poses and the timing of each line are integrated out first, so that a
 displacement that a smooth error motion can absorb is no evidence. A term of information
@@ -17,7 +20,7 @@ cause (waves, errors of two axes) competes with the causes, and gives way to the
 
 Statement. Parameters with their uncertainty, the effects that explain the Runs as well,
 and the gap on held-out lines before and after. Questions that stay open go to
-`planning.discrimination`, which designs lines to decide them; old and new Runs are then
+`terms.discrimination`, which designs lines to decide them; old and new Runs are then
 explained together, each with a pose, a timing and a noise of its own.
 
 Modules in the order of the data: evidence, scan, event_time, value_refinement,

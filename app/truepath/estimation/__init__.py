@@ -1,5 +1,9 @@
 """From observations to error motions with their uncertainty.
 
+Here: the estimate and what contradicts it. Not here: observations (`alignment`), what
+effects do (`kinematics`), tables and verdict (`results`), missing effects
+(`discovery`).
+
 Measured minus nominal is linear in the parameters of machine, pose and timing. The rows
 of this problem are built in one place (`design_matrix`), whitened by the noise
 (`noise`) and summed to normal equations (`normal_equations`). Timing

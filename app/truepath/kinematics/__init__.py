@@ -1,5 +1,8 @@
 """What the machine is: its axes, its nominal chain, and what moves its point off it.
 
+Here: geometry and physical causes. Not here: values from measurements (`estimation`),
+travel and motion in time (`motion`), `machine.json` (`files.bundle`).
+
 A machine is a serial chain from the workpiece over the base to the tool, of linear and
 rotary axes in any order on either side (ISO 10791-6: `w-X-b-Y-Z-t`). `chain` follows a
 target through it: where the target is nominally, and how an error at an axis shows

@@ -1,4 +1,5 @@
-"""A machine's measuring process as the service sees it: supervised, asked, connected.
+"""A machine's cell as the service sees it: started, supervised, asked, connected.
 
-The process itself is `measurement.process`.
+Here: the cell's supervisor, what it showed last, samples for listeners. Not here: the
+cell process itself (`measurement.process`), rows of machines (`catalogue`).
 """

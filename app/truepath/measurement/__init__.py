@@ -1,5 +1,8 @@
 """Measuring: drive the machine, record the tracker, leave a Run on disk.
 
+Here: all that runs in the cell process, up to the closed Run. Not here: its supervisor
+(`machines`), drivers (`truepath_drivers`), what samples mean (`alignment`).
+
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
 time. There are two ways to measure: the controller drives a path (`path_steps`) by
 itself while the tracker streams, or the machine stands. All waiting is

@@ -11,15 +11,15 @@ which v t = l. The length is that of the linear axes; where none moves it is in 
 so is the feed.
 
     configurations     standstill points; what is commanded, row by row
-    commanded_rows     rows of users, checked
-    travel             inside the axes' ends, with a margin
-    workspace          keep-out boxes by slabs; range and sight of the tracker over the
-                       triangle that the beam sweeps (Akenine-Möller 2001)
+    workspace          inside the axes' ends, with a margin; keep-out boxes by slabs;
+                       range and sight of the tracker over the triangle that the beam
+                       sweeps (Akenine-Möller 2001)
     motion_times       how long motions take, which part of a line has constant feed;
                        stops in an order of short moves (2-opt: Croes 1958)
-    default_points     points without a plan
-    corner_path        the path of sanders-2023, to compare with
+    paths              rows of users, checked; points and lines without a plan; circles;
+                       the path of sanders-2023 (`corner_path`), to compare with
     nc_programs        a plan as a control's program, and back
 
-The room knows no uncertainty: what is worth measuring is decided in `planning`.
+The room knows no uncertainty: what is worth measuring is decided in
+`planning`; `workspace.json` is a file of `files.bundle`.
 """

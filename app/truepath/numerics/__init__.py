@@ -1,5 +1,7 @@
 """Mathematics with no machine in it: pure functions of arrays.
 
+Not here: whatever knows an axis, a tracker or a Run.
+
 Errors of samples are white plus an Ornstein–Uhlenbeck process (`correlated_noise`): the
 inverse covariance is then banded, so generalised least squares costs time linear in the
 number of points, for all points at once or a few at a time (Rue & Held, Gaussian Markov

@@ -1,12 +1,14 @@
-"""What is stated of a machine: from Runs or a result file to numbers and JSON.
+"""What follows from an estimate: error tables, prediction, verdict, `result.json`.
+
+Here: numbers of one result. Not here: answers that compare, test or show results
+(`answers`), files for controls (`compensation`).
 
 `analysis` takes Runs through alignment, estimation and the grade of the set-up to the
-findings; `result_json` states them. From a result file alone come error tables,
-predictions at any points, comparisons with a direct measurement, and what differs
-between two models.
+findings; `result_json` states them. From a result file alone come error tables
+and predictions at any points.
 
 Every number has a unit and a standard uncertainty (k = 1). Reports show expanded
-uncertainties (k = 2); `number_format` writes them at two significant digits.
+uncertainties (k = 2).
 
 The volumetric error is δ(q) = actual − nominal tool point. The uncertainty of a
 prediction is that of the map without its best-fit rigid motion over the travel: a rigid
@@ -14,9 +16,7 @@ motion is a matter of convention and has no uncertainty. Tables hold for the mea
 target offsets, and for any tool if all six motions of every axis are known.
 
 Linear propagation C_y = J C Jᵀ is checked by adaptive Monte Carlo trials where asked
-(`trial_results`). A comparison brings both sides into one convention and states
-E_n = d / (2 √(u² + u_ref²)).
+(`trial_results`).
 
-References: ISO 230-1:2012; JCGM 101:2008 (trials, clauses 7.9.4 and 8); ISO/IEC 17043
-(E_n); Sanders et al. 2023, section 2.3 (comparison with direct measurements).
+References: ISO 230-1:2012; JCGM 101:2008 (trials, clauses 7.9.4 and 8).
 """

@@ -1,1 +1,5 @@
-"""HTTP: the interface (`api`) and the operator's page (`page`)."""
+"""HTTP: the interface (`api`) and the operator's page (`page`).
+
+Requests in, answers out. Not here: anything that is decided or computed; a client in
+Python is `truepath.client`.
+"""

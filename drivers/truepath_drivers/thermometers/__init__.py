@@ -1,1 +1,4 @@
-"""Thermometers and sensors of the air, one folder a kind of link."""
+"""Thermometers and sensors of the air, one folder a kind of link.
+
+Not here: what readings may be believed, which the service decides.
+"""

@@ -1,1 +1,4 @@
-"""A controller behind Modbus, and the process that is one."""
+"""A controller behind Modbus, thermometers beside it, and the process that is both.
+
+Not here: how it moves (`motion`), what it makes of tables (`compensation`).
+"""

@@ -1,4 +1,4 @@
-"""What a rigid-body model does not know: one physical cause a file.
+"""What a rigid-body model does not know: one physical cause a class.
 
 An effect moves the target in one of four places: it adds to the error motions of a
 joint (`carry`), shifts what the tracker looks at (`shift_mm`), spoils a reading of

@@ -1,1 +1,5 @@
-"""The truth machine: joints with error motions, composed exactly."""
+"""The truth machine: joints with error motions, composed exactly.
+
+Here also: random machines, and the tracker's head. Not here: effects that no rigid-body
+model knows (`hidden`).
+"""

@@ -1,1 +1,4 @@
-"""How a controller moves: programs, profiles, driven and interrupted motion."""
+"""How a controller moves: programs, profiles, driven and interrupted motion.
+
+Here also: paths without a planner. Not here: registers and commands (`cnc`).
+"""

@@ -74,7 +74,7 @@ def turning_points(
 def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
     """Return the orders that turn a simulated tracker to the target of each row.
 
-    In the words of `simulators.faults`; none where the first target is measured alone.
+    In the words of `faults`; none where the first target is measured alone.
     """
     known = [reflector.name for reflector in machine.reflectors]
     orders: list[str] = []

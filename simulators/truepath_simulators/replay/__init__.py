@@ -1,1 +1,4 @@
-"""A recorded Run played back as devices."""
+"""A recorded Run played back as devices.
+
+Not here: recordings made without devices (`worlds`).
+"""

@@ -1,1 +1,4 @@
-"""Whole measurements without devices: bundles and recordings with known truth."""
+"""Whole measurements without devices: bundles and recordings with known truth.
+
+Not here: devices that take part in a measurement (`bench`).
+"""

@@ -1,4 +1,6 @@
-"""Observations of lines, points and cells, made of the samples that belong to them.
+"""Observations: lines and standstills, reduced to cells for the estimate.
 
-How samples are cut into passes and standstills is `stream`'s.
+Here: cutting a line at its steady feed, means and covariances of cells, what effects
+depend on (rates, reversals, temperatures). Not here: which samples belong to which row
+(`alignment.stream`), the noise of observations (`estimation.noise`).
 """

@@ -1,4 +1,6 @@
-"""The tracker's samples put in order: cleaned, cut, in the sequence of the rows.
+"""The tracker's stream: cleaned, standstills found, matched to the rows commanded.
 
-What is observed of the machine is made of them in `observations`.
+Here: what is decided sample by sample, and what is left out and why. Not here:
+observations made of the samples (`alignment.observations`); the stream of a live
+tracker (`measurement.monitors`).
 """

@@ -5,6 +5,8 @@ states is in the files that it is made from: result, verification, account of
 compensation, and the identity that people state. What nobody has stated is shown as not
 stated.
 
+Not here: the report of a calibration (`answers.calibration`).
+
     issue            what a certificate is made from, and whether it may be
     language         texts, numbers and names in one language, from one table
     *_sections       views of the template's sections

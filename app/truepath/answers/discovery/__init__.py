@@ -1,4 +1,5 @@
-"""What discovery states: the finding as JSON, the extended model, the report.
+"""What a discovery found: as JSON, as an extended model file, as a report.
 
-The search itself is `truepath.discovery`.
+Here: discovery from Runs to documents. Not here: the search (`truepath.discovery`), how
+a model file is read (`files.earlier`).
 """

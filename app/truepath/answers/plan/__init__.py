@@ -1,1 +1,5 @@
-"""A plan as it is stored and shown; `truepath.planning` decides what to measure."""
+"""A plan as it is stored and shown.
+
+Here: its document and report. Not here: what to measure (`truepath.planning`), the rows
+to command (`motion.paths`).
+"""

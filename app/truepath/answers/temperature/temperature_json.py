@@ -1,6 +1,6 @@
 """Errors over temperature as `temperature.json`, and in words.
 
-What of it makes the machine at a temperature is in `files.temperature_file`.
+What of it makes the machine at a temperature is in `files.earlier.temperature_file`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """A machine's errors as they depend on its temperature, from several results.
 
-The line of each parameter is in `estimation.temperature_line`; here it is what a
-machine does: tables at any temperature and per kelvin, which error motions depend on
-temperature for sure, and by how much an axis grows. An error motion is said to depend
-only if the largest |coefficient| / uncertainty of its table is more than chance makes
-it, over the tables of all (Holm 1979): of a machine that does not depend, any at all is
-named with a chance of 5 % at most.
+The line of each parameter is in `estimation.over_time.temperature_line`; here it is
+what a machine does: tables at any temperature and per kelvin, which error motions
+depend on temperature for sure, and by how much an axis grows. An error motion is said
+to depend only if the largest |coefficient| / uncertainty of its table is more than
+chance makes it, over the tables of all (Holm 1979): of a machine that does not depend,
+any at all is named with a chance of 5 % at most.
 """
 
 from __future__ import annotations

@@ -1,1 +1,5 @@
-"""How errors move from Run to Run, and what that lets one expect."""
+"""Errors from Run to Run, and the forecast of the next calibration.
+
+Here: figures, forecast and report. Not here: the states over time themselves
+(`estimation.over_time`).
+"""

@@ -1,7 +1,7 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; what all tell together of the course of each entry is in
-`estimation.drift`, and when to calibrate again in `outlook`.
+`estimation.over_time.drift`, and when to calibrate again in `outlook`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Whether a machine keeps what its model says: on lengths, at places, as driven.
+"""Whether a machine keeps what its model predicts, decided by ISO 14253-1.
 
-`places` and `circles` hold what is computed of each.
+Here: the whole verification, its file, sentences and report; `places` and `circles`
+hold what is computed of each. Not here: the rows that are measured (`motion.paths`).
 """

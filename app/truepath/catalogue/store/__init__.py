@@ -1,1 +1,5 @@
-"""Rows read and written: jobs, events, requests that are repeated."""
+"""Rows of jobs and events read and written, each change in one transaction.
+
+Here: connections (SQLite, PostgreSQL), compare-and-set of versions, idempotency keys.
+Not here: Runs, machines and calibrations, one file each in `catalogue`.
+"""

@@ -1,1 +1,5 @@
-"""Commands that compute from files: analyse, discover, plan, verify, trend."""
+"""Commands that compute from files: analyse, predict, discover, plan, verify, trend.
+
+Here: their options, progress and output, also of import, grade, temperature and
+reanalyse. Not here: any computation, nor what needs a running service.
+"""

@@ -1,1 +1,5 @@
-"""Commands that speak to machines and devices."""
+"""Commands about machines and devices: `machines`, `drivers`, `formats`.
+
+`machines` asks a running service. Not here: drivers themselves (`truepath_drivers`),
+`record` and `demo`, whose parts are one folder up.
+"""

@@ -1,1 +1,4 @@
-"""Commands that turn a result into something else: tables, reports, certificates."""
+"""Commands that make something else of a result: compare, export, certificate.
+
+Not here: formats of controls (`compensation.formats`), predictions (`cli.analyse`).
+"""

@@ -1,4 +1,5 @@
 """One maker's files each: written, and read back where that is possible.
 
-What stands in the tables is decided in `tables`.
+Here: the syntax, units and signs of a control, with the manual they are from. Not here:
+which numbers to write (`compensation.tables`), NC programs (`motion`).
 """

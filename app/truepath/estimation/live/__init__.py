@@ -1,1 +1,5 @@
-"""The estimate while the machine moves, from checked parts of the Run."""
+"""The estimate while the machine moves.
+
+Here: gate of new lines, tables after each line. Not here: its process and messages
+(`jobs.running`).
+"""

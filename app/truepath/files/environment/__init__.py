@@ -1,1 +1,5 @@
-"""Air and material while it was measured, and what the air does to light."""
+"""Air and material during a measurement, and the refraction of light.
+
+Here: `environment.csv` and what follows for ranges. Not here: live sensors
+(`measurement.monitors`).
+"""

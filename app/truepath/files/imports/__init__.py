@@ -1,5 +1,7 @@
 """Text that other makers' tracker software exports, recognised or refused.
 
+Here: recorded text. The stream of a live tracker is read by `truepath_drivers.tracker`.
+
 Nothing ambiguous is guessed: a BundleError names what it could be and the option that
 settles it. Order of work:
 

@@ -1,1 +1,5 @@
-"""Requests to jobs: arming, the dispatcher, deletion, what happens after a restart."""
+"""The dispatcher: verbs of jobs, arm tokens, restart, deletion, retention.
+
+Here: what may be called from request threads, and what is done when the service starts.
+Not here: the steps of a job (`jobs.kinds`), states (`catalogue.transitions`).
+"""

@@ -1,1 +1,5 @@
-"""The steps of each kind of job."""
+"""From a request to a job, and its steps from top to bottom.
+
+Here: what a job does, and in which order. Not here: how a measurement is followed
+(`jobs.running`), tasks of worker processes (`jobs.workers`).
+"""

@@ -1,1 +1,5 @@
-"""One job while it runs: state, measurement, live estimate, resumption."""
+"""One job while it runs: measurement, live estimate, notices, resumption.
+
+Here: state that its thread shares with others, and messages to cell and live estimate.
+Not here: the order of steps (`jobs.kinds`), the cell (`machines`).
+"""

@@ -1,1 +1,5 @@
-"""Processes that compute, here or by Dask, and what they are given to compute."""
+"""Processes that compute, here or by Dask, and their tasks.
+
+Here: files of Runs in, files of a result out. Not here: any science: tasks call
+`results`, `planning` and `answers`.
+"""

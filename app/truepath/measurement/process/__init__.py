@@ -1,1 +1,4 @@
-"""The process that owns the devices, and its messages to the service."""
+"""The cell: the process that owns the devices, and its messages to the service.
+
+Not here: its supervisor on the other side (`machines.cell_supervisor`).
+"""

@@ -1,1 +1,4 @@
-"""Finding the reflector, and finding it again."""
+"""The reflector: found, and found again after the beam was lost.
+
+Not here: which targets a plan has (`planning`), where they sit (`estimation`).
+"""

@@ -1,5 +1,7 @@
 """A measuring path as a program that an operator loads into a control by hand.
 
+Here: programs that move the machine. Compensation files are in `compensation.formats`.
+
 A calibration needs a control only to drive the path: straight lines at a steady feed,
 an exact stop and a dwell at each row, in machine coordinates. Every control that reads
 a program can therefore be measured without a link to it: the tracker's stream alone

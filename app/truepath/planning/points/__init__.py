@@ -1,1 +1,4 @@
-"""Which points to stand at."""
+"""The best standstill point to measure next.
+
+Not here: points without a plan (`motion.paths`).
+"""

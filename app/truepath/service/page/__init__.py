@@ -1,5 +1,8 @@
 """The operator page; no science, no decisions.
 
+Its words are in `static/locales`, its views in `static/js/views`. Reports and the
+certificate are pages of their own (`answers`).
+
 A Jinja2 shell and plain ES modules that talk to nothing but the REST interface of the
 same service. The task runs Connect, Plan, Check, Run, Result, with one button that
 leads on and says why it cannot. Rules of the page:

@@ -1,4 +1,5 @@
 """Bodies of requests and answers that several routes share.
 
-Keys name their unit; readers take further keys.
+Keys name their unit; readers take further keys. Not here: bodies of one route, which
+are beside it (`routes`).
 """

@@ -1,1 +1,4 @@
-"""Who may ask: connections, proxies, sessions, roles."""
+"""Who may ask: connections, proxies, host names, sessions, roles.
+
+Not here: accounts, keys and passwords (`users`).
+"""

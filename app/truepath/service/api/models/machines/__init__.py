@@ -1,1 +1,4 @@
-"""Bodies of machines, their files and conditions."""
+"""Bodies of machines, their files and conditions.
+
+Not here: bodies that one route alone uses, which are beside it (`routes`).
+"""
