@@ -16,6 +16,10 @@ _FARTHEST = 6  # lines or points that are driven again
 _OFTEN = 3  # times in a measurement: it has to end
 
 
+def _is_always_free(*_: object) -> bool:
+    return True
+
+
 class PlannedRows:
     """A plan, driven from its first row on.
 
@@ -25,7 +29,7 @@ class PlannedRows:
     is_free : tells it of the straight ways back to points that are driven again
     """
 
-    def __init__(self, plan: Commanded, is_free: IsFree = lambda *_: True) -> None:
+    def __init__(self, plan: Commanded, is_free: IsFree = _is_always_free) -> None:
         self._is_free = is_free
         self._plan, self._next = plan, _PART + isinstance(plan, Path)
         self._first: int | None = None
