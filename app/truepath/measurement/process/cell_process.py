@@ -65,7 +65,7 @@ THERMOMETERS_S, THERMOMETERS_AWAY_S = 10.0, 60.0
 SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
 _SOONER_S = 1.0  # than the engine, the border names the driver
-STALLED_S = 10  # in which no thread of the process has run
+STALLED_S = 15  # in which no thread of the process has run
 ORPHAN_S, LEAVE_S = 1.5, 5.0  # for the rest, after the end of the parent or of all
 
 
