@@ -90,7 +90,7 @@ def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descrip
         moving(client, job["id"])
         for _ in range(1400):
             hold(stack, place, UNFINISHED["head"])
-        assert stop(place) < 3.0
+        assert stop(place) < 2.0
         follow(client, job["id"], "aborted")
 
 
