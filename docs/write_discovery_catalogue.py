@@ -9,7 +9,7 @@ import re
 import sys
 from pathlib import Path
 
-from truepath.kinematics.effects.catalogue import Family, list_families
+from truepath.kinematics.effects.family import Family, list_families
 
 PAGE = Path(__file__).with_name("discovery.md")
 _PLACE = re.compile(

@@ -23,13 +23,8 @@ from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    RotaryAxis,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.machine_file import parse_machine

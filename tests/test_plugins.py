@@ -4,7 +4,7 @@ import pytest
 
 from truepath import plugins
 from truepath.compensation.installed import list_formats
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.service.page.pages import LANGUAGES, catalogue
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from ideal_test import signal_to_noise
 from recordings import plan_program, random_air, random_content
 
-from truepath_simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.effects_by_name import CATALOGUED, UNCATALOGUED, draw
 from truepath_simulators.hidden.warming import ThermalGrowth
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths

@@ -15,7 +15,7 @@ from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import AlignmentError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.kinematics.effects.nuisance import TimingLaw
+from truepath.kinematics.effects.pose_timing_seats import TimingLaw
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import turning_paths

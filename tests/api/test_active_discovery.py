@@ -33,8 +33,8 @@ from starlette.testclient import TestClient
 from truepath.main import open_service
 from truepath.service.api.application import create_application
 from truepath.settings import load_settings
-from truepath_simulators.hidden.drawing import as_json
 from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effects_by_name import as_json
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import LateralBacklash
 from truepath_simulators.machine_file import parse_machine

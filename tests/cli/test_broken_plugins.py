@@ -11,7 +11,7 @@ from tests.plugin_site import NAME, install
 from truepath import plugins
 from truepath.cli.command import run
 from truepath.errors import BadInput
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.motion.nc_programs.programs import list_dialects, write_program
 from truepath.planning.lines.default_path import default_path
 from truepath.service.page.pages import catalogue

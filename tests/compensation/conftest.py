@@ -7,12 +7,8 @@ import pytest
 
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 MACHINE = Machine(
     "bench mill",

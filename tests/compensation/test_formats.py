@@ -18,8 +18,8 @@ from truepath.compensation.formats.generic import GenericCsv, GenericJson
 from truepath.compensation.formats.heidenhain import Heidenhain
 from truepath.compensation.formats.isg_csv import IsgCsv
 from truepath.compensation.formats.linuxcnc import LinuxCnc
-from truepath.compensation.formats.siemens import SiemensCec, SiemensLec
-from truepath.compensation.formats.siemens_order import SiemensOrder
+from truepath.compensation.formats.siemens_all import SiemensOrder
+from truepath.compensation.formats.siemens_lec_cec import SiemensCec, SiemensLec
 from truepath.compensation.installed import list_formats, load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation

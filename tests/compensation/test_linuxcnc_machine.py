@@ -11,12 +11,8 @@ import pytest
 
 from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import map_errors
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.linuxcnc.rig import explain_absence

@@ -15,7 +15,7 @@ from truepath.estimation.solve.extrapolation import (
 )
 from truepath.files.bundle.bundle import read_bundle
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.results.error_tables import build_error_tables
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths

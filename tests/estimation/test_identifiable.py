@@ -8,12 +8,8 @@ import pytest
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.volumetric_map import build_volumetric_map
 
 ONE = [(0.0, 0.0, -100.0)]

@@ -10,12 +10,8 @@ from truepath.estimation.problem.observability import (
 )
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 X = LinearAxis("X", 0.0, 600.0)

@@ -13,13 +13,9 @@ import pytest
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.symbols import list_error_motions
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.splines import natural_spline
 

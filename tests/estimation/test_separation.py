@@ -12,13 +12,8 @@ from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import usual_precision_matrix
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    RotaryAxis,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import grade
 from truepath.planning.lines.default_path import default_path
 from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells

@@ -8,12 +8,12 @@ import pytest
 from sqlalchemy import select, text
 
 from truepath.catalogue import schema
-from truepath.catalogue.catalogue_tables import import_tables, open_export
 from truepath.catalogue.errors import SchemaTooNew
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.idempotency import IdempotencyKey
 from truepath.catalogue.store.store import Store
+from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
 from truepath.users.accounts import Accounts
 from truepath.users.roles import Role

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import list_families
 from truepath.kinematics.effects.conformance import (
     CHECKS,
     NotConforming,
@@ -15,6 +14,7 @@ from truepath.kinematics.effects.conformance import (
     jacobian_is_the_slope_of_the_displacement,
     words_are_there,
 )
+from truepath.kinematics.effects.family import list_families
 from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
 
 

@@ -6,19 +6,15 @@ import pytest
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.location_error import Squareness, list_squarenesses
-from truepath.kinematics.effects.nuisance import TimingLaw, TrackerPose
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     describe_symbol,
     find_unit,
     list_error_motions,
 )
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine

@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 
 MACHINE = Machine(

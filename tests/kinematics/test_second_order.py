@@ -8,14 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import make_error_motion
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    RotaryAxis,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
 from truepath.kinematics.machine.symbols import is_turn, list_error_motions
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.second_order import adds_up, compute_second_order_mm
 

@@ -9,12 +9,8 @@ from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.position_wave import PositionWave, ScrewCyclic
 from truepath.kinematics.effects.sinusoid import find_amplitude_and_phase
 from truepath.kinematics.effects.time_wave import TimeWave, Vibration
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 SPAN_S = 0.08
 RATE_MM_S = np.array([60.0, 0.0, 0.0])

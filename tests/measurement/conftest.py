@@ -13,14 +13,9 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from truepath.measurement.messages import (
-    CellEvent,
-    FaultReported,
-    StateChanged,
-    StreamTimeouts,
-)
+from truepath.measurement.messages import CellEvent, FaultReported, StateChanged
 from truepath.measurement.run_file.run_file import LINK_STREAM
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.timing import EngineSettings, StreamTimeouts
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.errors import DeviceTimeout
 from truepath_drivers.interfaces.motion import MotionController

@@ -17,10 +17,9 @@ from truepath.measurement.messages import (
     FaultReported,
     LinesDamaged,
     MeasurementOrder,
-    StreamTimeouts,
 )
 from truepath.measurement.target import target_search
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.timing import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers.interfaces.errors import BeamLost, NotHomed, NotOffered

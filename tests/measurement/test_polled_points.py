@@ -21,10 +21,9 @@ from truepath.measurement.messages import (
     LivePoints,
     MeasurementOrder,
     RunClosed,
-    StreamTimeouts,
 )
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.timing import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import (
     BeamLost,

@@ -319,7 +319,7 @@ sys.path[:0] = [{root!r}]
 from pathlib import Path
 import numpy as np
 from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
-from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath_drivers.interfaces.records import Path as Lines, TrackerSamples

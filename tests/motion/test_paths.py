@@ -14,8 +14,8 @@ from truepath.kinematics.machine.machine import (
     MotionLimits,
     RotaryAxis,
     Target,
-    TrackerNoise,
 )
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import row_times_s, travel_time_s
 from truepath.motion.paths.commanded_rows import command_rows

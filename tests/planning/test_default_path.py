@@ -10,13 +10,8 @@ import pytest
 
 from truepath.errors import PlanningError
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    RotaryAxis,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
 from truepath.motion.workspace.travel import check_travel
 from truepath.planning.design_state import inverse

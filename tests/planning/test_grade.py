@@ -8,7 +8,8 @@ from tests.estimation.estimating import estimate
 
 from truepath.alignment.align import align
 from truepath.errors import PlanningError
-from truepath.kinematics.machine.machine import Target, TrackerNoise
+from truepath.kinematics.machine.machine import Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.volumetric_map import (
     build_volumetric_map,
     compute_volumetric_gram,

@@ -5,13 +5,8 @@ import pytest
 
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import make_error_motion
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    RotaryAxis,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.splines import natural_spline
 from truepath.numerics.design_criteria import IntegratedVariance

@@ -16,12 +16,8 @@ from truepath.estimation.solve.run_estimate import Residuals, RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import (
-    LinearAxis,
-    Machine,
-    Target,
-    TrackerNoise,
-)
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.numerics.rigid import RigidTransform
 from truepath.results.findings import Findings, Provenance, state_findings
 

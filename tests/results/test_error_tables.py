@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.symbols import is_straightness, is_turn
 from truepath.results.error_tables import build_error_tables, choose_table_positions

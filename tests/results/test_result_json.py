@@ -14,7 +14,7 @@ from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.kinematics.effects.base import Role
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.results.error_tables import build_error_tables
 from truepath.results.findings import state_findings

@@ -11,7 +11,9 @@ import pytest
 
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.drawing import (
+from truepath_simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.effects_by_name import (
     CATALOGUED,
     EFFECTS,
     as_json,
@@ -19,8 +21,6 @@ from truepath_simulators.hidden.drawing import (
     from_json,
     parse_hidden,
 )
-from truepath_simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
-from truepath_simulators.hidden.effect import HiddenEffect, Occasion
 from truepath_simulators.hidden.guides import ElasticSag, Squareness
 from truepath_simulators.hidden.motion import Motion, continue_from
 from truepath_simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic

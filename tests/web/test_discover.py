@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.service.page.pages import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from truepath.compensation.installed import list_formats
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.machines.conditions import condition_board
 from truepath.machines.conditions.conditions import ConditionType
 from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS

@@ -20,7 +20,7 @@ from truepath.alignment.stream.nominal_path import compute_nominal_path, require
 from truepath.alignment.stream.stops import find_stops, rest_position_mm
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
-from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import select_rows
 from truepath_drivers.interfaces.records import Path
 

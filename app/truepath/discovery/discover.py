@@ -33,7 +33,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.candidate_term import propose_terms
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.progress import ShareProgress, ignore_progress
 

@@ -14,7 +14,7 @@ from truepath.discovery.term_search import EQUIVALENT
 from truepath.discovery.terms.line_blocks import RunData
 from truepath.estimation.problem.noise import floor_mm
 from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
     Family,

@@ -28,7 +28,7 @@ from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.catalogue import USUAL_MM
+from truepath.kinematics.effects.family import USUAL_MM
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN
 from truepath_drivers.interfaces.records import Path

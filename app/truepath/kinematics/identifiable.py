@@ -31,7 +31,7 @@ from truepath.kinematics.effects.location_error import (
     list_axis_locations,
     list_squarenesses,
 )
-from truepath.kinematics.effects.nuisance import (
+from truepath.kinematics.effects.pose_timing_seats import (
     TargetSeat,
     TrackerPose,
     list_target_seats,

@@ -11,14 +11,14 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, ErrorCurve, Parameter
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
     Family,
     Quantity,
     find_family,
 )
-from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from truepath.files.bundle.run import PointBlock
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.durations import Durations
+from truepath.measurement.timing import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import (
     Identity,
@@ -38,30 +39,6 @@ class CellState(StrEnum):
     ABORTED = "aborted"
     FAILED = "failed"
     FAULTED = "faulted"
-
-
-@dataclass(frozen=True, slots=True)
-class StreamTimeouts:
-    """For how long, in seconds that the host has run, a stream may be less than good.
-
-    damaged_share : of a second's samples that may be bad or lost; damaged_s : for how
-        long more may be, before the measurement ends
-    late_s : what counts at most of a time in which the host did not run: a suspended or
-        starved process reads nothing, and finds all data waiting afterwards
-    point_s : how much longer than its dwell a point of a polled tracker may take
-    search_s : how long after a lost beam a tracker may find its target again for the
-        measurement to go on by itself: too short for anybody to be at the machine; at
-        0 it is never asked to
-    """
-
-    silent_s: float = 0.5
-    dead_s: float = 5.0
-    beam_s: float = 0.25
-    damaged_share: float = 0.01
-    damaged_s: float = 10.0
-    late_s: float = 0.25
-    point_s: float = 20.0
-    search_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from truepath.catalogue.catalogue_tables import import_tables, open_export
 from truepath.catalogue.data_folder import hold_folder
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.store.database import Database
+from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
 from truepath.operation.archive import (
     Archive,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from truepath.compensation.installed import list_formats
 from truepath.device_options import DEVICES, read_options
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 from truepath.motion.nc_programs.programs import list_dialects
 from truepath.operation.computer import look_at_computer
 from truepath.operation.devices import look_at_devices

@@ -35,7 +35,7 @@ from truepath.estimation.problem.observability import (
 )
 from truepath.estimation.problem.prior import diagonal_precision
 from truepath.estimation.problem.separation import describe_confounded
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.identifiable import list_confounded_effects
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel

@@ -20,7 +20,7 @@ from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.effects.servo_mismatch import ServoMismatch
 from truepath.kinematics.identifiable import (
     build_identifiable_model,

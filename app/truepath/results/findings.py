@@ -21,7 +21,7 @@ from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade
 from truepath.results.as_if_driven import judge_program
 from truepath.results.error_tables import ErrorTables, build_error_tables

@@ -14,7 +14,7 @@ import numpy as np
 
 from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.kinematics.effects.catalogue import Quantity
+from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import CatalogueEffect
 from truepath.planning.forecast import Forecast

@@ -20,8 +20,8 @@ from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import parse_fault
-from truepath_simulators.hidden.drawing import as_json, parse_hidden
 from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effects_by_name import as_json, parse_hidden
 from truepath_simulators.hidden.motion import MotionFollower
 from truepath_simulators.hidden.superposition import locate_target_mm
 from truepath_simulators.links.links import require_free

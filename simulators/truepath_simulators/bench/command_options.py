@@ -10,7 +10,7 @@ from pathlib import Path
 from truepath_simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import KINDS, parse_fault
-from truepath_simulators.hidden.drawing import EFFECTS
+from truepath_simulators.hidden.effects_by_name import EFFECTS
 from truepath_simulators.scenario import list_machines
 
 _LAST_PORT = 65535

@@ -20,7 +20,7 @@ from truepath_simulators.cnc.modbus_ports import (
 from truepath_simulators.cnc.modbus_wire import READ_HOLDING, answer, exception
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Fault, Schedule, parse_fault
-from truepath_simulators.hidden.drawing import from_json
+from truepath_simulators.hidden.effects_by_name import from_json
 from truepath_simulators.machine_clock import AwakeClock, MachineClock
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.profile import Limits

@@ -14,7 +14,7 @@ from truepath_simulators.board import BoardReader
 from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.faults import Schedule, parse_fault
-from truepath_simulators.hidden.drawing import from_json
+from truepath_simulators.hidden.effects_by_name import from_json
 from truepath_simulators.links.links import Port, make_port
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine

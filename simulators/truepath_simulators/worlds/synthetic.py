@@ -19,8 +19,8 @@ import numpy as np
 
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.drawing import parse_hidden
 from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effects_by_name import parse_hidden
 from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.hidden.superposition import locate_target_mm, misread
 from truepath_simulators.machine import tracker_head

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from truepath.alignment.observations.reduction import Cells, beam_frame
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 USUAL_OU = 0.15  # correlated part of the noise, of the stated one: hall and tracker
 _BESIDE = 4  # cells on either side

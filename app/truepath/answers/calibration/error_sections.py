@@ -11,7 +11,7 @@ from truepath.answers.shown.error_figures import draw_error_motions
 from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
 from truepath.answers.shown.templating import View
 from truepath.answers.shown.volume_figure import draw_volume
-from truepath.kinematics.effects.catalogue import Quantity
+from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.machine.symbols import list_error_motions as symbols_of

@@ -13,7 +13,7 @@ from truepath.answers.certificate.lengths import (
     say_lengths,
     say_measured_lengths,
 )
-from truepath.answers.certificate.picture import paint
+from truepath.answers.certificate.paper_colours import paint
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.circles.circle_figures import FIGURES

@@ -20,7 +20,7 @@ from typing import Literal
 from truepath.answers.shown.number_format import format_expanded, format_number
 from truepath.errors import BadInput, TruepathError
 from truepath.files.earlier.verdict import Reason
-from truepath.kinematics.effects.catalogue import find_family
+from truepath.kinematics.effects.family import find_family
 from truepath.kinematics.machine.symbols import (
     LINEAR,
     SQUARENESS,

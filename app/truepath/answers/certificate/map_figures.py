@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.picture import paint
+from truepath.answers.certificate.paper_colours import paint
 from truepath.answers.shown.chart import Frame, Scale, round_down
 from truepath.answers.shown.svg import (
     NUMBER,

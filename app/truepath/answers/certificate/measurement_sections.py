@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from truepath.answers.certificate.issue import Certificate
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.picture import paint
+from truepath.answers.certificate.paper_colours import paint
 from truepath.answers.shown.svg import (
     WIDTH,
     Colour,

@@ -19,7 +19,7 @@ from truepath.discovery.terms.discrimination import (
     Question,
 )
 from truepath.files.bundle.commanded_file import list_columns
-from truepath.kinematics.effects.catalogue import Candidate, Family, find_family
+from truepath.kinematics.effects.family import Candidate, Family, find_family
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.results.updated_effects import parameters_json
 

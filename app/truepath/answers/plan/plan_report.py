@@ -29,7 +29,7 @@ from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.files.bundle.commanded_file import encode_commanded
 from truepath.files.earlier.verdict import verdict_from_json
-from truepath.kinematics.effects.catalogue import find_family
+from truepath.kinematics.effects.family import find_family
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.motion.nc_programs.programs import (

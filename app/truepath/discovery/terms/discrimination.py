@@ -25,7 +25,7 @@ from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.discovery.terms.line_blocks import PlacedLine, RunData, build_line
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.prior import diagonal_precision
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.motion_times import Drive, Legs, Stops, travel_time_s
 from truepath.motion.workspace.travel import (

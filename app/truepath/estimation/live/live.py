@@ -57,7 +57,7 @@ from truepath.kinematics.coarse_model import (
     build_coarse_model,
 )
 from truepath.kinematics.effects.base import Effect, Parameter, Role
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,

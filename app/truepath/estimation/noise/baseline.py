@@ -35,7 +35,7 @@ from truepath.kinematics.coarse_model import (
     add_effects,
 )
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.nuisance import TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform

@@ -21,7 +21,7 @@ from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.catalogue import Wave
+from truepath.kinematics.effects.family import Wave
 from truepath.numerics.spectrum import transform
 
 _OUTLIER = 5.0

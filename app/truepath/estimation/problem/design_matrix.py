@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float64
 from truepath.alignment.observations.observations import CellMeans, Observations
 from truepath.estimation.problem.noise import NoiseModel, cell_noise
 from truepath.kinematics.effects.base import Effect, EffectOfRun, Parameter
-from truepath.kinematics.effects.nuisance import TimingLaw, TrackerPose
+from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.correlated_noise import Whitener, factorise
 from truepath.numerics.rigid import RigidTransform

@@ -12,8 +12,9 @@ from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Posterior
 from truepath.estimation.problem.noise import NoiseModel, floor_mm
 from truepath.estimation.problem.runs import RunInformation
-from truepath.kinematics.effects.nuisance import TargetSeat
-from truepath.kinematics.machine.machine import Target, TrackerNoise
+from truepath.kinematics.effects.pose_timing_seats import TargetSeat
+from truepath.kinematics.machine.machine import Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.numerics.rigid import RigidTransform
 
 

@@ -29,8 +29,8 @@ from truepath.kinematics.machine.machine import (
     MotionLimits,
     RotaryAxis,
     Target,
-    TrackerNoise,
 )
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 SCHEMA = "machine/1"
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}

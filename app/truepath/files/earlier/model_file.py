@@ -26,8 +26,8 @@ from truepath.files.earlier.covariance_file import (
 from truepath.files.units import scale_of, unit_of
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.catalogue import Family, find_family
 from truepath.kinematics.effects.error_motion import make_error_motion_over
+from truepath.kinematics.effects.family import Family, find_family
 from truepath.kinematics.effects.location_error import (
     list_axis_locations,
     list_squarenesses,

@@ -23,7 +23,11 @@ from truepath.kinematics.effects.base import (
     Role,
     columns_along,
 )
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import (
+    find_arm,
+    find_usual_size,
+)
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -31,10 +35,6 @@ from truepath.kinematics.effects.catalogue import (
     Quantity,
     Scan,
     read_words,
-)
-from truepath.kinematics.effects.error_motion import (
-    find_arm,
-    find_usual_size,
 )
 from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, EffectOfRun, name_in_run
-from truepath.kinematics.effects.catalogue import Candidate, Family, Scan, Wave
+from truepath.kinematics.effects.family import Candidate, Family, Scan, Wave
 
 
 @dataclass(frozen=True)

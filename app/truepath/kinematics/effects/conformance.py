@@ -24,7 +24,7 @@ from truepath.kinematics.conditions import (
     make_standstill,
 )
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.family import (
     LANGUAGES,
     Candidate,
     CandidateEstimate,
@@ -36,8 +36,8 @@ from truepath.kinematics.machine.machine import (
     Machine,
     RotaryAxis,
     Target,
-    TrackerNoise,
 )
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 UNITS = ("mm", "rad", "s", "mm/s", "1/mm", "1/s", "1/K", "1")
 _STEP = 1e-3

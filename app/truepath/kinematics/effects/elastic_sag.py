@@ -22,7 +22,8 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -30,7 +31,6 @@ from truepath.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm
 from truepath.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from truepath.kinematics.effects.sinusoid import (
     find_amplitude_and_phase,

@@ -17,7 +17,8 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
@@ -25,7 +26,6 @@ from truepath.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm
 from truepath.kinematics.effects.keys import AXIS, DIRECTION, MOTION
 from truepath.kinematics.effects.polynomials import expand_share, multiply_shares
 from truepath.kinematics.machine.machine import LinearAxis, Machine

@@ -21,8 +21,8 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter
-from truepath.kinematics.effects.catalogue import Candidate, Family, read_words
 from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.kinematics.effects.family import Candidate, Family, read_words
 from truepath.kinematics.effects.keys import SYMBOL
 from truepath.kinematics.machine.machine import RotaryAxis, find_local_directions
 from truepath.kinematics.machine.symbols import DIRECTION, TURNS, list_locations

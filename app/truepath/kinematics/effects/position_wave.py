@@ -11,13 +11,13 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Role
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     Wave,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm
 from truepath.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from truepath.kinematics.effects.sinusoid import (
     Sinusoid,

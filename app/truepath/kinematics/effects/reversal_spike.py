@@ -10,14 +10,14 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     Family,
     Scan,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm
 from truepath.kinematics.effects.keys import AXIS, DIRECTION
 from truepath.kinematics.machine.machine import LinearAxis
 

@@ -14,14 +14,14 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
     Family,
     Quantity,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
 from truepath.kinematics.effects.keys import ROTARY_AXIS
 from truepath.kinematics.effects.sinusoid import (
     find_amplitude_and_phase,

@@ -10,8 +10,8 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import Candidate, Family, read_words
 from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.family import Candidate, Family, read_words
 from truepath.kinematics.effects.keys import AXIS
 from truepath.kinematics.machine.machine import LinearAxis
 

@@ -10,7 +10,8 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
     Family,
@@ -18,7 +19,6 @@ from truepath.kinematics.effects.catalogue import (
     Scan,
     read_words,
 )
-from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
 from truepath.kinematics.effects.keys import AXIS
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 

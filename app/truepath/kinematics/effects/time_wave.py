@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions, RecordedState
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,

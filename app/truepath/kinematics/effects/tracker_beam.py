@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions, RecordedState
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.catalogue import Candidate, Family
+from truepath.kinematics.effects.family import Candidate, Family
 
 
 class BeamEffect(Effect):

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions, RecordedState
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.catalogue import (
+from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,

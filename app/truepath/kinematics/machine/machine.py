@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.kinematics.machine.symbols import TURNS
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 SAME_TARGET_MM = 1e-6  # rounding
 SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known
@@ -65,28 +66,6 @@ class Target:
     on: str
     offset_mm: tuple[float, float, float]
     seat_sigma_mm: float = SEAT_SIGMA_MM
-
-
-@dataclass(frozen=True, slots=True)
-class TrackerNoise:
-    """Standard deviations of one sample, its rate, and where the tracker stands."""
-
-    range_sigma_um: float = 1.0
-    range_ppm: float = 0.3
-    angle_sigma_urad: float = 3.0
-    transverse_sigma_um: float = 4.0
-    rate_hz: float = 500.0
-    stands_on: str = "workpiece"
-
-    def sigma_mm(
-        self, distance_mm: Float64[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, "n 2"]:
-        """Return one sample's standard deviation along and across the beam, in mm."""
-        along = self.range_sigma_um + self.range_ppm * distance_mm * 1e-3
-        across = np.hypot(
-            self.angle_sigma_urad * distance_mm * 1e-3, self.transverse_sigma_um
-        )
-        return np.stack([along, across], axis=1) * 1e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,9 @@ from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.conditions.condition_board import ConditionBoard
 from truepath.machines.conditions.conditions import Condition, Observed
 from truepath.machines.machine_cells import MachineCell
-from truepath.measurement.messages import CellConfig, StreamTimeouts
+from truepath.measurement.messages import CellConfig
 from truepath.measurement.process.cell import Cell
+from truepath.measurement.timing import StreamTimeouts
 
 
 def _read_clock_difference_s() -> float:

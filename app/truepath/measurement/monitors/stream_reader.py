@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.errors import MeasurementFailed
-from truepath.measurement.messages import StreamTimeouts
 from truepath.measurement.monitors.plausibility import SeenPlace
 from truepath.measurement.monitors.tracker_trial import drop_earlier_samples
 from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.timing import RunningClock
+from truepath.measurement.timing import RunningClock, StreamTimeouts
 from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker

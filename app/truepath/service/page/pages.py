@@ -20,7 +20,7 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from truepath.catalogue.transitions import FINAL, State
-from truepath.kinematics.effects.catalogue import list_families
+from truepath.kinematics.effects.family import list_families
 
 STATIC_PATH = "/static"
 LANGUAGES = ("en", "de")

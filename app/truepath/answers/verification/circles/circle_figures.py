@@ -27,7 +27,7 @@ from truepath.alignment.observations.reduction import beam_frame
 from truepath.answers.verification.places.measured_places import correlate_means
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.machine.machine import TrackerNoise
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.numerics.rigid import RigidTransform
 
 SECTORS = 120

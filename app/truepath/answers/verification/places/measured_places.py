@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from truepath.alignment.observations.observations import CellMeans, Observations
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.nuisance import TrackerPose, list_target_seats
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose, list_target_seats
 from truepath.numerics.rigid import RigidTransform
 
 PLACE_S = 1.0  # of a line: longer than most correlation times, shorter than a shape

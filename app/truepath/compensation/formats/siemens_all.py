@@ -31,9 +31,13 @@ from truepath.compensation.format import (
     Correction,
     TemperatureTables,
 )
-from truepath.compensation.formats.siemens import Siemens, SiemensCec, SiemensLec
 from truepath.compensation.formats.siemens_controls import CONTROLS, DEFAULT_CONTROL
 from truepath.compensation.formats.siemens_leadscrew import MEASURING_SYSTEMS
+from truepath.compensation.formats.siemens_lec_cec import (
+    Siemens,
+    SiemensCec,
+    SiemensLec,
+)
 from truepath.compensation.formats.siemens_reading import read_rotary_tables
 from truepath.compensation.formats.siemens_swivel import (
     ABOUT_SWIVEL,
