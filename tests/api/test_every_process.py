@@ -55,7 +55,7 @@ def has_to_run(role: str, state: str) -> bool:
 def look_for_process(parent: int, role: str) -> int | None:
     for child in psutil.Process(parent).children(recursive=True):
         named = child.name().startswith(f"truepath-{role}")
-        if named or f"simulators.{role}_process" in " ".join(child.cmdline()):
+        if named or f".{role}_process" in " ".join(child.cmdline()):
             return child.pid
     return None
 
