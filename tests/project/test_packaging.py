@@ -1,14 +1,25 @@
 """Constraints pin all that is installed; the wheel carries all that is served."""
 
+import ast
 import re
+import sys
 import zipfile
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import (
+    PackageNotFoundError,
+    distribution,
+    packages_distributions,
+)
 from itertools import takewhile
 
 import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+SOURCES = ("app", "drivers", "simulators")
+KNOWN = {"truepath", "truepath_drivers", "truepath_simulators"}
+KNOWN |= {"psycopg", "distributed", "weasyprint"}  # of an extra, imported with it
+KNOWN |= {"hal", "pytest"}  # of what loads that file: LinuxCNC, pytest
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +68,22 @@ def licence_of(name):
     kinds = [line for line in about.get_all("Classifier", []) if "License ::" in line]
     stated = about.get("License-Expression") or about.get("License") or ""
     return about.get("License-Expression") or " ".join(kinds) or stated
+
+
+def test_what_runs_imports_only_what_is_installed_with_it(root):
+    given = required("truepath", set())
+    owners = packages_distributions()
+    strange = set()
+    for file in (f for room in SOURCES for f in (root / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            for name in {n.partition(".")[0] for n in names} - KNOWN:
+                found = {canonicalize_name(one) for one in owners.get(name, [name])}
+                if name not in sys.stdlib_module_names and not found & given:
+                    strange.add(f"{file.relative_to(root)}: {name}")
+    assert not strange
 
 
 def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
