@@ -216,7 +216,7 @@ def test_the_service_measures_simulators_of_another_container(
         name: value.replace('"simulators"', '"127.0.0.1"')
         for name, value in bench.items()
     }
-    machine = root / "simulators" / "scenarios" / "demo.json"
+    machine = root / "simulators/truepath_simulators/scenarios" / "demo.json"
     copy = tmp_path / "machine.json"
     shutil.copy(machine, copy)
     copy.chmod(0o644)
