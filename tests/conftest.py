@@ -26,6 +26,7 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -119,6 +120,21 @@ def measured(request: pytest.FixtureRequest) -> Callable[[str], None]:
         notes.extend((MEASURED, [row, text]) for row in rows)
 
     return note
+
+
+class HandClock:
+    """The computer's clock, standing until the test moves it."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+
+@pytest.fixture
+def hand_clock(monkeypatch: pytest.MonkeyPatch) -> HandClock:
+    """Let a test say what time it is."""
+    clock = HandClock()
+    monkeypatch.setattr(host_clock, "now_s", lambda: clock.time_s)
+    return clock
 
 
 @pytest.fixture

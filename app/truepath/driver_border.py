@@ -8,7 +8,6 @@ and what it must not answer, is one DriverFault that names it.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -19,6 +18,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from truepath.plugins import REMEDY, describe_plugin, word_error
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.device import Device
 from truepath_drivers.interfaces.errors import DeviceError, DriverFault
@@ -91,9 +91,9 @@ class Call:
         """Whether it has returned or failed."""
         return not self._thread.is_alive()
 
-    def wait(self, timeout_s: float) -> None:
+    def await_end(self, timeout_s: float) -> None:
         """Wait for its end, at most so long."""
-        self._thread.join(timeout_s)
+        host_clock.join(self._thread, timeout_s)
 
     def _run(self) -> None:
         try:
@@ -162,10 +162,10 @@ class _Border:
             if left_s <= 0.0:
                 self._overdue[name] = call
                 raise self._fault(f"has not returned from {name}() in {limit_s:g} s")
-            begin_s = time.monotonic()
-            call.wait(min(left_s, _SLICE_S))
+            begin_s = host_clock.now_s()
+            call.await_end(min(left_s, _SLICE_S))
             # A process that did not run has not let the driver run either.
-            left_s -= min(time.monotonic() - begin_s, 2.0 * _SLICE_S)
+            left_s -= min(host_clock.now_s() - begin_s, 2.0 * _SLICE_S)
         if call.failure is not None:
             raise self._translate(call.failure, name) from call.failure
         if name in _PROPERTIES:

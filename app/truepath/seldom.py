@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-import time
+
+from truepath_drivers import host_clock
 
 
 class Seldom:
@@ -15,7 +16,7 @@ class Seldom:
 
     def is_due(self) -> bool:
         """Return True the first time, and then once in `every_s`."""
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         with self._lock:
             if now_s < self._next_s:
                 return False

@@ -26,6 +26,7 @@ from pathlib import Path
 import structlog
 
 from truepath.errors import BadInput
+from truepath_drivers import host_clock
 
 _MAIN_PROCESS = "MainProcess"
 _SEND_REST_S = 1.0
@@ -102,7 +103,7 @@ def send_log(records: Connection, settings: tuple[int, bool]) -> Iterator[None]:
         yield
     finally:
         waiting.put(None)
-        sender.join(_SEND_REST_S)
+        host_clock.join(sender, _SEND_REST_S)
 
 
 def receive_log(records: Connection) -> None:

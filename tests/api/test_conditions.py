@@ -71,8 +71,8 @@ def seen():
 
 
 @pytest.fixture
-def board(seen):
-    return ConditionBoard(lambda: seen[0], lambda: 0.0)
+def board(seen, hand_clock):
+    return ConditionBoard(lambda: seen[0])
 
 
 def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(

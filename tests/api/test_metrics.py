@@ -135,13 +135,11 @@ def test_counts_of_measurements_add_up_and_never_fall():
     assert counters.read().crc_errors == 7
 
 
-def test_a_repeated_command_is_timed_from_its_first_time(monkeypatch):
+def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     counters = CellCounters()
-    now = iter([10.0, 11.0, 12.5])
-    monkeypatch.setattr("time.monotonic", lambda: next(now))
-    counters.expect_answer(CellVerb.PAUSE)
-    counters.expect_answer(CellVerb.PAUSE)
-    monkeypatch.setattr("time.monotonic", lambda: 12.5)
+    for hand_clock.time_s in (10.0, 11.0):
+        counters.expect_answer(CellVerb.PAUSE)
+    hand_clock.time_s = 12.5
     counters.count(StateChanged(CellState.PAUSED))
     counters.count(StateChanged(CellState.PAUSED))
     (pause,) = counters.read().commands.values()

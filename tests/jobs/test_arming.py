@@ -35,25 +35,11 @@ OFF_THE_LINE = {"x_mm": 100.0, "y_mm": 350.0, "z_mm": 50.0}
 OTF = RequestedJob(JobKind.MEASURE_OTF, rows=(*ROWS, OFF_THE_LINE))
 
 
-class Clock:
-    """Monotonic seconds that a test sets."""
-
-    now_s = 100.0
-
-    def __call__(self):
-        return self.now_s
-
-
 @pytest.fixture
-def clock():
-    return Clock()
-
-
-@pytest.fixture
-def dispatcher(context, event_bus, clock):
+def dispatcher(context, event_bus, hand_clock):
     """Tokens are good for 60 s of the test's clock."""
     context.require_cell().start()
-    dispatcher = Dispatcher(context, event_bus, ArmTokens(60.0, clock))
+    dispatcher = Dispatcher(context, event_bus, ArmTokens(60.0))
     yield dispatcher
     dispatcher.close()
 
@@ -96,9 +82,9 @@ def test_a_token_that_nobody_was_given_moves_nothing(refused, dispatcher, ready,
 
 
 @pytest.mark.fault_row(34)
-def test_a_token_expires(refused, dispatcher, ready, clock):
+def test_a_token_expires(refused, dispatcher, ready, hand_clock):
     token = dispatcher.prepare_arming(ready.id).token
-    clock.now_s += 60.0
+    hand_clock.time_s += 60.0
     refused(ArmTokenExpired, token, "60 s, which have passed")
 
 

@@ -33,6 +33,11 @@ NOW_S = 1000.0
 CONNECTED = CellStatus("ready", devices={"motion": {"has_watchdog": True}})
 
 
+@pytest.fixture(autouse=True)
+def now(hand_clock):
+    hand_clock.time_s = NOW_S
+
+
 def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S, **told):
     told = {"referenced": True, "compensation": False} | told
     told = {"alarm": alarm, "override": override} | told
@@ -114,7 +119,7 @@ def test_axes_that_are_not_referenced_stand_in_the_way_in_any_state(state):
 def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
     seen = replace(GOOD, controller=shown(**{told: None}))
     assert levels(seen)[kind] is Level.UNKNOWN
-    assert not ConditionBoard(lambda: seen, lambda: NOW_S).list_obstacles()
+    assert not ConditionBoard(lambda: seen).list_obstacles()
 
 
 @pytest.mark.parametrize(
@@ -132,7 +137,7 @@ def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
     told, wants, level, reason
 ):
     seen = replace(GOOD, controller=shown(compensation=told))
-    board = ConditionBoard(lambda: seen, lambda: NOW_S, wants_compensation=wants)
+    board = ConditionBoard(lambda: seen, wants_compensation=wants)
     asked = ConditionType.COMPENSATION_AS_ASKED
     (found,) = [one for one in board.read() if one.type is asked]
     assert (found.level, found.reason) == (level, reason)
@@ -172,7 +177,7 @@ def test_a_controller_that_a_measurement_reads_is_not_called_late():
 
 def test_a_level_has_its_time_although_nobody_asks():
     seen = [GOOD]
-    board = ConditionBoard(lambda: seen[0], lambda: NOW_S, look_s=0.01)
+    board = ConditionBoard(lambda: seen[0], look_s=0.01)
     looks = board._since
     board.start()
     try:
@@ -241,21 +246,21 @@ def test_a_drift_stands_in_the_way_only_beyond_a_limit_that_is_stated():
     assert "X has changed by 1.4 °C in 10 min" in found.message
     for limit_degc, obstacles in ((None, []), (1.2, [kind]), (1.5, [])):
         seen = replace(drifts, drift_limit_degC=limit_degc)
-        board = ConditionBoard(lambda seen=seen: seen, lambda: NOW_S)
+        board = ConditionBoard(lambda seen=seen: seen)
         assert [one.type for one in board.list_obstacles()] == obstacles
 
 
 def test_the_condition_of_temperatures_shows_them():
     shown_now = (Temperature("X_degC", 22.0, 0.2, 300.0),)
     seen = replace(GOOD, stream=replace(STREAM, temperatures=shown_now))
-    read = ConditionBoard(lambda: seen, lambda: NOW_S).read()
+    read = ConditionBoard(lambda: seen).read()
     steady = ConditionType.TEMPERATURE_STEADY
     assert {one.temperatures for one in read if one.type is steady} == {shown_now}
     assert {one.temperatures for one in read if one.type is not steady} == {()}
 
 
 def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machine):
-    board = ConditionBoard(lambda: GOOD, lambda: NOW_S)
+    board = ConditionBoard(lambda: GOOD)
     assert not board.list_obstacles()
     rows = command_rows(
         machine, [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)], is_path=True
@@ -326,7 +331,7 @@ def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
     read = ControllerLevels(place, "", NOW_S, axes[::-1])
     seen = replace(GOOD, controller=read)
     parts = [points_at(machine, (10, 10), (50, 10))]
-    board = ConditionBoard(lambda: seen, lambda: NOW_S)
+    board = ConditionBoard(lambda: seen)
     board.path = judge_path(machine, parts, AVOIDS_VICE)
     board.judge_approach = partial(judge_approach, machine, parts, AVOIDS_VICE)
     (found,) = [
@@ -340,7 +345,7 @@ def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
 def test_a_change_of_a_level_is_told_once():
     changes = []
     seen = [GOOD]
-    board = ConditionBoard(lambda: seen[0], lambda: NOW_S, on_change=changes.append)
+    board = ConditionBoard(lambda: seen[0], on_change=changes.append)
     board.read()
     seen[0] = replace(GOOD, controller=shown(MotionState.DOOR))
     board.read()
@@ -365,7 +370,7 @@ def test_since_is_when_the_level_changed_not_when_somebody_asked(monkeypatch):
     )
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])
-    board = ConditionBoard(lambda: next(seen), lambda: NOW_S)
+    board = ConditionBoard(lambda: next(seen))
     read = [board.read() for _ in range(4)]
     able = [
         one

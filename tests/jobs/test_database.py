@@ -19,6 +19,7 @@ from truepath.users.accounts import Accounts
 from truepath.users.audit import AuditLog, Entry
 from truepath.users.roles import Actor, Role
 from truepath.users.tokens import Tokens
+from truepath_drivers import host_clock
 
 
 @pytest.fixture
@@ -135,7 +136,7 @@ def test_a_busy_catalogue_is_logged_once_in_a_while(sqlite_database, monkeypatch
         tries.append(1)
         raise OperationalError("", {}, sqlite3.OperationalError("database is locked"))
 
-    monkeypatch.setattr(databases.time, "sleep", lambda _: None)
+    monkeypatch.setattr(host_clock, "sleep_s", lambda _: None)
     with pytest.raises(StorageUnavailable):
         sqlite_database.write(refuse)
     assert len(tries) > 20

@@ -141,7 +141,7 @@ def test_a_run_of_no_known_job_is_catalogued_alone(context, begin_run, reconcili
 
 
 def test_a_file_that_is_no_run_is_told_once_and_tried_ever_more_seldom(
-    context, reconciliation, monkeypatch
+    context, reconciliation, monkeypatch, hand_clock
 ):
     context.runs.name_run_file("garbage").write_bytes(b"no database at all" * 99)
     read, told = [], []
@@ -153,10 +153,8 @@ def test_a_file_that_is_no_run_is_told_once_and_tried_ever_more_seldom(
 
     monkeypatch.setattr(type(context.runs), "read_measured", count)
     monkeypatch.setattr(reconciling.log, "warning", lambda text, **_: told.append(text))
-    clock = [0.0]
-    monkeypatch.setattr(reconciling.time, "monotonic", lambda: clock[0])
     patient = Reconciliation(context, lambda: False, every_s=30.0)
-    for clock[0] in range(0, 3600, 30):
+    for hand_clock.time_s in range(0, 3600, 30):
         patient.look()
     assert len(told) == 1
     assert 4 < len(read) < 12

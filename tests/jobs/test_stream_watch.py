@@ -22,23 +22,9 @@ from truepath.measurement.messages import (
 )
 
 
-class Clock:
-    """Monotonic seconds that a test sets."""
-
-    now_s = 100.0
-
-    def __call__(self):
-        return self.now_s
-
-
 @pytest.fixture
-def clock():
-    return Clock()
-
-
-@pytest.fixture
-def watch(clock):
-    watch = StreamWatch(clock)
+def watch(hand_clock):
+    watch = StreamWatch()
     watch.follow(StateChanged(CellState.RUNNING))
     return watch
 
@@ -57,10 +43,10 @@ def test_at_rest_nothing_is_told():
     assert StreamWatch().read() == StreamLevels()
 
 
-def test_a_stream_with_valid_points_has_its_beam(watch, clock):
+def test_a_stream_with_valid_points_has_its_beam(watch, hand_clock):
     watch.follow(seen())
     assert watch.read().has_beam is True
-    clock.now_s += 60.0
+    hand_clock.time_s += 60.0
     assert watch.read().has_beam is None
 
 
@@ -75,33 +61,35 @@ def test_a_lost_beam_is_told_until_the_machine_moves_again(watch):
 
 
 @pytest.mark.fault_row(31)
-def test_losses_of_the_last_seconds_are_counted_and_older_ones_are_not(watch, clock):
+def test_losses_of_the_last_seconds_are_counted_and_older_ones_are_not(
+    watch, hand_clock
+):
     for second, lost in enumerate((0, 0, 7, 7, 7, 7, 7, 7, 7, 7)):
-        clock.now_s = 200.0 + second
+        hand_clock.time_s = 200.0 + second
         watch.follow(progress(lost, damaged=lost // 7))
         if second == 3:
             assert (watch.read().lost_samples, watch.read().crc_errors) == (7, 1)
     assert (watch.read().lost_samples, watch.read().crc_errors) == (0, 0)
-    clock.now_s += 60.0
+    hand_clock.time_s += 60.0
     assert watch.read().lost_samples is None
 
 
-def test_another_measurement_counts_from_nothing(watch, clock):
+def test_another_measurement_counts_from_nothing(watch, hand_clock):
     watch.follow(progress(50))
-    clock.now_s += 1.0
+    hand_clock.time_s += 1.0
     watch.follow(progress(0))
     assert watch.read().lost_samples == 0
 
 
-def test_the_thermometer_that_changes_most_is_named(watch, clock):
+def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
     for step in range(20):
-        clock.now_s = 300.0 + 5.0 * step
+        hand_clock.time_s = 300.0 + 5.0 * step
         watch.follow(seen(X_degC=20.0 + 0.1 * step, Y_degC=21.0, air_hPa=990.0 + step))
         known = watch.read()
         assert (known.drift_degC is None) == (step < 12)
     assert known.drift_degC == pytest.approx(1.9)
     assert known.drifting == "X_degC"
-    clock.now_s += COURSE_S + 1.0
+    hand_clock.time_s += COURSE_S + 1.0
     assert watch.read().drift_degC is None
 
 
@@ -124,18 +112,20 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
         (heard(samples=0, streams=False), False, {"has_beam": None, "failure": ""}),
     ],
 )
-def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(clock, tried, aims, level):
-    watch = StreamWatch(clock)
+def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(
+    hand_clock, tried, aims, level
+):
+    watch = StreamWatch()
     watch.hear(tried, 500.0, aims=aims)
     read = watch.read()
     assert {name: getattr(read, name) for name in level} == level
 
 
-def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(clock):
-    watch = StreamWatch(clock)
+def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
+    watch = StreamWatch()
     watch.hear_failure("it is mute")
     assert watch.read().failure == "it is mute"
-    clock.now_s += HEARD_S + 1.0
+    hand_clock.time_s += HEARD_S + 1.0
     assert watch.read() == StreamLevels()
     watch.hear(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
@@ -143,11 +133,11 @@ def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(clock)
     assert watch.read() == StreamLevels()
 
 
-def test_thermometers_at_rest_tell_temperature_and_change(clock):
-    watch = StreamWatch(clock)
+def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
+    watch = StreamWatch()
     for n in range(10):
         watch.follow(TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}))
-        clock.now_s += 10.0
+        hand_clock.time_s += 10.0
     (shown,) = watch.read().temperatures
     assert (shown.channel, shown.over_s) == ("X_degC", 90.0)
     assert (shown.value_degC, shown.change_degC) == pytest.approx((20.9, 0.9))

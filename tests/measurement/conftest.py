@@ -6,16 +6,17 @@ import itertools
 import pathlib
 import sqlite3
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
 import pytest
+from simulated_clock import SimulatedClock, simulated_clock
 
 from truepath.measurement.messages import CellEvent, FaultReported, StateChanged
 from truepath.measurement.run_file.run_file import LINK_STREAM
 from truepath.measurement.timing import EngineSettings, StreamTimeouts
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.errors import DeviceTimeout
 from truepath_drivers.interfaces.motion import MotionController
@@ -35,6 +36,13 @@ E = TypeVar("E")
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(7)
+
+
+@pytest.fixture
+def clock() -> Iterator[SimulatedClock]:
+    """Let a test live on simulated time."""
+    with simulated_clock() as clock:
+        yield clock
 
 
 @pytest.fixture(autouse=True)
@@ -105,7 +113,7 @@ class FakeTracker(Tracker, ByteLink):
     def start(self, rate_hz: float) -> None:
         if self.refusal is not None:
             raise self.refusal
-        self._rate_hz, self._begun_s, self._sent = rate_hz, time.monotonic(), 0
+        self._rate_hz, self._begun_s, self._sent = rate_hz, host_clock.now_s(), 0
         self.streaming = True
 
     def stop(self) -> None:
@@ -113,14 +121,14 @@ class FakeTracker(Tracker, ByteLink):
         self.stops += 1
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         while True:
             if self.error is not None:
                 raise self.error
             block = self._new()
-            if len(block) or time.monotonic() >= deadline_s:
+            if len(block) or host_clock.now_s() >= deadline_s:
                 return block
-            time.sleep(0.005)
+            host_clock.sleep_s(0.005)
 
     def take_link_bytes(self) -> bytes:
         data, self._bytes = self._bytes, b""
@@ -133,8 +141,8 @@ class FakeTracker(Tracker, ByteLink):
     def _new(self) -> TrackerSamples:
         if not self.streaming:
             return TrackerSamples.empty()
-        passed_s = (time.monotonic() - self._begun_s) * self.speed
-        count = int(passed_s * self._rate_hz)
+        passed_s = (host_clock.now_s() - self._begun_s) * self.speed
+        count = max(int(passed_s * self._rate_hz), self._sent)
         first, self._sent = self._sent, count
         if self.silent or count <= first:
             return TrackerSamples.empty()
@@ -188,7 +196,7 @@ class FakeMotion(MotionController):
         self._owners: list[int] = []
         self._feed = 6000.0
         self._done_s = 0.0
-        self._since_s = time.monotonic()
+        self._since_s = host_clock.now_s()
         self._lock = threading.RLock()
 
     @property
@@ -303,7 +311,7 @@ class FakeMotion(MotionController):
         """Release the feed."""
         with self._lock:
             self._state, self._reason = MotionState.RUNNING, ""
-            self._since_s = time.monotonic()
+            self._since_s = host_clock.now_s()
 
     def raise_alarm(self, text: str) -> None:
         """Stop with an alarm."""
@@ -328,7 +336,7 @@ class FakeMotion(MotionController):
 
     def _advance(self) -> int:
         """Bring position and state to now; return the row moved towards."""
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if self._state is not MotionState.RUNNING:
             return max(len(self._rows) - 2, 0)
         self._done_s += (now_s - self._since_s) * self.speed
@@ -390,7 +398,8 @@ class Journal:
 
     def wait(self, condition: Callable[[], bool], timeout_s: float = 25.0) -> None:
         with self._changed:
-            assert self._changed.wait_for(condition, timeout_s), self.events[-8:]
+            came = host_clock.wait_for(self._changed, condition, timeout_s)
+            assert came, self.events[-8:]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path as FilePath
@@ -27,10 +26,13 @@ from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.motion.configurations import append_part
 from truepath.service.api.models.results.result_run import InterruptionsOut
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.arcs import turn_about
 from truepath_drivers.interfaces.records import Arc, Path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.scenario import load_machine
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 HALF = Arc("XY", (210.0, 110.0), 180.0)
 ARC_ROW = 2
@@ -125,11 +127,11 @@ def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
     tracker.beam = False
-    blocks, deadline_s = {tracker.health.frames}, time.monotonic() + 25.0
+    blocks, deadline_s = {tracker.health.frames}, host_clock.now_s() + 25.0
     while len(blocks) < 3:  # of some 0.4 s of its clock each; one at least is without
-        assert time.monotonic() < deadline_s
+        assert host_clock.now_s() < deadline_s
         blocks.add(tracker.health.frames)
-        time.sleep(0.001)
+        host_clock.sleep_s(0.001)
     tracker.beam = True
     looks = len(journal.of(MeasurementProgress))
     journal.wait(lambda: len(journal.of(MeasurementProgress)) > looks + 8)
@@ -194,8 +196,8 @@ def drive(cell: Cell, order: MeasurementOrder) -> list[LinesDamaged]:
     try:
         cell.connect()
         cell.begin(order)
-        deadline_s = time.monotonic() + 120.0
-        while time.monotonic() < deadline_s:
+        deadline_s = host_clock.now_s() + 120.0
+        while host_clock.now_s() < deadline_s:
             for event in cell.poll(0.1):
                 assert not isinstance(event, FaultReported), event
                 if isinstance(event, LinesDamaged):

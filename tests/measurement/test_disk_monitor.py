@@ -35,9 +35,9 @@ class Disk:
 class Bench:
     """A measurement that only looks at its disk, on a clock of the test."""
 
-    def __init__(self, motion, journal):
-        self.now_s, self.disk = 0.0, Disk()
-        settings = EngineSettings(clock=lambda: self.now_s)
+    def __init__(self, motion, journal, clock):
+        self.clock, self.disk = clock, Disk()
+        settings = EngineSettings()
         self.state = MeasurementState(lambda *_: None)
         machine = ControllerMonitor(motion, self.disk, settings)
         events = EventLog(self.disk, journal.report)
@@ -46,7 +46,7 @@ class Bench:
 
     def pass_time(self, seconds):
         for before, after in pairwise(range(round(10 * seconds) + 1)):
-            self.now_s += (after - before) / 10.0
+            self.clock.time_s += (after - before) / 10.0
             self.monitor.check()
             stands = self.state.wants_hold
             self.state.observe(
@@ -56,8 +56,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(motion, journal):
-    return Bench(motion, journal)
+def bench(motion, journal, hand_clock):
+    return Bench(motion, journal, hand_clock)
 
 
 def test_a_disk_that_catches_up_within_seconds_goes_on_by_itself(bench, journal):

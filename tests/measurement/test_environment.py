@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +35,7 @@ from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.numerics.air_index import find_air_index
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.records import Identity, TrackerSamples
 from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
@@ -45,6 +45,8 @@ from truepath_drivers.interfaces.tracker_records import (
     Light,
     TrackerCapabilities,
 )
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 NAMES = ("X_degC", "air_degC", "pressure_hPa", "humidity_percent")
 USUAL = dict(zip(NAMES, (20.5, 21.0, 1002.0, 45.0), strict=True))
@@ -81,10 +83,10 @@ class FakeThermometers(Thermometers):
     def read(self):
         if not self.is_open:
             raise ConnectionLost("connect first")
-        self.hangs.wait(20.0)
+        host_clock.wait(self.hangs, 20.0)
         if self.broken is not None:
             raise self.broken
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         return tuple(
             Reading(n, now_s, math.nan, self.faults[n])
             if n in self.faults
@@ -227,10 +229,10 @@ def measure(order, tracker, motion, journal, calm):
         measurement = Measurement(
             order, tracker, motion, devices, journal.report, settings, sensors
         )
-        begin_s = time.monotonic()
+        begin_s = host_clock.now_s()
         measurement.run()
         assert journal.of(RunClosed)[-1].outcome == "finished", journal.events[-4:]
-        return open_run(order.run_file), time.monotonic() - begin_s
+        return open_run(order.run_file), host_clock.now_s() - begin_s
 
     return run
 
@@ -350,9 +352,9 @@ def record(file, header, *, blocks=4, close=True):
     recorder = Recorder(file, header, reserve_bytes=0)
     for number in range(blocks):
         recorder.put_tracker(block(50 * number))
-        recorder.put_environment(time.monotonic(), USUAL)
-        time.sleep(0.05)
-    recorder.put_environment(time.monotonic(), {"X_degC": 20.6})
+        recorder.put_environment(host_clock.now_s(), USUAL)
+        host_clock.sleep_s(0.05)
+    recorder.put_environment(host_clock.now_s(), {"X_degC": 20.6})
     if close:
         recorder.close("finished")
     return recorder
@@ -371,9 +373,9 @@ def test_readings_come_on_the_trackers_clock(tmp_path, header):
 def test_readings_outlive_their_writer(tmp_path, header):
     file = tmp_path / "run.sqlite"
     recorder = record(file, header, close=False)
-    deadline_s = time.monotonic() + 5.0
-    while open_run(file).temperature is None and time.monotonic() < deadline_s:
-        time.sleep(0.02)
+    deadline_s = host_clock.now_s() + 5.0
+    while open_run(file).temperature is None and host_clock.now_s() < deadline_s:
+        host_clock.sleep_s(0.02)
     assert open_run(file).temperature.names == ("X", "air")
     recorder.close("aborted")
 

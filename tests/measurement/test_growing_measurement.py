@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,8 @@ from truepath.measurement.progress import ProgressEstimator, schedule_rows
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.motion.configurations import Configurations, append_part
 from truepath_drivers.interfaces.records import Path
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 
@@ -193,7 +194,7 @@ def test_parts_of_another_mode_or_place_are_refused(square):
 
 
 def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
-    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0, time.monotonic)
+    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0)
     before_s = progress.longest_row_s
     rows = square.position[::-1]
     slow = replace(square, position=rows, dwell_s=np.full(len(rows), 60.0))
@@ -205,7 +206,7 @@ def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
 def test_a_line_that_was_driven_to_its_end_counts_when_the_rest_is_left_out(
     square, is_row_done
 ):
-    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0, time.monotonic)
+    progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0)
     progress.begin()
     progress.follow(1)
     assert progress.next_report().done == 0

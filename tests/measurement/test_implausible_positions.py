@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -27,8 +26,11 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.transport.modbus_link import DeviceBusy
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 Lie = Callable[[np.ndarray], np.ndarray]
 LIES: dict[str, Lie] = {
@@ -103,7 +105,7 @@ def running(tracker, motion, journal, calm, order):
     journal.wait(
         lambda: any(p.axes and p.axes[0] > 20.0 for p in journal.of(LivePoints))
     )
-    time.sleep(1.2)  # until then it may be the program before
+    host_clock.sleep_s(1.2)  # until then it may be the program before
     yield Running(begun, journal, order)
     if thread.is_alive():
         begun.obey(CellVerb.ABORT)
@@ -131,7 +133,7 @@ def test_positions_that_cannot_be_hold_the_feed_and_are_nowhere_kept(
 @pytest.mark.fault_row(42)
 def test_one_odd_reading_is_left_out_and_nothing_else(running, motion, journal):
     motion.lie = lambda here: setattr(motion, "lie", None) or here + 100.0
-    time.sleep(0.3)
+    host_clock.sleep_s(0.3)
     assert (motion.lie, journal.faults) == (None, [])
     assert journal.states == ["running"]
 
@@ -178,9 +180,9 @@ def test_a_stream_rounded_to_a_tenth_without_noise_is_not_frozen(
     see = tracker._see
     tracker._see = lambda count: np.round(see(count), 1)
     motion.stand("operator")
-    time.sleep(1.0)  # it stands, and repeats what it shows
+    host_clock.sleep_s(1.0)  # it stands, and repeats what it shows
     motion.go_on()
-    time.sleep(1.0)
+    host_clock.sleep_s(1.0)
     assert set(journal.faults) <= {"held-at-machine"}
 
 
@@ -208,7 +210,7 @@ def test_a_hold_of_the_watchdog_bears_the_name_of_what_kept_the_beats_away(
         monitor.settings, stale_s=0.2
     )
     motion._reach = is_busy
-    time.sleep(0.5)
+    host_clock.sleep_s(0.5)
     motion.stand("watchdog")
     motion._reach = reach
     running.until(*["control-busy"] * 2)

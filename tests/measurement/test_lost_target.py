@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -22,6 +21,7 @@ from truepath.measurement.target import target_search
 from truepath.measurement.timing import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform, build_rotation
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, NotHomed, NotOffered
 from truepath_drivers.interfaces.records import Identity
 from truepath_drivers.interfaces.tracker import PolledTracker, TargetFinder
@@ -30,6 +30,8 @@ from truepath_drivers.interfaces.tracker_records import (
     PointMeasurement,
     TrackerCapabilities,
 )
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 TO_TRACKER = RigidTransform(
     build_rotation(np.array([0.02, -0.03, 1.1])), np.array([1500.0, 600.0, 80.0])
@@ -126,10 +128,10 @@ def texts(run: Run, kind: str) -> list[str]:
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 25.0
+    deadline_s = host_clock.now_s() + 25.0
     while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+        assert host_clock.now_s() < deadline_s
+        host_clock.sleep_s(0.005)
 
 
 @pytest.mark.fault_row(9)
@@ -214,7 +216,7 @@ def test_a_device_without_the_verb_is_as_any_other(begin, finder, order, journal
     finder.beam = False
     journal.wait(lambda: "paused" in journal.states)
     wait_until(lambda: not finder.failures)
-    time.sleep(0.1)  # silence can only be waited for
+    host_clock.sleep_s(0.1)  # silence can only be waited for
     assert journal.faults == ["beam-lost"]
     running.measurement.obey(CellVerb.ABORT)
     run = running.wait_for_run()
@@ -231,7 +233,7 @@ def test_a_beam_that_comes_back_by_itself_waits_for_somebody(
     wait_until(lambda: not finder.failures)
     finder.beam = True
     motion.speed = 5000.0
-    time.sleep(0.5)  # the next try would have been by then
+    host_clock.sleep_s(0.5)  # the next try would have been by then
     assert journal.states[-1] == "paused"
     assert len(finder.aimed) == 1
     wait_until(lambda: _resume(running, journal))
@@ -312,7 +314,7 @@ class FindingPolled(PolledTracker, TargetFinder):
         if self._is_lost:
             raise BeamLost("no prism in the field of view")
         place = TO_TRACKER.apply(self._motion.here[None])
-        return PointMeasurement.average(np.array([time.monotonic()]), place)
+        return PointMeasurement.average(np.array([host_clock.now_s()]), place)
 
 
 def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
@@ -351,18 +353,14 @@ def test_a_tracker_that_takes_its_time_to_be_homed_is_not_taken_for_silent(
 ):
     motion.speed = 5000.0
     finder.refusal = NotHomed("not initialised")
-    skipped_s = [0.0]
 
     def home() -> None:
-        skipped_s[0] = 20.0
-        time.sleep(0.2)  # some looks of the engine
+        host_clock.sleep_s(20.0)
         finder.refusal = None
 
     finder.home = home
     patience = StreamTimeouts(silent_s=15.0, dead_s=18.0, late_s=1000.0)
-    settings = replace(
-        SETTINGS, clock=lambda: time.monotonic() + skipped_s[0], timeouts=patience
-    )
+    settings = replace(SETTINGS, timeouts=patience)
     begin(finder, order, settings).wait_for_run()
     assert journal.states == ["running", "finished"]
     assert journal.faults == ["tracker-homed"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -26,6 +25,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.timing import EngineSettings
 from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
@@ -36,44 +36,33 @@ from truepath_drivers.interfaces.errors import (
 from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 
-# Nothing is judged by the clock of a busy computer: where a test is not about patience,
-# there is plenty of it; where it is, the test passes the time by hand.
+pytestmark = pytest.mark.usefixtures("clock")
+
 JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
-"""The patience of the service, on a clock that the test passes."""
+"""The patience of the service."""
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
     """Wait for a condition that nobody tells of."""
-    deadline_s = time.monotonic() + 25.0
+    deadline_s = host_clock.now_s() + 25.0
     while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
-
-
-class HandClock:
-    """A clock that stands until the test lets time pass."""
-
-    def __init__(self) -> None:
-        self.now_s = 1000.0
-
-    def __call__(self) -> float:
-        return self.now_s
+        assert host_clock.now_s() < deadline_s
+        host_clock.sleep_s(0.005)
 
 
 class Running:
     """A measurement on fake devices, in a thread."""
 
-    def __init__(self, order, tracker, motion, journal, settings, clock) -> None:
+    def __init__(self, order, tracker, motion, journal, settings) -> None:
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
-        self.clock = clock
         self.measurement = Measurement(
             order,
             tracker,
             motion,
             devices,
             journal.report,
-            replace(settings, clock=clock),
+            settings,
         )
         self.thread = threading.Thread(target=self.measurement.run)
 
@@ -94,11 +83,10 @@ class Running:
 
     def pass_until(self, condition: Callable[[], bool]) -> None:
         """Let time pass, a tenth of a second a look, until something has happened."""
-        deadline_s = time.monotonic() + 25.0
+        deadline_s = host_clock.now_s() + 25.0
         while not condition():
-            assert time.monotonic() < deadline_s, self.journal.events[-8:]
-            self.clock.now_s += 0.1
-            time.sleep(0.02)
+            assert host_clock.now_s() < deadline_s, self.journal.events[-8:]
+            host_clock.sleep_s(0.1)
 
     def finished(self) -> None:
         """Let the machine be quick about the rest; it ends in order."""
@@ -157,9 +145,8 @@ def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
         order: MeasurementOrder,
         *,
         settings: EngineSettings = calm,
-        clock: Callable[[], float] = time.monotonic,
     ) -> Running:
-        begun.append(Running(order, tracker, motion, journal, settings, clock).start())
+        begun.append(Running(order, tracker, motion, journal, settings).start())
         return begun[-1]
 
     yield start
@@ -409,7 +396,7 @@ def test_abort_while_paused_is_an_abort(begin, long_order, journal):
 def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
     order, tracker, motion, journal, calm
 ):
-    running = Running(order, tracker, motion, journal, calm, time.monotonic)
+    running = Running(order, tracker, motion, journal, calm)
     running.measurement.obey(CellVerb.PAUSE)
     running.measurement.obey(CellVerb.RESUME)
     running.measurement.obey(CellVerb.ABORT)
@@ -494,7 +481,7 @@ def test_halt_holds_the_feed_and_forgets_nothing(begin, long_order, motion):
 def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: "paused" in journal.states)
@@ -515,16 +502,10 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
 def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
     begin, long_order, tracker, motion, journal
 ):
-    clock = HandClock()
-    running = begin(long_order, settings=JUDGED, clock=clock)
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.silent = True
-    missed = tracker.health.frames
-    wait_until(lambda: tracker.health.frames > missed + 200)
-    for _ in range(2):
-        clock.now_s += 0.2
-        told = len(journal.of(MeasurementProgress))
-        running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
+    host_clock.sleep_s(0.45)
     tracker.silent = False
     running.finished()
     assert journal.faults == []
@@ -536,7 +517,7 @@ def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
 def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     motion.ignores_hold = True  # as one that still brakes
     tracker.silent = True
@@ -563,7 +544,7 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
 def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     begin, long_order, tracker, motion, journal, who, first
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     if first == "machine":
         motion.stand(who)
@@ -592,7 +573,7 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
 def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: journal.states[-1] == "paused")
@@ -613,13 +594,14 @@ def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
 
 
 @pytest.mark.fault_row(30)
-def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, journal):
-    clock = HandClock()
-    running = begin(long_order, settings=JUDGED, clock=clock)
+def test_time_in_which_the_host_did_not_run_is_no_silence(
+    begin, long_order, journal, clock
+):
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
-    running.motion.override = 1000.0  # it moves while this clock stands
+    running.motion.override = 1000.0  # it moved on meanwhile, and is believed
     for _ in range(3):
-        clock.now_s += 10.0  # as after a suspension of the process
+        clock.time_s += 10.0  # as after a suspension of the process
         told = len(journal.of(MeasurementProgress))
         running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
     running.finished()
@@ -629,14 +611,12 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
 
 @pytest.mark.fault_row(29)
 def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
-    begin, long_order, journal, calm, monkeypatch, measured
+    begin, long_order, journal, clock, measured
 ):
-    wall_ns = time.time_ns
-    running = begin(long_order, clock=calm.clock)
+    running = begin(long_order)
     running.until_moving()
-    for jump_s in (3600, -3600, -wall_ns() // 10**9):
-        monkeypatch.setattr(time, "time_ns", lambda j=jump_s: wall_ns() + j * 10**9)
-        monkeypatch.setattr(time, "time", lambda: 1e-9 * time.time_ns())
+    for jump_s in (3600.0, -3600.0, -host_clock.wall_s()):
+        clock.wall_jump_s = jump_s
         seen = len(journal.of(MeasurementProgress))
         running.until(lambda seen=seen: len(journal.of(MeasurementProgress)) > seen + 9)
     running.finished()
@@ -654,7 +634,7 @@ def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
 
 
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
@@ -674,7 +654,7 @@ def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, jou
 def test_a_long_silence_is_a_fault_with_the_feed_held(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: len(journal.faults) == 2)
@@ -712,9 +692,8 @@ def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
 def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
     begin, long_order, tracker, motion, journal
 ):
-    clock = HandClock()
-    settings = replace(JUDGED, link_s=1e9, confirm_s=1e9)
-    running = begin(long_order, settings=settings, clock=clock)
+    tracker.speed = motion.speed = 1.0  # as the second in which damage is counted
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.damaged = True
     running.until_state("paused")
@@ -739,7 +718,7 @@ def test_a_damaged_stream_before_the_path_costs_no_line(
 def test_a_lost_beam_holds_until_somebody_resumes(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     tracker.beam = False
     running.pass_until(lambda: "paused" in journal.states)
@@ -761,7 +740,7 @@ def test_a_dwell_in_which_the_beam_was_lost_begins_anew(
 ):
     points = Configurations(square.axes, square.position[:2], np.full(2, 20.0))
     ordered = replace(order, commanded=points)
-    running = begin(ordered, settings=JUDGED, clock=HandClock())
+    running = begin(ordered, settings=JUDGED)
     running.until(lambda: any(b.device_time_s > 105.0 for b in journal.of(LivePoints)))
     tracker.beam = False
     running.pass_until(lambda: journal.states[-1] == "paused")
@@ -782,7 +761,7 @@ def test_a_tracker_that_never_sends_is_a_fault_before_the_path_starts(
     begin, order, tracker, motion, journal
 ):
     tracker.silent = True
-    running = begin(order, settings=JUDGED, clock=HandClock())
+    running = begin(order, settings=JUDGED)
     running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert running.ended() == "faulted"
     assert journal.faults[-1] == "tracker-silent"
@@ -793,7 +772,7 @@ def test_a_tracker_without_a_beam_fails_before_the_path_starts(
     begin, order, tracker, motion, journal
 ):
     tracker.beam = False
-    running = begin(order, settings=JUDGED, clock=HandClock())
+    running = begin(order, settings=JUDGED)
     running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert "beam-lost" in journal.faults
     assert running.ended() == "failed"
@@ -1020,15 +999,17 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
 
 
 @pytest.mark.fault_row(20)
-def test_a_hold_at_the_machine_may_last_for_hours(begin, long_order, motion, journal):
-    clock = HandClock()
-    running = begin(long_order, settings=JUDGED, clock=clock)
+def test_a_hold_at_the_machine_may_last_for_hours(
+    begin, long_order, tracker, motion, journal, clock
+):
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     motion.stand("operator")
     running.until(lambda: journal.faults == ["held-at-machine"])
     left_s = journal.of(MeasurementProgress)[-1].remaining_s
     for _ in range(4):
-        clock.now_s += 3600.0
+        tracker._begun_s += 3600.0  # nobody looks at the samples of hours
+        clock.time_s += 3600.0
         told = len(journal.of(MeasurementProgress))
         running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
     assert journal.of(MeasurementProgress)[-1].remaining_s == left_s
@@ -1069,7 +1050,7 @@ def test_a_pause_is_kept_against_a_release_at_the_machine(
 
 
 def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     motion.ignores_hold = True
     running.measurement.obey(CellVerb.PAUSE)
@@ -1079,7 +1060,7 @@ def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal
 
 
 def test_a_resume_that_is_not_obeyed_stays_a_pause(begin, long_order, motion, journal):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
@@ -1109,7 +1090,7 @@ def test_a_controller_out_of_reach_for_a_moment_is_borne(
 def test_a_controller_out_of_reach_for_long_is_a_fault(
     begin, long_order, motion, journal
 ):
-    running = begin(long_order, settings=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED)
     running.until_moving()
     motion.out_of_reach = True
     running.pass_until(lambda: "no-answer" in journal.faults)
@@ -1262,7 +1243,7 @@ def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
     slow, commit = threading.Event(), recorder._commit
 
     def wait_then_commit(item) -> None:
-        slow.wait(20.0)
+        host_clock.wait(slow, 20.0)
         commit(item)
 
     monkeypatch.setattr(recorder._queue, "maxsize", 24)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -25,6 +24,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.timing import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -41,6 +41,8 @@ from truepath_drivers.interfaces.tracker_records import (
     TrackerEvent,
     TrackerEventKind,
 )
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
 NOISE_MM = 0.001
@@ -80,13 +82,13 @@ class FakePolled(PolledTracker, EventSource):
         self.stopped.clear()
         self.asked += 1
         self.before(self.asked)
-        begin_s = time.monotonic()
+        begin_s = host_clock.now_s()
         times, shots = [], []
-        while time.monotonic() - begin_s < dwell_s or not shots:
+        while host_clock.now_s() - begin_s < dwell_s or not shots:
             noise = self._rng.normal(0.0, NOISE_MM, 3)
             shots.append(PLACE_MM + self.motion.here + noise)
-            times.append(time.monotonic())
-            if self.stopped.wait(0.005):
+            times.append(host_clock.now_s())
+            if host_clock.wait(self.stopped, 0.005):
                 raise Refused("the measurement was stopped")
         air = Air(21.5, 1013.0, 40.0)
         return PointMeasurement.average(np.array(times), np.array(shots), air)
@@ -215,7 +217,9 @@ def test_what_does_not_come_back_is_a_fault(measure, polled, error):
 
 
 def test_a_point_that_never_ends_is_a_fault(measure, polled, journal):
-    polled.before = lambda asked: polled.stopped.wait(20.0) if asked == 2 else None
+    polled.before = lambda asked: (
+        host_clock.wait(polled.stopped, 20.0) if asked == 2 else None
+    )
     timeouts = StreamTimeouts(point_s=0.3)
     state, _ = measure(settings=replace(QUICK, timeouts=timeouts))
     assert (state, codes(journal)) == ("faulted", ["tracker-silent"])

@@ -30,6 +30,8 @@ from truepath_drivers.interfaces.tracker_records import (
     TrackerCapabilities,
 )
 
+pytestmark = pytest.mark.usefixtures("clock")
+
 QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
 PLACE_MM = np.array([2000.0, 300.0, 50.0])
 OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}

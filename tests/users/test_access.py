@@ -17,19 +17,6 @@ from truepath.users.roles import LOCAL, Actor, Role
 PASSWORD = "a long sentence is easy"
 
 
-class Seconds:
-    def __init__(self):
-        self.now_s = 1000.0
-
-    def __call__(self):
-        return self.now_s
-
-
-@pytest.fixture
-def seconds():
-    return Seconds()
-
-
 @pytest.fixture
 def access(database, accounts):
     access = Access(database, AccessRules(log_in_required=True))
@@ -60,8 +47,8 @@ def test_after_some_failures_even_the_right_password_waits(access, monkeypatch):
     assert access.log_in("anna", PASSWORD, "192.0.2.18"), "another place is not kept"
 
 
-def test_each_further_failure_waits_twice_as_long_up_to_a_limit(seconds):
-    back_off = BackOff(3, read_s=seconds)
+def test_each_further_failure_waits_twice_as_long_up_to_a_limit(hand_clock):
+    back_off = BackOff(3)
     waits = []
     for _ in range(16):
         back_off.fail("anna")
@@ -69,7 +56,7 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit(seconds):
             back_off.check("anna")
         except TooManyTries as error:
             waits.append(error.retry_after_s)
-            seconds.now_s += error.retry_after_s
+            hand_clock.time_s += error.retry_after_s
             back_off.check("anna")
     assert waits[:4] == [1, 2, 4, 8]
     assert waits[-1] == LONGEST_WAIT_S
@@ -78,29 +65,29 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit(seconds):
     back_off.check("anna")
 
 
-def test_a_typo_a_day_never_makes_anybody_wait(seconds):
-    back_off = BackOff(3, read_s=seconds)
+def test_a_typo_a_day_never_makes_anybody_wait(hand_clock):
+    back_off = BackOff(3)
     for _ in range(31):
         back_off.fail("anna")
         back_off.check("anna")
-        seconds.now_s += 24 * 3600
+        hand_clock.time_s += 24 * 3600
     for _ in range(3):
         back_off.fail("anna")
-        seconds.now_s += FORGET_S - 1
+        hand_clock.time_s += FORGET_S - 1
     back_off.fail("anna")
     with pytest.raises(TooManyTries):
         back_off.check("anna")
 
 
-def test_a_rate_is_a_burst_and_then_so_many_a_second(seconds):
-    limit = RateLimit(3, 2.0, read_s=seconds)
+def test_a_rate_is_a_burst_and_then_so_many_a_second(hand_clock):
+    limit = RateLimit(3, 2.0)
     for _ in range(3):
         limit.take("anna")
     with pytest.raises(TooManyRequests) as refused:
         limit.take("anna")
     limit.take("ben")
     assert refused.value.retry_after_s == pytest.approx(0.5)
-    seconds.now_s += 0.5
+    hand_clock.time_s += 0.5
     limit.take("anna")
     with pytest.raises(TooManyRequests):
         limit.take("anna")

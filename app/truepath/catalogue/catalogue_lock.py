@@ -7,7 +7,6 @@ is taken again as soon as the server is back. What is measured meanwhile goes on
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -18,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from truepath.catalogue.errors import InUse, StorageUnavailable
 from truepath.catalogue.store.database import Database
 from truepath.seldom import Seldom
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -62,7 +62,7 @@ def hold_catalogue(
         yield
     finally:
         closing.set()
-        keeper.join(timeout=2.0)
+        host_clock.join(keeper, 2.0)
 
 
 class _Lock:
@@ -74,10 +74,10 @@ class _Lock:
 
     def take_within(self, patience_s: float) -> None:
         """Take the lock. Raises InUse, StorageUnavailable after `patience_s`."""
-        deadline = time.monotonic() + patience_s
+        deadline = host_clock.now_s() + patience_s
         while not (is_held := self._take()):
-            if time.monotonic() < deadline:
-                time.sleep(0.1)
+            if host_clock.now_s() < deadline:
+                host_clock.sleep_s(0.1)
                 continue
             self._release()
             if is_held is None:
@@ -89,7 +89,7 @@ class _Lock:
 
     def keep(self, closing: threading.Event, every_s: float) -> None:
         """Hold the lock until `closing`; take it again where a restart has lost it."""
-        while not closing.wait(every_s):
+        while not host_clock.wait(closing, every_s):
             if self._take() is False and self._seldom.is_due():
                 log.error("another instance works on the same catalogue; stop one")
         self._release()

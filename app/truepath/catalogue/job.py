@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from truepath.catalogue.live_notice import LiveNotice, OnNotice
 from truepath.catalogue.transitions import FINAL, VERB_TRANSITIONS, State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.numerics.adaptive_trials import TrialPlan
+from truepath_drivers import host_clock
 
 Json = Mapping[str, Any]
 
@@ -311,7 +311,7 @@ def decode_job(content: Json) -> Job:
 
 def make_id() -> str:
     """Return an identifier that sorts by time: a UUID of version 7."""
-    stamp = (time.time_ns() // 1_000_000) << 80
+    stamp = (host_clock.wall_ns() // 1_000_000) << 80
     noise = int.from_bytes(os.urandom(10)) & ~(0xF << 76) & ~(0x3 << 62)
     return str(uuid.UUID(int=stamp | 0x7 << 76 | 0x2 << 62 | noise))
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
 from truepath.cli.terminal import NotedProgress, print_stages, say
 from truepath.client import FINAL_STATES, Client, ClientError, Job, JobEnded
 from truepath.errors import MeasurementFailed
 from truepath.files.earlier.verdict import TITLES
+from truepath_drivers import host_clock
 
 READY_TIMEOUT_S = 60.0
 
@@ -20,7 +20,7 @@ def follow(client: Client, job_id: str, *, period_s: float = 0.5) -> Iterator[Jo
         yield job
         if job["state"] in FINAL_STATES:
             return
-        time.sleep(period_s)
+        host_clock.sleep_s(period_s)
 
 
 def calibrate(address: str) -> None:

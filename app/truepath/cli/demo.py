@@ -7,7 +7,6 @@ them: what a machine of iron never tells.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -53,6 +52,7 @@ from truepath.planning.lines.default_path import default_path
 from truepath.plugins import load
 from truepath.results.analysis import analyse
 from truepath.results.prediction import predict
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
@@ -280,10 +280,10 @@ def _follow_events(
     cell: Cell, on_progress: NotedProgress, steering: LiveSteering | None
 ) -> RunClosed:
     failure = MeasurementFailed("the measurement ended early")
-    heard_s = time.monotonic()
-    while time.monotonic() - heard_s < SILENCE_S:
+    heard_s = host_clock.now_s()
+    while host_clock.now_s() - heard_s < SILENCE_S:
         for event in cell.poll(0.2):
-            heard_s = time.monotonic()
+            heard_s = host_clock.now_s()
             match event:
                 case MeasurementProgress():
                     on_progress(*_describe_progress(event))

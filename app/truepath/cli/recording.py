@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,6 +21,7 @@ from truepath.measurement.monitors.environment_reader import (
 from truepath.measurement.monitors.stream_reader import StreamState, record_stream
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.thermometers import Thermometers
 from truepath_drivers.interfaces.tracker import Tracker
 from truepath_drivers.interfaces.tracker_records import Light
@@ -70,7 +70,7 @@ def record_run(
         environment = EnvironmentReader(groups, recorder, on_notice)
         environment.start()
         outcome = "failed"
-        start_s = time.monotonic()
+        start_s = host_clock.now_s()
         has_samples = False
 
         def on_samples(samples: int, lost: int, verdict: StreamState) -> None:
@@ -78,7 +78,7 @@ def record_run(
             if samples and not has_samples:
                 has_samples = True
                 say("recording; press Ctrl-C 2 s after the last motion")
-            elapsed_s = time.monotonic() - start_s
+            elapsed_s = host_clock.now_s() - start_s
             note = f"{samples} samples, {lost} lost {_NOTES[verdict]}".strip()
             on_progress(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
 
@@ -106,6 +106,6 @@ def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
         yield end
     finally:
         timer.cancel()
-        timer.join()
+        host_clock.join(timer)
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -7,7 +7,6 @@ the service needs sums that only grow.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -22,6 +21,7 @@ from truepath.measurement.messages import (
     RunClosed,
     StateChanged,
 )
+from truepath_drivers import host_clock
 
 _CONFIRMED_BY = {
     CellVerb.PAUSE: {CellState.PAUSED, *ENDS},
@@ -87,15 +87,15 @@ class CellCounters:
         """Begin to time a verb, unless an earlier one still waits for its answer."""
         if verb in _CONFIRMED_BY:
             with self._lock:
-                self._expected.setdefault(verb, time.monotonic())
+                self._expected.setdefault(verb, host_clock.now_s())
 
     @contextmanager
     def time_command(self, name: str) -> Iterator[None]:
         """Time a command that is answered at the end of the block."""
-        begun_s = time.monotonic()
+        begun_s = host_clock.now_s()
         yield
         with self._lock:
-            self._add_command(name, time.monotonic() - begun_s)
+            self._add_command(name, host_clock.now_s() - begun_s)
 
     def _follow(self, progress: MeasurementProgress) -> None:
         if progress.crc_errors < self._now.crc_errors:  # connected anew
@@ -120,7 +120,7 @@ class CellCounters:
         for verb, states in _CONFIRMED_BY.items():
             if state in states and verb in self._expected:
                 begun_s = self._expected.pop(verb)
-                self._add_command(str(verb), time.monotonic() - begun_s)
+                self._add_command(str(verb), host_clock.now_s() - begun_s)
 
     def _add_command(self, name: str, duration_s: float) -> None:
         before = self._commands.get(name, Durations())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from truepath.measurement.messages import CellState
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 MOVING = frozenset(
@@ -59,6 +59,6 @@ class ControllerLevels:
     @property
     def is_still(self) -> bool | None:
         """Whether the controller has just said that it has stopped; None if unknown."""
-        if self.status is None or time.monotonic() - self.read_s > FRESH_S:
+        if self.status is None or host_clock.now_s() - self.read_s > FRESH_S:
             return None
         return self.status.state not in _GOES_ON

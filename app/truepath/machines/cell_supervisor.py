@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, suppress
@@ -41,6 +40,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell import Cell
 from truepath.motion.configurations import Commanded
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, NotHomed
 from truepath_drivers.interfaces.records import TrackerSamples
 
@@ -176,11 +176,11 @@ class CellSupervisor:
         """End the cell. What moves is held by the cell on its way out."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join(END_TIMEOUT_S)
+            host_clock.join(self._thread, END_TIMEOUT_S)
 
     def _ask(self, command: Command, *, kill_if_late: bool = False) -> Any:
         try:
-            return self._put(command).result(CONNECT_TIMEOUT_S)
+            return host_clock.result(self._put(command), CONNECT_TIMEOUT_S)
         except TimeoutError as error:
             if kill_if_late:
                 self.kill()
@@ -206,11 +206,11 @@ class CellSupervisor:
     def _run(self) -> None:
         pause_s = self._first_pause_s
         while not self._closing.is_set():
-            begun = time.monotonic()
+            begun = host_clock.now_s()
             self._run_one_cell()
             if self._closing.is_set():
                 break
-            has_lived_long = time.monotonic() - begun > LONG_LIFE_S
+            has_lived_long = host_clock.now_s() - begun > LONG_LIFE_S
             pause_s = self._first_pause_s if has_lived_long else pause_s
             self._wait(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
@@ -243,8 +243,8 @@ class CellSupervisor:
                     future.set_result(command(cell))
                 except Exception as error:
                     future.set_exception(error)
-            if time.monotonic() - beat_s > BEAT_S and cell.alive:
-                beat_s = time.monotonic()
+            if host_clock.now_s() - beat_s > BEAT_S and cell.alive:
+                beat_s = host_clock.now_s()
                 with suppress(MeasurementFailed):  # it has just died: seen below
                     cell.send(CellVerb.BEAT)
             alive = cell.alive
@@ -266,7 +266,7 @@ class CellSupervisor:
             case FaultReported(text=text):
                 self.status = replace(self.status, text=text)
             case ControllerRead(status, text, axes):
-                now_s = time.monotonic()
+                now_s = host_clock.now_s()
                 self.controller = ControllerLevels(status, text, now_s, axes)
                 return
             case SensorsTried():
@@ -331,8 +331,8 @@ class CellSupervisor:
         self._refuse_commands(text)
 
     def _wait(self, pause_s: float) -> None:
-        deadline = time.monotonic() + pause_s
-        while (left_s := deadline - time.monotonic()) > 0:
-            if self._closing.wait(min(left_s, POLL_S)):
+        deadline = host_clock.now_s() + pause_s
+        while (left_s := deadline - host_clock.now_s()) > 0:
+            if host_clock.wait(self._closing, min(left_s, POLL_S)):
                 return
             self._refuse_commands(self.status.text)

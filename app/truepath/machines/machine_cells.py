@@ -11,6 +11,7 @@ from truepath.errors import NotFound
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath_drivers import host_clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,4 +105,4 @@ class Machines:
         for thread in closing:
             thread.start()
         for thread in closing:
-            thread.join()
+            host_clock.join(thread)

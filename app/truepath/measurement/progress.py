@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from truepath.measurement.messages import (
 )
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import row_times_s
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 _TRUST_S = 3.0  # before it the pace so far says little
@@ -81,15 +82,13 @@ class ProgressEstimator:
     first_row : of the part that the controller drives
     """
 
-    def __init__(
-        self, schedule: RowSchedule, period_s: float, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, schedule: RowSchedule, period_s: float) -> None:
         self.is_cut_short = self.is_row_done = False
         self.first_row = 0
         self.stage = "preparing"
         self.row = 0
-        self._schedule, self._period_s, self._clock = schedule, period_s, clock
-        self._begun_s = self._received_s = clock()
+        self._schedule, self._period_s = schedule, period_s
+        self._begun_s = self._received_s = host_clock.now_s()
         self._active_s = 0.0
         self._reported_s = -np.inf
         self._is_loaded = False  # a further part, which has not begun
@@ -112,7 +111,7 @@ class ProgressEstimator:
     def begin(self, row: int = 0) -> None:
         """Move towards a row from now on; the first call starts the clock."""
         if self.stage == "preparing":
-            self._begun_s = self._received_s = self._clock()
+            self._begun_s = self._received_s = host_clock.now_s()
             self._active_s = 0.0
         self.stage, self.row, self._is_loaded = "measuring", row, False
 
@@ -144,14 +143,14 @@ class ProgressEstimator:
 
     def pass_time(self, *, active: bool) -> None:
         """Keep the time without pauses, which the pace is reckoned from."""
-        now_s = self._clock()
+        now_s = host_clock.now_s()
         if active:
             self._active_s += now_s - self._received_s
         self._received_s = now_s
 
     def next_report(self) -> MeasurementProgress | None:
         """Return the progress, None if the last report is only a moment old."""
-        now_s = self._clock()
+        now_s = host_clock.now_s()
         if now_s - self._reported_s < self._period_s:
             return None
         self._reported_s = now_s

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.tracker_records import Light
 
 
@@ -47,7 +46,6 @@ class EngineSettings:
     arrival : how far from a commanded position an axis may stand, mm or deg
     point_tries : how often in a row a polled tracker may be out of reach
     axes_rows : controller positions that are written together
-    clock : by which the engine waits, monotonic
     allow_no_watchdog, light : as in `CellConfig`
     """
 
@@ -64,7 +62,6 @@ class EngineSettings:
     point_tries: int = 3
     axes_rows: int = 10
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
-    clock: Callable[[], float] = time.monotonic
     allow_no_watchdog: bool = False
     light: Light | None = None
 
@@ -72,19 +69,19 @@ class EngineSettings:
 class RunningClock:
     """Counts the time in which this process ran. For any thread.
 
-    Read many times a second, it keeps up with the clock behind it. Of a longer step,
+    Read many times a second, it keeps up with the computer's. Of a longer step,
     in which the process was suspended or starved, it counts `late_s` only.
     """
 
-    def __init__(self, late_s: float, clock: Callable[[], float]) -> None:
-        self._late_s, self._clock = late_s, clock
+    def __init__(self, late_s: float) -> None:
+        self._late_s = late_s
         self._lock = threading.Lock()
-        self._read_s = self._now_s = clock()
+        self._read_s = self._now_s = host_clock.now_s()
 
     def __call__(self) -> float:
         """Return seconds."""
         with self._lock:
-            read_s = self._clock()
+            read_s = host_clock.now_s()
             self._now_s += min(read_s - self._read_s, self._late_s)
             self._read_s = read_s
             return self._now_s
@@ -93,13 +90,12 @@ class RunningClock:
 class Stopwatch:
     """Measures how long a condition has held, from the first look at it."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._begun_s: float | None = None
 
     def measure_s(self) -> float:
         """Return the seconds since the first call after `reset`."""
-        now_s = self._clock()
+        now_s = host_clock.now_s()
         if self._begun_s is None:
             self._begun_s = now_s
         return now_s - self._begun_s

@@ -7,7 +7,6 @@ however often it repeats, one row in `REPEATS_S` that counts.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import format_utc_now
 from truepath.seldom import Seldom
 from truepath.users.audit import AuditLog, Entry
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -75,7 +75,7 @@ class AuditWriter:
             self._closing.set()
             self._add_repeats(float("inf"))
             self._changed.notify()
-        self._thread.join(timeout=_CLOSE_S)
+        host_clock.join(self._thread, _CLOSE_S)
         with self._changed:
             lost = self._lost + len(self._waiting)
         if lost:
@@ -88,7 +88,7 @@ class AuditWriter:
             key, entry = ("", entry.outcome), replace(many, at=entry.at)
         known = self._repeats.get(key)
         if known is None:
-            due_s = time.monotonic() + REPEATS_S
+            due_s = host_clock.now_s() + REPEATS_S
             self._repeats[key] = _Repeats(entry, due_s)
             return False
         known.newest, known.count = entry, known.count + 1
@@ -125,15 +125,19 @@ class AuditWriter:
     def _wait_for_next(self) -> tuple[Entry, Future[None]] | None:
         """Return the oldest that waits; None once nothing does and it ends."""
         with self._changed:
-            self._add_repeats(time.monotonic())
+            self._add_repeats(host_clock.now_s())
             while not self._waiting:
                 if self._closing.is_set():
                     return None
                 dues_s = [one.due_s for one in self._repeats.values()]
-                now_s = time.monotonic()
+                now_s = host_clock.now_s()
                 wait_s = min(dues_s) - now_s if dues_s else None
-                self._changed.wait(None if wait_s is None else max(0.0, wait_s))
-                self._add_repeats(time.monotonic())
+                host_clock.wait_for(
+                    self._changed,
+                    lambda: bool(self._waiting) or self._closing.is_set(),
+                    None if wait_s is None else max(0.0, wait_s),
+                )
+                self._add_repeats(host_clock.now_s())
             return self._waiting[0]
 
     def _write(self, entry: Entry) -> bool:
@@ -145,7 +149,7 @@ class AuditWriter:
                 if self._seldom.is_due():
                     reason = str(error)
                     log.warning("the audit log waits", reason=reason, what=entry.what)
-                if self._closing.wait(_PAUSE_S):
+                if host_clock.wait(self._closing, _PAUSE_S):
                     return False
             except Exception:
                 log.exception("not in the audit log", what=entry.what, who=entry.who)

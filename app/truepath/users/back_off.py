@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from truepath.users.errors import TooManyRequests, TooManyTries
+from truepath_drivers import host_clock
 
 LONGEST_WAIT_S = 900.0
 FORGET_S = 3600.0
@@ -36,9 +35,8 @@ class BackOff:
         free: int,
         *,
         longest_s: float = LONGEST_WAIT_S,
-        read_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._free, self._longest_s, self._read_s = free, longest_s, read_s
+        self._free, self._longest_s = free, longest_s
         self._lock = threading.Lock()
         self._failed: OrderedDict[str, _Failures] = OrderedDict()
 
@@ -54,11 +52,11 @@ class BackOff:
         """Return how long the key has to wait still."""
         with self._lock:
             failures = self._failed.get(key, _Failures())
-        return max(0.0, failures.until_s - self._read_s())
+        return max(0.0, failures.until_s - host_clock.now_s())
 
     def fail(self, key: str) -> None:
         """Count a failure."""
-        now_s = self._read_s()
+        now_s = host_clock.now_s()
         with self._lock:
             before = self._failed.pop(key, _Failures())
             is_forgotten = now_s - before.last_s >= FORGET_S
@@ -85,16 +83,14 @@ class RateLimit:
         self,
         burst: int,
         per_second: float,
-        *,
-        read_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._burst, self._per_second, self._read_s = burst, per_second, read_s
+        self._burst, self._per_second = burst, per_second
         self._lock = threading.Lock()
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def take(self, key: str) -> None:
         """Count one request."""
-        now = self._read_s()
+        now = host_clock.now_s()
         with self._lock:
             left, since_s = self._left.pop(key, (float(self._burst), now))
             left = min(left + (now - since_s) * self._per_second, float(self._burst))

@@ -6,6 +6,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from truepath_drivers import host_clock
+
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -36,4 +38,4 @@ def read_moment() -> Moment:
     except OSError:
         boot_id = ""
     boot_s = time.clock_gettime(time.CLOCK_BOOTTIME)
-    return Moment(time.time(), boot_s, boot_id)
+    return Moment(host_clock.wall_s(), boot_s, boot_id)

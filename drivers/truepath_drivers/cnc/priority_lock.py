@@ -6,6 +6,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from truepath_drivers import host_clock
+
 
 class PriorityLock:
     """Mutual exclusion in which urgent takers come before all others. Not reentrant.
@@ -39,8 +41,9 @@ class PriorityLock:
         with self._changed:
             self._urgent += urgent
             try:
-                self._changed.wait_for(
-                    lambda: not self._taken and (urgent or not self._urgent)
+                host_clock.wait_for(
+                    self._changed,
+                    lambda: not self._taken and (urgent or not self._urgent),
                 )
             finally:
                 self._urgent -= urgent

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 
 
@@ -67,9 +67,9 @@ def expect(family: type[DeviceError], verb: Callable[[], object]) -> None:
 @contextmanager
 def soon(doing: str, limit_s: float) -> Iterator[None]:
     """Require that what is done takes no longer than asked, with patience."""
-    begin_s = time.monotonic()
+    begin_s = host_clock.now_s()
     yield
-    took_s = time.monotonic() - begin_s
+    took_s = host_clock.now_s() - begin_s
     require(took_s <= limit_s + TERMS.get().patience_s, f"{doing} took {took_s:.2f} s")
 
 
@@ -84,10 +84,10 @@ def running(verb: Callable[[], None]) -> Iterator[None]:
 
 def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
     """Wait for a condition, with patience."""
-    deadline_s = time.monotonic() + TERMS.get().patience_s
+    deadline_s = host_clock.now_s() + TERMS.get().patience_s
     while not condition():
-        require(time.monotonic() < deadline_s, otherwise)
-        time.sleep(0.01)
+        require(host_clock.now_s() < deadline_s, otherwise)
+        host_clock.sleep_s(0.01)
 
 
 def holdings() -> set[str]:

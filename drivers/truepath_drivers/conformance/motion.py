@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
 from truepath_drivers.conformance.device import DEVICE_CHECKS
 from truepath_drivers.interfaces.errors import (
@@ -117,7 +117,7 @@ def hold_means_standstill(make: MakeController) -> None:
         controller.move_to(_near(controller), FEED_MM_MIN / 2)
         controller.hold()
         held = controller.wait(TERMS.get().motion_s)
-        time.sleep(0.3)
+        host_clock.sleep_s(0.3)
         later = controller.status()
         controller.abort()
     moved = np.abs(np.subtract(later.position, held.position)).max()
@@ -139,7 +139,7 @@ def the_line_is_the_row_moved_towards(make: MakeController) -> None:
             told = f"at {share:.2f} of the path it says line {status.line} of 2"
             require(status.line == 0 or off <= 0.3, told)
             controller.send_heartbeat()
-            time.sleep(0.05)
+            host_clock.sleep_s(0.05)
             status = controller.status()
     last = f"the path of 3 rows ended in {status}, not on line 2"
     require(status.line == 2, last)
@@ -191,14 +191,14 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
             return
         controller.move_to(_near(controller), _endless())
         status = controller.status()
-        begin_s = time.monotonic()
+        begin_s = host_clock.now_s()
         while status.state is MotionState.RUNNING:
-            waited_s = time.monotonic() - begin_s
+            waited_s = host_clock.now_s() - begin_s
             require(
                 waited_s < TERMS.get().watchdog_s,
                 f"no beat for {waited_s:.1f} s, no hold",
             )
-            time.sleep(0.05)
+            host_clock.sleep_s(0.05)
             status = controller.status()
         controller.abort()
     require(status.state is MotionState.HELD, f"without a beat it ended in {status}")

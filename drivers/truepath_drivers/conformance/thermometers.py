@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
+from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import TERMS, expect, require, soon
 from truepath_drivers.conformance.device import DEVICE_CHECKS
 from truepath_drivers.interfaces.errors import ConnectionLost
@@ -56,16 +56,16 @@ def readings_are_stamped_by_the_hosts_clock(make: MakeThermometers) -> None:
     last_s: dict[str, float] = {}
     with make() as group:
         for _ in range(CYCLES):
-            begin_s = time.monotonic()
+            begin_s = host_clock.now_s()
             readings = group.read()
-            end_s = time.monotonic()
+            end_s = host_clock.now_s()
             for reading in readings:
                 at_s = reading.host_time_s
                 require(begin_s <= at_s <= end_s, f"stamped {at_s - begin_s:g} s off")
                 rises = at_s > last_s.get(reading.channel, -math.inf)
                 require(rises, f"{reading.channel}: stamps do not rise")
                 last_s[reading.channel] = at_s
-            time.sleep(group.period_s)
+            host_clock.sleep_s(group.period_s)
 
 
 def read_is_bounded_in_time(make: MakeThermometers) -> None:
@@ -101,10 +101,10 @@ def _read_cycles(group: Thermometers) -> list[Reading]:
     """Read until every channel came, for some periods at the least."""
     names = {channel.name for channel in group.channels}
     readings: list[Reading] = []
-    deadline_s = time.monotonic() + CYCLES * group.period_s + TERMS.get().patience_s
-    while time.monotonic() < deadline_s:
+    deadline_s = host_clock.now_s() + CYCLES * group.period_s + TERMS.get().patience_s
+    while host_clock.now_s() < deadline_s:
         readings += group.read()
         if len(readings) >= CYCLES * len(names):
             break
-        time.sleep(0.1 * group.period_s)
+        host_clock.sleep_s(0.1 * group.period_s)
     return readings

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
 from truepath_drivers.conformance.device import DEVICE_CHECKS
 from truepath_drivers.interfaces.errors import (
@@ -143,7 +143,7 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
         for _ in range(2):
             tracker.start(TERMS.get().rate_hz)
             blocks.append(_read(tracker, 20))
-            time.sleep(20 / TERMS.get().rate_hz)
+            host_clock.sleep_s(20 / TERMS.get().rate_hz)
             tracker.stop()
             blocks.append(tracker.read(0.05))
         samples = TrackerSamples.join(blocks)
@@ -190,11 +190,11 @@ TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
 
 def _read(tracker: Tracker, count: int) -> TrackerSamples:
     deadline_s = (
-        time.monotonic() + count / TERMS.get().rate_hz + 5 * TERMS.get().patience_s
+        host_clock.now_s() + count / TERMS.get().rate_hz + 5 * TERMS.get().patience_s
     )
     blocks: list[TrackerSamples] = []
     while sum(map(len, blocks)) < count:
-        require(time.monotonic() < deadline_s, f"{count} samples did not come")
+        require(host_clock.now_s() < deadline_s, f"{count} samples did not come")
         blocks.append(tracker.read(0.2))
     return TrackerSamples.join(blocks)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from abc import abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError, Refused
 from truepath_drivers.interfaces.records import Identity
 from truepath_drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
@@ -89,16 +89,16 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
             if self._identity is None:
                 raise ConnectionLost(f"{self._link.name}: connect first")
             self._stopping.clear()
-            begin_s = time.monotonic()
+            begin_s = host_clock.now_s()
             shots: list[NDArray[np.float64]] = []
             qualities: list[float] = []
             times: list[float] = []
-            while not shots or time.monotonic() - begin_s < dwell_s:
-                before_s = time.monotonic()
+            while not shots or host_clock.now_s() - begin_s < dwell_s:
+                before_s = host_clock.now_s()
                 shot, quality = self.shoot()
                 shots.append(shot)
                 qualities.append(quality)
-                times.append(0.5 * (before_s + time.monotonic()))
+                times.append(0.5 * (before_s + host_clock.now_s()))
                 if self._stopping.is_set():
                     raise Refused(f"{self._link.name}: the measurement was stopped")
             good = float(np.mean(qualities))

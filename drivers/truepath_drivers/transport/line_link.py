@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-import time
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.transport.byte_port import BytePort
 
@@ -64,9 +64,9 @@ class LineLink:
             raise
 
     def receive(self, deadline_s: float) -> bytes | None:
-        """Return the next line, None if none is whole by then (`time.monotonic`)."""
+        """Return the next line, None if none is whole by then (`host_clock`)."""
         while _END not in self._rest:
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - host_clock.now_s()
             if left_s <= 0.0:
                 return None
             try:

@@ -163,13 +163,12 @@ def test_a_stream_that_cannot_be_read_is_refused_with_a_line_of_it(case, monkeyp
 @pytest.mark.parametrize(
     ("rate", "told"), [(1.0, None), (2.0, 2.0), (0.5, 0.5), (1e-3, 1e-3)]
 )
-def test_a_clock_that_runs_at_another_pace_is_told(rate, told, monkeypatch, rng):
-    now_s = [100.0]
-    monkeypatch.setattr(driver.time, "monotonic", lambda: now_s[0])
+def test_a_clock_that_runs_at_another_pace_is_told(rate, told, hand_clock, rng):
+    hand_clock.time_s = 100.0
     watch, found = driver.Pace(), []
     for k in range(1, 300):
         late_s = rng.uniform(0.0, 2.0) * (k % 7 == 0)  # this computer was busy
-        now_s[0] = 100.0 + 0.1 * k
+        hand_clock.time_s = 100.0 + 0.1 * k
         found.append(watch.look(rate * (0.1 * k - late_s)))
     first = next((each for each in found if each is not None), None)
     assert first == (told if told is None else pytest.approx(told, abs=0.1))

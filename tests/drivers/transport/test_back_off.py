@@ -15,7 +15,7 @@ def pauses_s(back_off: BackOff, count: int = 12) -> list[float]:
     """How long each attempt has to wait for, found by asking every millisecond."""
     now_s, found = 0.0, []
     for _ in range(count):
-        back_off.wait(now_s)
+        back_off.put_off(now_s)
         due_s = now_s
         while not back_off.is_due(due_s):
             due_s += 1e-3

@@ -8,7 +8,6 @@ full synchronisation, foreign keys and a busy timeout.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +36,7 @@ from truepath.catalogue.errors import (
 )
 from truepath.errors import BadInput
 from truepath.seldom import Seldom
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 T = TypeVar("T")
@@ -88,7 +88,7 @@ class Database:
 
         Raises StorageUnavailable after `patience_s`, StorageFull at once.
         """
-        deadline = time.monotonic() + self._patience_s
+        deadline = host_clock.now_s() + self._patience_s
         with self._writer:
             result = self._commit(change, deadline)
             if then is not None:
@@ -172,11 +172,11 @@ class Database:
                 if _is_full(error):
                     text = f"the catalogue cannot be written: {error.orig}"
                     raise StorageFull(text) from error
-                if time.monotonic() > deadline:
+                if host_clock.now_s() > deadline:
                     raise StorageUnavailable(_busy_text(error)) from error
                 if self._seldom.is_due():
                     log.warning("catalogue is busy", reason=str(error.orig))
-                time.sleep(0.1)
+                host_clock.sleep_s(0.1)
             except DatabaseError as error:
                 _refuse_damaged(error)
                 raise
@@ -185,7 +185,7 @@ class Database:
         file = self.file
         if file is None:
             return
-        stamp = int(time.time())
+        stamp = int(host_clock.wall_s())
         while (
             copy := file.with_name(f"{file.stem}.before-{revision}-{stamp}.sqlite")
         ).exists():

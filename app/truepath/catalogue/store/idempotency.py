@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, delete, insert, select
@@ -12,6 +11,7 @@ from truepath.catalogue.errors import KeyReused
 from truepath.catalogue.job import Job
 from truepath.catalogue.schema import idempotency_keys
 from truepath.catalogue.store.job_rows import read_job
+from truepath_drivers import host_clock
 
 KEEP_KEYS_S = 24 * 3600
 
@@ -61,7 +61,7 @@ def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None
     of_before = idempotency_keys.c.key == key.kept
     connection.execute(delete(idempotency_keys).where(of_before))
     row = {"key": key.kept, "body_sha256": key.body_sha256, "job_id": job_id}
-    query = insert(idempotency_keys).values(**row, created_s=int(time.time()))
+    query = insert(idempotency_keys).values(**row, created_s=int(host_clock.wall_s()))
     connection.execute(query)
 
 
@@ -72,4 +72,4 @@ def delete_old_keys(connection: Connection) -> None:
 
 
 def _find_oldest_s() -> int:
-    return int(time.time()) - KEEP_KEYS_S
+    return int(host_clock.wall_s()) - KEEP_KEYS_S

@@ -10,11 +10,10 @@ import hashlib
 import hmac
 import secrets
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from truepath.catalogue.errors import ArmTokenExpired, ArmTokenOther, ArmTokenUsed
+from truepath_drivers import host_clock
 
 VALID_S = 60.0
 MAX_TOKENS = 1024  # of all jobs; the oldest are forgotten
@@ -50,20 +49,17 @@ class ArmTokens:
     """The tokens of a service; any thread may call it.
 
     valid_s : how long a token can be used
-    clock : monotonic, s
     """
 
-    def __init__(
-        self, valid_s: float = VALID_S, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.valid_s, self._clock = valid_s, clock
+    def __init__(self, valid_s: float = VALID_S) -> None:
+        self.valid_s = valid_s
         self._lock = threading.Lock()
         self._issued: list[_Issued] = []
 
     def issue(self, purpose: ArmingPurpose) -> str:
         """Return a new token for one purpose."""
         token = secrets.token_urlsafe(_BYTES)
-        issued = _Issued(_hash(token), purpose, self._clock() + self.valid_s)
+        issued = _Issued(_hash(token), purpose, host_clock.now_s() + self.valid_s)
         with self._lock:
             self._issued = [*self._issued[1 - MAX_TOKENS :], issued]
         return token
@@ -81,7 +77,7 @@ class ArmTokens:
                 raise ArmTokenOther(f"the token was given for another {different}")
             if issued.is_used:
                 raise ArmTokenUsed("the token has let the machine move already")
-            if self._clock() >= issued.expires_s:
+            if host_clock.now_s() >= issued.expires_s:
                 raise ArmTokenExpired(
                     f"the token was good for {self.valid_s:g} s, which have passed"
                 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -47,6 +46,7 @@ from truepath.jobs.running.event_bus import EventBus
 from truepath.machines.conditions.conditions import NotInOrder
 from truepath.measurement.messages import CellVerb
 from truepath.motion.configurations import Commanded
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -303,10 +303,10 @@ class Dispatcher:
         self._under_way.interrupt_all()
         cells = [one.cell for one in self._context.machines.list_all()]
         stopped = [cell.send(CellVerb.ABORT) for cell in cells]
-        deadline = time.monotonic() + timeout_s
+        deadline = host_clock.now_s() + timeout_s
         for one in stopped:
             with suppress(CellDown, TimeoutError):
-                one.result(max(0.0, deadline - time.monotonic()))
+                host_clock.result(one, max(0.0, deadline - host_clock.now_s()))
         self._under_way.join(deadline)
 
     def _begin_again(self, job: Job) -> None:
@@ -353,9 +353,9 @@ def _write_aborts(aborted: Sequence[ActiveJob]) -> list[Job]:
     ]
     for writer in writers:
         writer.start()
-    end = time.monotonic() + BOOKS_S
+    end = host_clock.now_s() + BOOKS_S
     for writer in writers:
-        writer.join(max(0.0, end - time.monotonic()))
+        host_clock.join(writer, max(0.0, end - host_clock.now_s()))
     return [written.get(one.job_id) or one.show(one.job) for one in aborted]
 
 
@@ -421,7 +421,7 @@ class _JobsUnderWay:
         with self._lock:
             threads = list(self._threads)
         for thread in threads:
-            thread.join(max(0.0, deadline_s - time.monotonic()))
+            host_clock.join(thread, max(0.0, deadline_s - host_clock.now_s()))
 
     def _work(self, job: Job, active: ActiveJob) -> None:
         try:

@@ -8,7 +8,6 @@ service, when a measurement has ended, and every `EVERY_S` while none is under w
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
@@ -21,6 +20,7 @@ from truepath.errors import NotFound
 from truepath.jobs.kinds.station_steps import list_run_ids
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.resumption import list_part_ids
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -151,13 +151,13 @@ class Reconciliation:
         """End; a Run that is being read is read to its end."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join()
+            host_clock.join(self._thread)
 
     def look(self) -> None:
         """Reconcile now, but for what has failed a moment ago. Raises nothing."""
         if self._is_measuring():
             return
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         waiting = {i for i, retry in self._retries.items() if retry.at_s > now_s}
         try:
             failed = reconcile(self._context, skip=waiting, most=MOST_RUNS)
@@ -176,8 +176,8 @@ class Reconciliation:
             log.warning("a Run on disk cannot be catalogued", run_id=run_id, why=why)
         pause_s = self._every_s if before is None else 2 * before.pause_s
         pause_s = min(pause_s, LONGEST_PAUSE_S)
-        self._retries[run_id] = _Retry(pause_s, time.monotonic() + pause_s)
+        self._retries[run_id] = _Retry(pause_s, host_clock.now_s() + pause_s)
 
     def _run(self) -> None:
-        while not self._closing.wait(self._every_s):
+        while not host_clock.wait(self._closing, self._every_s):
             self.look()

@@ -22,6 +22,7 @@ from truepath.catalogue.job import format_utc
 from truepath.errors import NotFound, TruepathError
 from truepath.jobs.dispatch.deletion import Deletion, Note
 from truepath.jobs.running.context import JobContext
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -70,7 +71,7 @@ class Retention:
         """End; a deletion under way is finished."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join()
+            host_clock.join(self._thread)
 
     def sweep(self, now: datetime | None = None) -> int:
         """Delete what is too old; return how much. Raises StorageUnavailable.
@@ -152,7 +153,7 @@ class Retention:
 
     def _run(self) -> None:
         pause_s = FIRST_S
-        while not self._closing.wait(pause_s):
+        while not host_clock.wait(self._closing, pause_s):
             pause_s = EVERY_S
             try:
                 self.sweep()

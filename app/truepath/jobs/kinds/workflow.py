@@ -5,7 +5,6 @@ The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -51,6 +50,7 @@ from truepath.jobs.workers.unchanged_runs import OfUnchangedRuns
 from truepath.machines.conditions.conditions import NO_JOB
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 
 log = structlog.get_logger(__name__)
@@ -141,7 +141,7 @@ def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None
             if active.is_interrupted:
                 active.forget_end()
                 return
-            time.sleep(TRY_AGAIN_S)
+            host_clock.sleep_s(TRY_AGAIN_S)
         else:
             log.info("job ended", state=str(job.state), reason=failure)
             return

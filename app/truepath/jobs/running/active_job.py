@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
@@ -41,6 +40,7 @@ from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.workers.executor import Computing
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.measurement.messages import CellVerb
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -63,7 +63,7 @@ class ActiveJob:
         self.job, self.job_id, self.kind = job, job.id, job.kind
         self._store, self._event_bus = store, event_bus
         self._changed = threading.Condition()
-        self.state, self._since = job.state, time.monotonic()
+        self.state, self._since = job.state, host_clock.now_s()
         self.wants_pause = job.wants_pause
         self._armed: str | None = None
         self._aborted = self._interrupted = False
@@ -107,7 +107,7 @@ class ActiveJob:
     @property
     def state_lasts_s(self) -> float:
         """How long the job has been in that state."""
-        return time.monotonic() - self._since
+        return host_clock.now_s() - self._since
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
@@ -191,7 +191,8 @@ class ActiveJob:
     def _wait_for_word(self, timeout_s: float) -> bool:
         """Tell whether the job is armed, or has to end; wait a while for that."""
         with self._changed:
-            return self._changed.wait_for(
+            return host_clock.wait_for(
+                self._changed,
                 lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
                 timeout_s,
             )
@@ -277,7 +278,7 @@ class ActiveJob:
         is_new_stage = stage is not None and stage is not self._stage
         self._stage = stage or self._stage
         self._progress, self._health = progress, health or self._health
-        now = time.monotonic()
+        now = host_clock.now_s()
         if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
             self._published_at = now
             body = {
@@ -344,7 +345,7 @@ class ActiveJob:
             is_other = job.state is not self.state
             self.wants_pause = job.wants_pause or (self.wants_pause and not is_other)
             if is_other:
-                self.state, self._since = job.state, time.monotonic()
+                self.state, self._since = job.state, host_clock.now_s()
         return job
 
     def _wake(self) -> None:

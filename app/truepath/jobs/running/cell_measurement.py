@@ -8,7 +8,6 @@ A line that does not end after a cancel is aborted.
 from __future__ import annotations
 
 import queue
-import time
 from collections.abc import Collection, Mapping
 from dataclasses import asdict
 
@@ -41,6 +40,7 @@ from truepath.measurement.messages import (
     StateChanged,
 )
 from truepath.motion.motion_times import row_times_s
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -88,7 +88,7 @@ class CellMeasurement:
         self._fault: FaultReported | None = None
         self._outcome: CellState | None = None
         self._close_by = float("inf")
-        self._repeat_at = time.monotonic() + REPEAT_S
+        self._repeat_at = host_clock.now_s() + REPEAT_S
         self._is_killed = self._is_given_up = self._is_held = self._is_stopped = False
         self._is_overdue, self._line_s = False, 0.0
         self._gives_up = gives_up
@@ -124,7 +124,7 @@ class CellMeasurement:
                 self._steering.advance(may_conclude=is_running)
             self._check_deadlines()
             try:
-                event = self._events.get(timeout=_POLL_S)
+                event = host_clock.get(self._events, _POLL_S)
             except queue.Empty:
                 continue
             if event is None:
@@ -140,10 +140,10 @@ class CellMeasurement:
 
     def _wait_until_closed(self) -> None:
         """Let the cell close its Run although the catalogue cannot be written."""
-        deadline = time.monotonic() + CLOSE_RUN_S
-        while (left_s := deadline - time.monotonic()) > 0:
+        deadline = host_clock.now_s() + CLOSE_RUN_S
+        while (left_s := deadline - host_clock.now_s()) > 0:
             try:
-                event = self._events.get(timeout=left_s)
+                event = host_clock.get(self._events, left_s)
             except queue.Empty:
                 break
             if event is None or isinstance(event, RunClosed):
@@ -198,7 +198,7 @@ class CellMeasurement:
             return
         if fault.code in self._gives_up:
             self._is_given_up = True
-            self._close_by = min(self._close_by, time.monotonic() + CLOSE_RUN_S)
+            self._close_by = min(self._close_by, host_clock.now_s() + CLOSE_RUN_S)
             self._cell.send(CellVerb.ABORT)
             return
         self._job.show_failure(
@@ -208,7 +208,7 @@ class CellMeasurement:
     def _follow_state(self, reported: CellState) -> None:
         if reported in ENDS:
             self._outcome = reported
-            self._close_by = time.monotonic() + CLOSE_RUN_S
+            self._close_by = host_clock.now_s() + CLOSE_RUN_S
             return
         if reported not in MOVING:
             return
@@ -228,7 +228,7 @@ class CellMeasurement:
         cell continues by itself; from a commanded one it does not. A machine that is
         held is not moved on to finish its line for the sake of being cancelled.
         """
-        now = time.monotonic()
+        now = host_clock.now_s()
         if self._outcome or now < self._repeat_at:
             return
         self._repeat_at = now + REPEAT_S
@@ -251,7 +251,7 @@ class CellMeasurement:
             self._kill_cell(
                 f"not-{state}", f"the cell has not confirmed {state} in time"
             )
-        if time.monotonic() > self._close_by:
+        if host_clock.now_s() > self._close_by:
             self._close_by = float("inf")
             self._kill_cell("run-not-closed", "the cell has not closed its Run in time")
 

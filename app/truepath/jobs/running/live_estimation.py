@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -42,6 +41,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.process.cell import Cell
 from truepath.motion.configurations import Commanded, append_part
 from truepath.motion.paths.planned_rows import PlannedRows
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class LiveEstimation:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
             self._queue.put(LiveCommand.END, timeout=FINISH_S)
-            self._ended.wait(FINISH_S)
+            host_clock.wait(self._ended, FINISH_S)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""
@@ -130,14 +130,14 @@ class LiveEstimation:
         with suppress(queue.Full):
             self._queue.put_nowait(LiveCommand.END)  # ends the feeder
         for thread in self._threads:
-            thread.join(FINISH_S)
+            host_clock.join(thread, FINISH_S)
         self._process.close()
 
     def _feed(self) -> None:
         """Send what waits to the process. Body of a thread."""
         with suppress(OSError):
             while True:
-                message = self._queue.get()
+                message = host_clock.get(self._queue)
                 self._process.link.send(message)
                 if message is LiveCommand.END:
                     return
@@ -148,11 +148,11 @@ class LiveEstimation:
         with suppress(EOFError, OSError):
             while True:
                 if not link.poll(PERIOD_S):
-                    self._show_newest(time.monotonic() - made_s)
+                    self._show_newest(host_clock.now_s() - made_s)
                     continue
                 match link.recv():
                     case Estimated(body):
-                        self.newest, made_s = body, time.monotonic()
+                        self.newest, made_s = body, host_clock.now_s()
                         self._show_newest(0.0)
                     case PartChosen(part):
                         self._parts.put(part)
@@ -208,7 +208,7 @@ class LiveSteering:
             case PartRequested() if self.planned is not None:
                 self._is_next_due = True
             case PartRequested() if self.commanded is not None:
-                self._answer_by = time.monotonic() + ANSWER_S
+                self._answer_by = host_clock.now_s() + ANSWER_S
                 self.live.ask()
             case _:
                 pass
@@ -258,7 +258,7 @@ class LiveSteering:
         if part is not None:
             self._answer_by = None
             self._add(part, commanded)
-        elif self.live.is_over or time.monotonic() > answer_by:
+        elif self.live.is_over or host_clock.now_s() > answer_by:
             self._answer_by = None
             log.warning("nobody says what to measure next; the measurement ends")
             self.cell.send(CellVerb.CONCLUDE)

@@ -6,7 +6,6 @@ the words of `result.json`, µm, µrad, k = 1.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.run_file.run_reading import open_recorded
 from truepath.motion.configurations import Commanded, Configurations, append_part
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
@@ -213,8 +213,8 @@ class _Stream:
     def gather(self) -> list[TrackerSamples | PointBlock]:
         """Return the blocks of a moment; waits for the first one."""
         blocks = self._receive()
-        until_s = time.monotonic() + _GATHER_S
-        while (left_s := until_s - time.monotonic()) > 0:
+        until_s = host_clock.now_s() + _GATHER_S
+        while (left_s := until_s - host_clock.now_s()) > 0:
             if self.is_over or self.is_asked:
                 break
             if self._link.poll(left_s):

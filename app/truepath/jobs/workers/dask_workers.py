@@ -9,7 +9,6 @@ that are left are computed on this computer: a block depends on its number alone
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
@@ -24,6 +23,7 @@ from distributed.comm.core import CommClosedError
 
 from truepath.catalogue.errors import WorkersAway
 from truepath.errors import WorkerDied
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 T = TypeVar("T")
@@ -94,7 +94,7 @@ class _Cluster:
 
         Whoever is away for `patience_s` is lost.
         """
-        deadline = time.monotonic() + self._patience_s
+        deadline = host_clock.now_s() + self._patience_s
         while True:
             try:
                 return future.result(_LOOK_S)
@@ -102,8 +102,8 @@ class _Cluster:
                 if future.done():
                     raise  # the block's own
                 if self._is_there():
-                    deadline = time.monotonic() + self._patience_s
-                elif time.monotonic() > deadline:
+                    deadline = host_clock.now_s() + self._patience_s
+                elif host_clock.now_s() > deadline:
                     raise ClusterLost from error
             except KilledWorker as error:
                 raise _blame(number, error) from error

@@ -23,6 +23,7 @@ from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.child_process import BACKGROUND_NICENESS, WorkerProcess
 from truepath.errors import WorkerDied
 from truepath.progress import Progress
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -76,8 +77,10 @@ class ProcessExecutor:
     def take(self, cancelled: threading.Event) -> WorkerProcess:
         """Wait for a free process. Raises Aborted if cancelled first."""
         with self._changed:
-            while not (self._free or cancelled.is_set() or self.is_closed):
-                self._changed.wait()
+            host_clock.wait_for(
+                self._changed,
+                lambda: bool(self._free) or cancelled.is_set() or self.is_closed,
+            )
             if cancelled.is_set() or self.is_closed:
                 raise Aborted("cancelled before it began")
             process = self._free[-1] or self._start()

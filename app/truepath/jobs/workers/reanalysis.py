@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from truepath.documents.whole_files import replace_file
 from truepath.errors import WorkerDied
 from truepath.jobs.workers.executor import Computation, ProcessExecutor, Task
 from truepath.jobs.workers.unchanged_runs import OfUnchangedRuns
+from truepath_drivers import host_clock
 
 SUMMARY, OUTCOME, RUNS = "reanalysis.json", "outcome.json", "runs"
 _SAME_UM = 1e-9
@@ -228,13 +228,13 @@ class _Clock:
 
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
-        self._begun_s = time.monotonic()
+        self._begun_s = host_clock.now_s()
 
     def count(self) -> None:
         self._done += 1
 
     def read(self) -> Progress:
-        elapsed_s = time.monotonic() - self._begun_s
+        elapsed_s = host_clock.now_s() - self._begun_s
         own = self._done - self._before
         left_s = elapsed_s * (self._total - self._done) / own if own else None
         return Progress(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -26,6 +25,7 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.run_file.run_reading import open_recorded
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath.progress import Progress
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -85,7 +85,7 @@ def reanalyse_run(
     from truepath.results.error_table_files import error_tables_csv
     from truepath.results.result_json import result_json
 
-    begun_s = time.monotonic()
+    begun_s = host_clock.now_s()
     try:
         findings = analyse(
             open_recorded(Path(order.file)), perpendicular_only=perpendicular_only
@@ -97,7 +97,7 @@ def reanalyse_run(
         return
     files = {"error_tables.csv": tables.encode(), "result.json": encode_json(result)}
     write_files(Path(order.folder), files)
-    took_s = time.monotonic() - begun_s
+    took_s = host_clock.now_s() - begun_s
     keep_outcome(order, after=figures_of(result), took_s=took_s)
     on_progress(1.0, "reporting")
 

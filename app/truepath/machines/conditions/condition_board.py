@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -22,6 +21,7 @@ from truepath.machines.conditions.conditions import (
 )
 from truepath.machines.conditions.stream_watch import COURSE_S, LATELY_S, StreamLevels
 from truepath.measurement.faults import MOTION_BUSY
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import UNABLE, MotionStatus
 
 log = structlog.get_logger(__name__)
@@ -54,7 +54,6 @@ class ConditionBoard:
     """
 
     observe: Callable[[], Observed]
-    clock: Callable[[], float] = time.monotonic
     look_s: float = LOOK_S
     on_change: Callable[[Condition], None] = lambda _: None
     path: Finding = NO_JOB
@@ -73,7 +72,7 @@ class ConditionBoard:
         self._closing.set()
 
     def _run(self) -> None:
-        while not self._closing.wait(self.look_s):
+        while not host_clock.wait(self._closing, self.look_s):
             try:
                 self.read()
             except OSError as error:  # the disk of the data cannot be asked
@@ -82,7 +81,7 @@ class ConditionBoard:
     def read(self) -> list[Condition]:
         """Return every condition as it is now."""
         with self._lock:
-            now_s, seen = self.clock(), self.observe()
+            now_s, seen = host_clock.now_s(), self.observe()
             wants = self.wants_compensation
             found = {
                 **find_conditions(seen, now_s, wants_compensation=wants),

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from truepath.measurement.messages import (
@@ -23,6 +22,7 @@ from truepath.measurement.messages import (
     TemperaturesRead,
     TrackerTried,
 )
+from truepath_drivers import host_clock
 
 LATELY_S = 5.0
 """Over which samples that were lost or damaged are counted."""
@@ -83,7 +83,6 @@ class StreamLevels:
 class StreamWatch:
     """Follows the events of a cell; any thread may ask."""
 
-    clock: Callable[[], float] = time.monotonic
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _is_running: bool = False
     _beam_fault: bool = False
@@ -95,7 +94,7 @@ class StreamWatch:
 
     def follow(self, event: CellEvent) -> None:
         """Take note of an event."""
-        now_s = self.clock()
+        now_s = host_clock.now_s()
         with self._lock:
             match event:
                 case StateChanged(state):
@@ -126,11 +125,11 @@ class StreamWatch:
 
     def _note_heard(self, levels: StreamLevels) -> None:
         with self._lock:
-            self._heard, self._heard_s = levels, self.clock()
+            self._heard, self._heard_s = levels, host_clock.now_s()
 
     def read(self) -> StreamLevels:
         """Return what was seen, as it is now."""
-        now_s = self.clock()
+        now_s = host_clock.now_s()
         with self._lock:
             drift_degC, drifting = self._find_drift(now_s)  # noqa: N806
             return replace(

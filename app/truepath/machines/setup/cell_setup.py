@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -24,10 +23,11 @@ from truepath.machines.machine_cells import MachineCell
 from truepath.measurement.messages import CellConfig
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.timing import StreamTimeouts
+from truepath_drivers import host_clock
 
 
 def _read_clock_difference_s() -> float:
-    return time.time() - time.monotonic()
+    return host_clock.wall_s() - host_clock.now_s()
 
 
 def configure_cell(stated: DeviceConfiguration) -> CellConfig:

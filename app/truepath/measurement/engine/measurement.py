@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -60,6 +59,7 @@ from truepath.measurement.target.target_search import TargetSearch
 from truepath.measurement.timing import EngineSettings
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import (
@@ -285,13 +285,13 @@ class Measurement:
         """
         if self._steps is None:
             return True
-        deadline_s = time.monotonic() + STOP_S
-        while time.monotonic() < deadline_s and not find_stuck(self._motion):
+        deadline_s = host_clock.now_s() + STOP_S
+        while host_clock.now_s() < deadline_s and not find_stuck(self._motion):
             with contextlib.suppress(DeviceError):
                 verb()
                 if self._motion.status().state is not MotionState.RUNNING:
                     return True
-            time.sleep(0.05)
+            host_clock.sleep_s(0.05)
         return False
 
     def _note_sensor(self, notice: Fault) -> None:

@@ -43,6 +43,7 @@ from truepath.measurement.run_file.event_log import EventLog
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.target.target_search import SearchStep, Sight, TargetSearch
 from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
@@ -76,11 +77,11 @@ class MeasurementMonitor:
         places: PlaceCheck,
         search: TargetSearch | None = None,
     ) -> None:
-        self.settings, self.clock = settings, settings.clock
+        self.settings = settings
         self.motion, self.recorder, self.state = motion, recorder, state
         self.report = report
         self._tracker, self._view = tracker, view
-        self.progress = ProgressEstimator(schedule, settings.progress_s, settings.clock)
+        self.progress = ProgressEstimator(schedule, settings.progress_s)
         self.events = EventLog(recorder, report)
         self._machine = ControllerMonitor(
             motion, recorder, settings, lambda: self.stream.device_time_s
@@ -133,7 +134,7 @@ class MeasurementMonitor:
         Returns the controller's status, None if it did not answer this time. Raises
         Aborted, or Fault.
         """
-        if self.state.aborted.wait(self.settings.poll_s):
+        if host_clock.wait(self.state.aborted, self.settings.poll_s):
             raise Aborted("aborted on request")
         self._disk.check()
         self._report_tracker_events()
@@ -161,7 +162,7 @@ class MeasurementMonitor:
         may_jump = self._is_task_under_way or self.state.must_stand
         seen = None if may_jump else self.stream.find_seen()
         axes, name = self.position_by_axis, self.progress.target
-        fault = self.places.follow(axes, name, seen, self.clock())
+        fault = self.places.follow(axes, name, seen, host_clock.now_s())
         if fault is not None:
             self.feed.hold(HoldReason.PLACE, fault)
             self.rows.note_damage()
@@ -176,12 +177,12 @@ class MeasurementMonitor:
         limit_s : in which its driver ends it, or gives up
         """
         limit_s += _SPARE_S
-        task, late_s = Call(verb), self.clock() + limit_s
+        task, late_s = Call(verb), host_clock.now_s() + limit_s
         self._is_task_under_way = True
         try:
             while not task.is_over:
                 self.tick()
-                if self.clock() > late_s:
+                if host_clock.now_s() > late_s:
                     raise make_silence_fault(limit_s)
         finally:
             self._is_task_under_way = False
@@ -250,7 +251,7 @@ class DiskMonitor:
         settings: EngineSettings,
     ) -> None:
         self._feed, self._state, self._recorder = feed, state, recorder
-        self._held = Stopwatch(settings.clock)
+        self._held = Stopwatch()
 
     def check(self) -> None:
         """Hold the feed while too much waits. Raises Fault if the disk fails."""
@@ -278,7 +279,7 @@ class MotionCheck:
 
     def __init__(self, events: EventLog, settings: EngineSettings) -> None:
         self._events, self._settings = events, settings
-        self._unmoved = Stopwatch(settings.clock)
+        self._unmoved = Stopwatch()
         self._here: tuple[float, ...] = ()
         self._is_reported = False
 
@@ -324,7 +325,7 @@ class StreamMonitor:
         self._feed, self._state, self._events = feed, state, events
         self._rows, self._timeouts = rows, settings.timeouts
         self._stream: StreamReader | None = None
-        self._damaged = Stopwatch(settings.clock)
+        self._damaged = Stopwatch()
 
     def watch(self, stream: StreamReader) -> None:
         """Assess this stream from now on."""

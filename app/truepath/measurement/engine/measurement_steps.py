@@ -35,6 +35,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.progress import schedule_rows
 from truepath.motion.configurations import Commanded, Configurations, append_part
 from truepath.motion.workspace.travel import check_travel
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
 
@@ -92,7 +93,7 @@ class MeasurementSteps(ABC):
         self.motion, self.settings = monitor.motion, monitor.settings
         self._monitor, self._tracker = monitor, tracker
         self._order, self._start = order, start
-        self._progress, self._clock = monitor.progress, monitor.clock
+        self._progress = monitor.progress
         self._recorder, self._state = monitor.recorder, monitor.state
         self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
@@ -149,7 +150,7 @@ class MeasurementSteps(ABC):
 
         Raises Fault if it stands elsewhere, or moves on from there.
         """
-        grace_by_s = self._clock() + self.settings.confirm_s
+        grace_by_s = host_clock.now_s() + self.settings.confirm_s
         self._end, has_begun = goal, False
         while True:
             status = self._monitor.tick()
@@ -167,11 +168,11 @@ class MeasurementSteps(ABC):
                 or self._state.must_stand
             ):
                 if status is not None and status.state is MotionState.RUNNING:
-                    grace_by_s = self._clock() + 10 * self.settings.poll_s
+                    grace_by_s = host_clock.now_s() + 10 * self.settings.poll_s
                 continue
             if self._monitor.is_at(goal):
                 return
-            if status.state is MotionState.ABORTED or self._clock() > grace_by_s:
+            if status.state is MotionState.ABORTED or host_clock.now_s() > grace_by_s:
                 raise make_ended_early_fault(self.motion.axes, status, goal)
 
     def record_for(
@@ -286,7 +287,7 @@ class MeasurementSteps(ABC):
     def _end_motion(self) -> None:
         """Let the controller forget the rest of its path; wait until it stands."""
         self.leave_out_rest(is_row_done=self._has_arrived)
-        stand_by_s = self._clock() + self.settings.confirm_s
+        stand_by_s = host_clock.now_s() + self.settings.confirm_s
         while True:
             with contextlib.suppress(ConnectionLost, DeviceTimeout):
                 self.motion.abort()
@@ -294,7 +295,7 @@ class MeasurementSteps(ABC):
             if status is not None and status.state in _STANDING:
                 self._end = np.array(status.position)
                 return
-            if self._clock() > stand_by_s:
+            if host_clock.now_s() > stand_by_s:
                 raise UNSTOPPED
 
 
@@ -371,7 +372,7 @@ class PointSteps(MeasurementSteps):
         while not is_measured:
             self.checkpoint()
             self.wait_motion(position)
-            begin_s = self._clock()
-            while self._clock() - begin_s < self.settings.settle_s:
+            begin_s = host_clock.now_s()
+            while host_clock.now_s() - begin_s < self.settings.settle_s:
                 self._monitor.tick()
             is_measured = self._tracker.measure_point(self._progress.row, dwell_s, name)

@@ -27,6 +27,7 @@ from truepath.measurement.measurement_state import HoldReason
 from truepath.measurement.monitors.stream_reader import StreamReader
 from truepath.measurement.target.target_check import BOUND_MM, TargetCheck
 from truepath.measurement.target.target_search import TargetSearch
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -62,7 +63,7 @@ class TrackerControl:
         search: TargetSearch | None = None,
     ) -> None:
         self._tracker, self._monitor = tracker, monitor
-        self._settings, self._clock = monitor.settings, monitor.clock
+        self._settings = monitor.settings
         self._targets, self._search = targets, search
         self._chooses, self._is_homed = True, False
         self._failures = 0  # of a polled tracker, one after another
@@ -97,7 +98,6 @@ class TrackerControl:
             self._tracker,
             self._monitor.recorder,
             self._settings.timeouts,
-            self._clock,
         )
         try:
             self._start(stream, rate_hz)
@@ -113,9 +113,9 @@ class TrackerControl:
             stream.start(rate_hz)
 
     def _wait_for_sample(self, stream: StreamReader) -> None:
-        deadline_s = self._clock() + self._settings.first_sample_s
+        deadline_s = host_clock.now_s() + self._settings.first_sample_s
         while not stream.has_valid:
-            if self._clock() > deadline_s:
+            if host_clock.now_s() > deadline_s:
                 if stream.device_time_s is None:
                     raise make_silence_fault(self._settings.first_sample_s)
                 text = "the tracker sends no valid sample"
@@ -184,18 +184,18 @@ class TrackerControl:
         tracker = self._tracker
         if not isinstance(tracker, PolledTracker):
             raise POINTS_ONLY
-        late_s = self._clock() + dwell_s + self._settings.timeouts.point_s
+        late_s = host_clock.now_s() + dwell_s + self._settings.timeouts.point_s
         self._monitor.tick()
         here, stood = self._monitor.position, True
         reader = Call(lambda: tracker.measure(dwell_s))
         try:
             while stood and not reader.is_over:
                 stood = self._stands(self._monitor.tick(), here)
-                if self._clock() > late_s:
+                if host_clock.now_s() > late_s:
                     raise make_silence_fault(dwell_s + self._settings.timeouts.point_s)
         finally:
             tracker.stop()
-            reader.wait(_JOIN_S)
+            reader.await_end(_JOIN_S)
         if not stood or not self._stands(self._monitor.tick(), here):
             text = f"row {row + 1}: moved while it was measured"
             self._monitor.events.record("point", text)

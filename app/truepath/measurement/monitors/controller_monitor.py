@@ -18,6 +18,7 @@ from truepath.measurement.faults import (
 from truepath.measurement.monitors.plausibility import PositionGate
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import AxisSamples, MotionStatus
@@ -42,9 +43,9 @@ class ControllerMonitor:
         self.gate = PositionGate(motion, tracker_s)
         self.doubt, self.doubts = "", 0
         self._motion, self._recorder, self._settings = motion, recorder, settings
-        self._out_of_reach = Stopwatch(settings.clock)
+        self._out_of_reach = Stopwatch()
         self._rows: list[tuple[float, ...]] = []
-        self._valid_s = settings.clock()
+        self._valid_s = host_clock.now_s()
         self.position: tuple[float, ...] = ()
         self.late: Fault | None = None
 
@@ -55,19 +56,19 @@ class ControllerMonitor:
         Fault once it has been out of reach for too long. A status whose position is
         not believed bears the last one that is.
         """
-        asked_s = self._settings.clock()
+        asked_s = host_clock.now_s()
         try:
             status = self._motion.status()
-            self._valid_s, self.late = self._settings.clock(), None
+            self._valid_s, self.late = host_clock.now_s(), None
             self._motion.send_heartbeat()
         except (ConnectionLost, DeviceTimeout) as error:
             if self._out_of_reach.measure_s() > self._settings.link_s:
                 raise classify_fault(error) from error
-            if self._settings.clock() - self._valid_s > self._settings.stale_s:
+            if host_clock.now_s() - self._valid_s > self._settings.stale_s:
                 self.late = make_late_fault(error)
             return None
         self._out_of_reach.reset()
-        now_s = self._settings.clock()
+        now_s = host_clock.now_s()
         self.doubt = self.gate.judge(status, asked_s, now_s)
         if self.doubt:
             if not self.position:

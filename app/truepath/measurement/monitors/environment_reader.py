@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 
 from truepath.errors import MeasurementFailed
@@ -17,6 +16,7 @@ from truepath.files.bundle.sensor_gate import ChannelGate
 from truepath.measurement.faults import Fault
 from truepath.measurement.monitors.channel_judge import ChannelJudge
 from truepath.measurement.run_file.recorder import Recorder
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
 from truepath_drivers.interfaces.records import Identity
 from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
@@ -65,7 +65,7 @@ class TrackerAir(Thermometers):
 
     def read(self) -> tuple[Reading, ...]:
         """Ask the tracker for the air that it uses."""
-        begin_s = time.monotonic()
+        begin_s = host_clock.now_s()
         if begin_s < self._due_s:
             return ()
         self._due_s = begin_s + self.period_s
@@ -77,7 +77,7 @@ class TrackerAir(Thermometers):
             shown["humidity_percent"] = air.humidity_percent
         except DeviceError as error:
             fault = str(error)
-        at_s = 0.5 * (begin_s + time.monotonic())
+        at_s = 0.5 * (begin_s + host_clock.now_s())
         return tuple(Reading(n, at_s, shown[n], fault) for n in self._names)
 
 
@@ -142,7 +142,7 @@ class EnvironmentReader:
         self._stopping.set()
         for thread in self._threads:
             if thread.ident is not None:
-                thread.join(JOIN_S)
+                host_clock.join(thread, JOIN_S)
         for gate in self._gates.values() if is_first else ():
             if gate.left_out:
                 text = gate.describe()
@@ -153,7 +153,7 @@ class EnvironmentReader:
             period_s = max(group.period_s, _FASTEST_S)
             while not self._stopping.is_set():
                 self._record(_read(group))
-                self._stopping.wait(period_s)
+                host_clock.wait(self._stopping, period_s)
         except MeasurementFailed as error:
             log.warning("readings of sensors are not recorded any more: %s", error)
         except Exception as error:
@@ -183,5 +183,5 @@ def _read(group: Thermometers) -> tuple[Reading, ...]:
             group.connect()
             return group.read()
     except DeviceError as error:
-        now_s, why = time.monotonic(), str(error)
+        now_s, why = host_clock.now_s(), str(error)
         return tuple(Reading(c.name, now_s, math.nan, why) for c in group.channels)

@@ -33,8 +33,8 @@ class FeedHold:
         self._state, self._events, self._settings = state, events, settings
         self._is_machine_hold_reported = False
         self._late: Fault | None = None  # what the last silence of the control was
-        self._unconfirmed_hold = Stopwatch(settings.clock)
-        self._unconfirmed_resume = Stopwatch(settings.clock)
+        self._unconfirmed_hold = Stopwatch()
+        self._unconfirmed_resume = Stopwatch()
 
     def hold(self, reason: HoldReason, fault: Fault) -> None:
         """Hold the feed and say why, if it is not held for this reason already."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from truepath.measurement.monitors.plausibility import SeenPlace
 from truepath.measurement.monitors.tracker_trial import drop_earlier_samples
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.timing import RunningClock, StreamTimeouts
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
@@ -58,11 +58,10 @@ class StreamReader:
         tracker: Tracker,
         recorder: Recorder,
         timeouts: StreamTimeouts,
-        clock: Callable[[], float],
     ) -> None:
         self._tracker, self._recorder, self._timeouts = tracker, recorder, timeouts
         # A process that did not run has not read either: that is no silence.
-        self._clock = RunningClock(timeouts.late_s, clock)
+        self._clock = RunningClock(timeouts.late_s)
         self._lock = threading.Lock()
         self._damage: StreamDamage | None = None
         self._received_s = self._valid_s = self._clock()
@@ -91,7 +90,7 @@ class StreamReader:
         """Hand over what has come, then end the stream. Idempotent."""
         self._stopping.set()
         if self._thread.ident is not None:
-            self._thread.join()
+            host_clock.join(self._thread)
         self._tracker.stop()
 
     def assess(self) -> StreamState:
@@ -131,14 +130,16 @@ class StreamReader:
 
     def _fill_batch(self) -> None:
         blocks: list[TrackerSamples] = []
-        end_s = time.monotonic() + BATCH_S
-        while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
+        end_s = host_clock.now_s() + BATCH_S
+        while (
+            left_s := end_s - host_clock.now_s()
+        ) > 0 and not self._stopping.is_set():
             block = self._tracker.read(left_s)
             if not (timed := np.isfinite(block.device_time_s)).all():
                 block = block.select(timed)  # its place in the stream is not known
             self._note_arrival(block)
             blocks.append(block)
-            self._stopping.wait(READ_S)
+            host_clock.wait(self._stopping, READ_S)
         self._hand_over(blocks)
 
     def _note_arrival(self, block: TrackerSamples) -> None:
@@ -194,7 +195,7 @@ def record_stream(
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
     DeviceError of the driver; what has been recorded by then is kept.
     """
-    reader = StreamReader(tracker, recorder, StreamTimeouts(), time.monotonic)
+    reader = StreamReader(tracker, recorder, StreamTimeouts())
     reader.start(rate_hz)
     try:
         while not is_over(TICK_S):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from truepath.measurement.messages import TrackerTrial, TrackerTried
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker import AnyTracker, Tracker
 
@@ -29,11 +29,11 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
     blocks: list[TrackerSamples] = []
     tracker.start(trial.rate_hz)
     try:
-        end_s = time.monotonic() + _FIRST_S
-        while time.monotonic() < end_s:
+        end_s = host_clock.now_s() + _FIRST_S
+        while host_clock.now_s() < end_s:
             block = tracker.read(_READ_S)
             if len(block) and not blocks:
-                end_s = time.monotonic() + trial.duration_s
+                end_s = host_clock.now_s() + trial.duration_s
             if len(block):
                 blocks.append(block)
     finally:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import time
 from typing import TypeVar
 
 from truepath.child_process import ChildProcess
@@ -31,6 +30,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.process.cell_process import STALLED_S, run_cell
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 from truepath_drivers.interfaces.records import Identity
 
@@ -87,8 +87,8 @@ class Cell:
 
     def _ask(self, command: CellCommand, answer: type[Answer]) -> Answer:
         self.send(command)
-        deadline_s = time.monotonic() + CONNECT_S
-        while (left_s := deadline_s - time.monotonic()) > 0:
+        deadline_s = host_clock.now_s() + CONNECT_S
+        while (left_s := deadline_s - host_clock.now_s()) > 0:
             for event in self._receive(left_s):
                 if isinstance(event, answer):
                     return event
@@ -152,8 +152,8 @@ class Cell:
                 self._process.link.send(CellVerb.CLOSE)
             except OSError:
                 log.warning("the cell does not listen any more")
-        deadline_s = time.monotonic() + CLOSE_S
-        while self._process.alive and time.monotonic() < deadline_s:
+        deadline_s = host_clock.now_s() + CLOSE_S
+        while self._process.alive and host_clock.now_s() < deadline_s:
             self._events += self._receive(0.05)  # it may wait for us to listen
             self._process.join(0.05)
         if self._process.alive:

@@ -11,7 +11,6 @@ import math
 import os
 import signal
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -51,6 +50,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.monitors.channel_judge import ChannelJudge
 from truepath.measurement.monitors.tracker_trial import try_tracker
 from truepath.measurement.timing import EngineSettings
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import Identity
@@ -156,7 +156,7 @@ class _CellServer:
 
     def look_at_controller(self) -> None:
         """Read the controller once in a while, unless a measurement does so anyway."""
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if self._motion is None or not self._identities or self._measuring:
             return
         if now_s < self._controller_s:
@@ -167,7 +167,7 @@ class _CellServer:
         except DeviceError as error:
             read = ControllerRead(None, str(error))
         pause_s = CONTROLLER_S if read.status else AWAY_S
-        self._controller_s = time.monotonic() + pause_s
+        self._controller_s = host_clock.now_s() + pause_s
         self._outbox.report(read)
 
     def look_at_thermometers(self) -> None:
@@ -176,7 +176,7 @@ class _CellServer:
         A reader of a measurement that hangs in its driver is not waited for: by the
         next look it has ended.
         """
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if self._measuring:
             self._thermometers_s = now_s + THERMOMETERS_S
         if self._thermometers is None or "thermometers" not in self._identities:
@@ -194,7 +194,7 @@ class _CellServer:
                 shown[one.channel], _ = self._judges[one.channel].judge(one)
         is_away = not any(math.isfinite(value) for value in shown.values())
         pause_s = THERMOMETERS_AWAY_S if is_away else THERMOMETERS_S
-        self._thermometers_s = time.monotonic() + pause_s
+        self._thermometers_s = host_clock.now_s() + pause_s
         self._outbox.report(TemperaturesRead(shown))
 
     def look_for_service(self) -> None:
@@ -205,7 +205,7 @@ class _CellServer:
         """
         if self._beat_s is None:
             return
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if now_s - self._look_s > 2.0 * LOOK_S:
             self._beat_s = now_s
         self._look_s = now_s
@@ -224,7 +224,7 @@ class _CellServer:
             case CellVerb.CLOSE:
                 return False
             case CellVerb.BEAT:
-                self._beat_s = self._look_s = time.monotonic()
+                self._beat_s = self._look_s = host_clock.now_s()
             case _ if self._measurement is not None and self._measuring:
                 order = partial(self._measurement.obey, command)
                 self._carry_out(order, str(command))
@@ -237,7 +237,7 @@ class _CellServer:
         if self._measuring:
             self._quietly(self._measurement and self._measurement.halt)
             if self._thread is not None:
-                self._thread.join(END_S)
+                host_clock.join(self._thread, END_S)
         for device in (self._motion, self._tracker, self._thermometers):
             self._quietly(device and device.close)
         self._outbox.close(1.0)
@@ -394,7 +394,7 @@ class Outbox:
         with self._changed:
             self._closing = True
             self._changed.notify()
-        self._thread.join(timeout_s)
+        host_clock.join(self._thread, timeout_s)
 
     def _send(self) -> None:
         """Body of the thread. Ends with the parent, too."""
@@ -406,6 +406,7 @@ class Outbox:
 
     def _next(self) -> CellEvent | None:
         with self._changed:
-            while not self._waiting and not self._closing:
-                self._changed.wait()
+            host_clock.wait_for(
+                self._changed, lambda: bool(self._waiting) or self._closing
+            )
             return self._waiting.popleft() if self._waiting else None

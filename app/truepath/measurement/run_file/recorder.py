@@ -16,7 +16,6 @@ import queue
 import shutil
 import sqlite3
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -54,6 +53,7 @@ from truepath.measurement.run_file.run_file import (
     transaction,
 )
 from truepath.motion.configurations import Commanded
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import AxisSamples, TrackerSamples
 from truepath_drivers.interfaces.tracker_records import PointMeasurement
 
@@ -106,7 +106,7 @@ class Recorder:
         self._on_recorded, self._reserve_bytes = on_recorded, reserve_bytes
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE_ITEMS)
         self._has_callback_failed = False
-        self._checked_space_s = time.monotonic()
+        self._checked_space_s = host_clock.now_s()
         self._link_bytes = self._axis_rows = self._environment_rows = 0
         self._channels = header.channels
         self._last_sequence: int | None = None
@@ -183,7 +183,7 @@ class Recorder:
         """Write down what happened."""
         body = json.dumps({"text": text}, ensure_ascii=False)
         with self._lock:
-            row = (time.monotonic_ns(), time.time_ns(), kind, body)
+            row = (host_clock.now_ns(), host_clock.wall_ns(), kind, body)
             self._put(_Item(events=(row,)))
 
     def extend(self, commanded: Commanded) -> None:
@@ -199,7 +199,7 @@ class Recorder:
         """
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
-        self._writer.join(CLOSE_TIMEOUT_S)
+        host_clock.join(self._writer, CLOSE_TIMEOUT_S)
         sha256 = ""
         if self._writer.is_alive():
             self.failure = self.failure or "the disk does not answer"
@@ -279,7 +279,7 @@ class Recorder:
 
     def _write(self) -> None:
         """Body of the writer's thread: everything up to the end mark."""
-        while (item := self._queue.get()) is not None:
+        while (item := host_clock.get(self._queue)) is not None:
             if self.failure:
                 continue
             try:
@@ -303,18 +303,18 @@ class Recorder:
             self._has_callback_failed = True
 
     def _commit(self, item: _Item) -> None:
-        begun_s = time.monotonic()
+        begun_s = host_clock.now_s()
         with transaction(self._database):
             put_manifest(self._database, item.manifest)
             insert_batches(self._database, item.batches)
             insert_events(self._database, item.events)
-        self.commits = self.commits.add(time.monotonic() - begun_s)
+        self.commits = self.commits.add(host_clock.now_s() - begun_s)
 
     def _free_bytes(self) -> int:
         return shutil.disk_usage(self.file.parent).free
 
     def _check_space(self) -> None:
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if now_s - self._checked_space_s >= SPACE_CHECK_S:
             self._checked_space_s = now_s
             self.is_space_low = self._free_bytes() < self._reserve_bytes
@@ -331,7 +331,7 @@ class Recorder:
 
 
 def _stamp_batch(stream: str, seq0: int, n: int, payload: bytes) -> Batch:
-    return Batch(stream, seq0, n, time.monotonic_ns(), time.time_ns(), payload)
+    return Batch(stream, seq0, n, host_clock.now_ns(), host_clock.wall_ns(), payload)
 
 
 def _describe_storage_error(file: Path, error: Exception) -> str:

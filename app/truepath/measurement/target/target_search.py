@@ -53,7 +53,7 @@ class TargetSearch:
     ) -> None:
         self._tracker, self._settings = tracker, settings
         self._places = SeenPlaces(machine)
-        self._lost, self._waiting = (Stopwatch(settings.clock) for _ in range(2))
+        self._lost, self._waiting = (Stopwatch() for _ in range(2))
         self._found = Counter[int]()
         self._task: Call | None = None
         self._expected: ExpectedPlace | None = None

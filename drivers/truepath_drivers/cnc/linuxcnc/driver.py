@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
 import numpy as np
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes
 from truepath_drivers.cnc.linuxcnc.motion import LinuxCncMotion
 from truepath_drivers.cnc.linuxcnc.program import (
@@ -186,20 +186,20 @@ class LinuxCncController(MotionController):
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, beating meanwhile."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         while True:
             self.send_heartbeat()
             status = self.status()
             self._motion.require_able(status)
             if status.state is not MotionState.RUNNING:
                 return status
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - host_clock.now_s()
             if left_s <= 0:
                 raise DeviceTimeout(
                     f"{self._session.name}: still in motion after {timeout_s:g} s, "
                     f"at line {status.line}"
                 )
-            time.sleep(min(self._poll_s, left_s))
+            host_clock.sleep_s(min(self._poll_s, left_s))
 
     def hold(self) -> None:
         """Feed hold. Where nothing was ever connected there is nothing to hold."""
@@ -246,17 +246,17 @@ class LinuxCncController(MotionController):
             self._session.demand("mode manual")
             self._session.take_errors()
             self._session.demand("home -1")
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         while (status := self.status()).state is MotionState.UNHOMED:
             with self._lock.hold():
                 errors = self._session.take_errors()
             if errors:
                 raise MotionFault(f"{self._session.name} does not home: {errors[0]}")
-            if time.monotonic() > deadline_s:
+            if host_clock.now_s() > deadline_s:
                 raise DeviceTimeout(
                     f"{self._session.name}: not homed in {timeout_s:g} s"
                 )
-            time.sleep(self._poll_s)
+            host_clock.sleep_s(self._poll_s)
         self._motion.require_able(status)
 
     def limit_override(self, largest: float) -> None:

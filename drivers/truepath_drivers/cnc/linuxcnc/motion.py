@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import time
 from dataclasses import dataclass, replace
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.linuxcnc.program import Program
 from truepath_drivers.cnc.linuxcnc.readings import Reading
 from truepath_drivers.cnc.linuxcnc.session import TIP_IS_FOLLOWED, LinuxCncSession
@@ -82,8 +82,8 @@ class LinuxCncMotion:
                 self._session.disarm()
                 raise
             self._memory = self._memory.begin(program, before)
-        deadline_s = time.monotonic() + _BEGIN_S
-        while self.aborts == aborts and time.monotonic() < deadline_s:
+        deadline_s = host_clock.now_s() + _BEGIN_S
+        while self.aborts == aborts and host_clock.now_s() < deadline_s:
             with self._lock.hold():
                 look, errors = self._session.look(), self._session.take_errors()
                 if errors and self.aborts == aborts:
@@ -92,7 +92,7 @@ class LinuxCncMotion:
                     raise Refused(f"{self._session.name}: {'; '.join(errors)}")
                 if self._memory.has_moved(look) or look.has_ended:
                     return
-            time.sleep(_BEGIN_LOOK_S)
+            host_clock.sleep_s(_BEGIN_LOOK_S)
 
     def hold(self) -> None:
         """Feed hold."""

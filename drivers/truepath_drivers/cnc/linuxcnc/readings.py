@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes
 from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.interfaces.errors import ConnectionLost
@@ -77,7 +77,7 @@ def read_machine(
 
 def _stays(rsh: RshLink, machine: LinuxCncAxes, position: tuple[float, ...]) -> bool:
     for _ in range(_LOOKS - 1):
-        time.sleep(_FRESH_S)
+        host_clock.sleep_s(_FRESH_S)
         pairs = zip(read_position(rsh, machine), position, strict=True)
         if any(abs(now - before) > _STILL for now, before in pairs):
             return False
@@ -97,7 +97,7 @@ def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     """
     for look in range(_LOOKS):
         if look:
-            time.sleep(_FRESH_S)
+            host_clock.sleep_s(_FRESH_S)
         if not _lie_apart(rsh, machine):
             return False
     return True

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-import time
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
@@ -100,11 +100,11 @@ class RshLink:
         """Send a line, return the reply. ConnectionLost, DeviceTimeout."""
         if not self.is_open:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
-        deadline_s = time.monotonic() + self._reply_timeout_s
+        deadline_s = host_clock.now_s() + self._reply_timeout_s
         try:
             self._port.write(line.encode("ascii", "replace") + b"\r\n")
             while not (found := _LINE.match(self._rest)):
-                left_s = deadline_s - time.monotonic()
+                left_s = deadline_s - host_clock.now_s()
                 if left_s <= 0:
                     raise DeviceTimeout(
                         f"{self.name} has not answered in {self._reply_timeout_s:g} s; "

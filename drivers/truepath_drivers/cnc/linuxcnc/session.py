@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes, parse_travel, read_ini
 from truepath_drivers.cnc.linuxcnc.readings import (
     Reading,
@@ -153,12 +153,12 @@ class LinuxCncSession:
     def demand_and_see(self, what: str, is_done: Callable[[], bool]) -> None:
         """Set something and wait until it is so. Raises Refused, MotionFault."""
         self.demand(what)
-        deadline_s = time.monotonic() + _DONE_S
+        deadline_s = host_clock.now_s() + _DONE_S
         while not is_done():
-            if time.monotonic() > deadline_s:
+            if host_clock.now_s() > deadline_s:
                 errors = "; ".join(self._rsh.take_errors()) or "it gives no reason"
                 raise Refused(f"{self.name} has not done '{what}': {errors}")
-            time.sleep(_LOOK_S)
+            host_clock.sleep_s(_LOOK_S)
 
     def reads(self, what: str, value: str) -> bool:
         """Tell whether LinuxCNC says this value now."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from enum import StrEnum
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
@@ -68,10 +68,10 @@ class WatchdogLink:
         self._port.close()
 
     def _read_line(self) -> str:
-        deadline_s = time.monotonic() + self._reply_timeout_s
+        deadline_s = host_clock.now_s() + self._reply_timeout_s
         line = b""
         while not line.endswith(b"\n"):
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - host_clock.now_s()
             if left_s <= 0:
                 raise DeviceTimeout(
                     f"{self._port.name}: the watchdog has not answered in "

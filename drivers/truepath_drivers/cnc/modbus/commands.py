@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import random
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.controller_map import (
     Controller,
@@ -50,7 +50,7 @@ class BackOff:
         """Tell whether the next attempt may be made."""
         return now_s >= self._due_s
 
-    def wait(self, now_s: float) -> None:
+    def put_off(self, now_s: float) -> None:
         """Let a pause begin: an attempt is made now."""
         self._pause_s = min(2.0 * self._pause_s + FIRST_S, LONGEST_S)
         share = _LEAST_SHARE + (1.0 - _LEAST_SHARE) * self._draw()
@@ -159,14 +159,14 @@ class CommandChannel:
 
     def limit_override(self, largest: float) -> bool:
         """Have the override lowered where it is above; tell whether it is not now."""
-        deadline_s = time.monotonic() + self._timeout_s
+        deadline_s = host_clock.now_s() + self._timeout_s
         with self._lock.hold():
             if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
                 return False
             while (self._read_status().motion.override or 0.0) > largest + _SAME:
-                if time.monotonic() >= deadline_s:
+                if host_clock.now_s() >= deadline_s:
                     return False
-                time.sleep(_ACK_POLL_S)
+                host_clock.sleep_s(_ACK_POLL_S)
             return True
 
     def command(
@@ -174,7 +174,7 @@ class CommandChannel:
     ) -> ControllerStatus:
         """Have a verb done once; return the status that acknowledges it."""
         limit_s = _URGENT_S if urgent else self._timeout_s
-        deadline_s = time.monotonic() + limit_s
+        deadline_s = host_clock.now_s() + limit_s
         with self._lock.hold(urgent=urgent):
             self._is_urgent = urgent
             try:
@@ -200,12 +200,12 @@ class CommandChannel:
         """
         if self._controller is None or self._link.is_open:
             return
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         if not self._back_off.is_due(now_s):
             raise ConnectionLost(
                 f"{self.name} is gone; check cable and power. It is tried again"
             )
-        self._back_off.wait(now_s)
+        self._back_off.put_off(now_s)
         found = self._open_link()
         if found != self._controller:
             self._link.close()
@@ -255,7 +255,7 @@ class CommandChannel:
         acknowledged = 0
         if not self._is_urgent:
             acknowledged = self._insist(self._read_status, deadline_s).acknowledged
-        elif self._answers and time.monotonic() + 2 * TIMEOUT_S < deadline_s:
+        elif self._answers and host_clock.now_s() + 2 * TIMEOUT_S < deadline_s:
             with suppress(ConnectionLost, DeviceTimeout):
                 acknowledged = self._read_status().acknowledged
         self._sequence = _following(self._sequence)
@@ -274,7 +274,7 @@ class CommandChannel:
             status = self._insist(self._read_status, deadline_s)
             if status.acknowledged == request[0]:
                 return status
-            if time.monotonic() >= deadline_s:
+            if host_clock.now_s() >= deadline_s:
                 raise MotionFault(
                     f"{self.name}: {r.Command(request[1]).name} was not taken in "
                     f"{self._timeout_s:g} s; the device's program stands, or "
@@ -282,7 +282,7 @@ class CommandChannel:
                 )
             if not delivered:
                 delivered = self._try_write(request, deadline_s)
-            time.sleep(_ACK_POLL_S)
+            host_clock.sleep_s(_ACK_POLL_S)
 
     def _try_write(self, request: list[int], deadline_s: float) -> bool:
         """Write a command; False if its outcome is unknown and there is time to see."""
@@ -290,7 +290,7 @@ class CommandChannel:
             self._reopen()
             self._link.write(r.COMMAND.address, request)
         except (ConnectionLost, DeviceTimeout) as error:
-            if time.monotonic() + TIMEOUT_S > deadline_s:
+            if host_clock.now_s() + TIMEOUT_S > deadline_s:
                 raise
             log.warning("reading back the state: %s", error)
             return False
@@ -302,9 +302,9 @@ class CommandChannel:
             try:
                 return request()
             except (ConnectionLost, DeviceTimeout):
-                if time.monotonic() + TIMEOUT_S > deadline_s:
+                if host_clock.now_s() + TIMEOUT_S > deadline_s:
                     raise
-                time.sleep(_BUSY_POLL_S)
+                host_clock.sleep_s(_BUSY_POLL_S)
 
     def _judge(self, verb: r.Command, status: ControllerStatus) -> None:
         place = f"{self.name} refuses {verb.name}"
@@ -351,16 +351,16 @@ class CommandChannel:
         that it does not reach the device.
         """
         patience_s = self._timeout_s if limit_s is None else limit_s
-        deadline_s = time.monotonic() + patience_s
+        deadline_s = host_clock.now_s() + patience_s
         has_failed = False
         while True:
             try:
                 self._reopen()
                 return request()
             except DeviceBusy:
-                if time.monotonic() >= deadline_s:
+                if host_clock.now_s() >= deadline_s:
                     raise
-                time.sleep(_BUSY_POLL_S)
+                host_clock.sleep_s(_BUSY_POLL_S)
             except (ConnectionLost, DeviceTimeout) as error:
                 is_behind = isinstance(error, ConnectionLost) and self._link.is_open
                 is_late = self._is_urgent or self._lock.is_wanted

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers import host_clock
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.commands import CommandChannel
 from truepath_drivers.cnc.modbus.controller_map import Controller
@@ -140,7 +140,7 @@ class ModbusController(MotionController):
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, beating meanwhile."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         while True:
             self.send_heartbeat()
             status = self.status()
@@ -148,13 +148,13 @@ class ModbusController(MotionController):
                 raise MotionFault(f"{self._channel.name}: {status.alarm}")
             if status.state is not MotionState.RUNNING:
                 return status
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - host_clock.now_s()
             if left_s <= 0:
                 raise DeviceTimeout(
                     f"{self._channel.name}: still in motion after {timeout_s:g} s, "
                     f"at line {status.line}"
                 )
-            time.sleep(min(self._poll_s, left_s))
+            host_clock.sleep_s(min(self._poll_s, left_s))
 
     def hold(self) -> None:
         """Feed hold. Where nothing was ever connected there is nothing to hold.

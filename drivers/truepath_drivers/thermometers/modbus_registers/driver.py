@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import math
 import struct
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
@@ -98,7 +98,7 @@ class ModbusRegisters(Thermometers):
         """Read what is due. A unit that is silent is asked once in a call."""
         if not self._is_connected:
             raise ConnectionLost(f"{self._link.name} is not connected; connect first")
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         due = [r for r in self._registers if now_s >= self._due_s.get(r.name, now_s)]
         silent: dict[int, str] = {}
         lost = self._open_anew() if due else ""
@@ -106,7 +106,7 @@ class ModbusRegisters(Thermometers):
         for each in due:
             self._due_s[each.name] = now_s + each.period_s
             fault = lost or silent.get(each.unit, "")
-            begin_s, value = time.monotonic(), math.nan
+            begin_s, value = host_clock.now_s(), math.nan
             if not fault:
                 try:
                     value = self._ask(each)
@@ -117,7 +117,7 @@ class ModbusRegisters(Thermometers):
                     fault = silent[each.unit] = str(error)
                 except DeviceError as error:
                     fault = str(error)
-            middle_s = 0.5 * (begin_s + time.monotonic())
+            middle_s = 0.5 * (begin_s + host_clock.now_s())
             readings.append(Reading(each.name, middle_s, value, fault))
         return tuple(readings)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import random
 import threading
-import time
 from typing import TypeVar
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
     DeviceError,
@@ -57,7 +57,7 @@ class GeoComSession:
         """Ask until the instrument is not busy."""
         reply = self.ask(procedure, values, longer_s)
         for _ in range(_SHOT_TRIES):
-            if reply.code != ReturnCode.BUSY or stopping.wait(_BUSY_S):
+            if reply.code != ReturnCode.BUSY or host_clock.wait(stopping, _BUSY_S):
                 break
             reply = self.ask(procedure, values, longer_s)
         return reply
@@ -73,7 +73,7 @@ class GeoComSession:
             self._transaction = self._transaction % (TRANSACTIONS - 1) + 1
             number = self._transaction
             self.link.send(encode_request(procedure, number, values))
-            deadline_s = time.monotonic() + self._reply_timeout_s + longer_s
+            deadline_s = host_clock.now_s() + self._reply_timeout_s + longer_s
             while (line := self.link.receive(deadline_s)) is not None:
                 reply = parse_reply(line)
                 if reply is not None and reply.transaction == number:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -143,9 +143,9 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
     def read(self, timeout_s: float) -> TrackerSamples:
         """Return the samples since the last call, some 20 ms of them or more."""
         receiver = self._require_receiver()
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         while True:
-            left_s = max(0.0, deadline_s - time.monotonic())
+            left_s = max(0.0, deadline_s - host_clock.now_s())
             bodies = receiver.take(left_s, min(_GATHER_S, left_s))
             decoded = self._decoder.decode(bodies)
             self._event_log.note_status(decoded.status)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_drivers.tracker.streaming.measurements import is_measurement
@@ -61,7 +61,7 @@ class Receiver:
         """End the thread; the port may be closed afterwards."""
         self._closing.set()
         if self._thread.ident is not None:
-            self._thread.join()
+            host_clock.join(self._thread)
 
     def take(self, timeout_s: float, gather_s: float) -> list[bytes]:
         """Return all bodies in the queue, waiting at most `timeout_s` for a first one.
@@ -70,8 +70,10 @@ class Receiver:
         a single one. Raises ConnectionLost once the queue is empty and the port gone.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._bodies or self.error, timeout_s)
-            self._changed.wait_for(lambda: self.error, gather_s)
+            host_clock.wait_for(
+                self._changed, lambda: bool(self._bodies or self.error), timeout_s
+            )
+            host_clock.wait_for(self._changed, lambda: bool(self.error), gather_s)
             bodies, self._bodies = self._bodies, []
         if self.error is not None and not bodies:
             raise self.error
@@ -93,19 +95,21 @@ class Receiver:
     def wait_reply(self, timeout_s: float) -> Reply | None:
         """Return the expected reply, None after `timeout_s`. Raises ConnectionLost."""
         with self._changed:
-            self._changed.wait_for(lambda: self._reply or self.error, timeout_s)
+            host_clock.wait_for(
+                self._changed, lambda: bool(self._reply or self.error), timeout_s
+            )
             if self._reply is None and self.error is not None:
                 raise self.error
             return self._reply
 
     def _run(self) -> None:
-        due_s = time.monotonic() + PING_PERIOD_S
+        due_s = host_clock.now_s() + PING_PERIOD_S
         try:
             while not self._closing.is_set():
                 data = self._port.read(_POLL_S)
                 if data:
                     self._sort(data)
-                if time.monotonic() >= due_s:
+                if host_clock.now_s() >= due_s:
                     due_s += PING_PERIOD_S
                     self._keep_alive()
         except ConnectionLost as error:

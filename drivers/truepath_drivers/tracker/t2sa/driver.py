@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
     DeviceError,
@@ -129,12 +129,15 @@ class T2saTracker(LineInstrument):
 
     def _ask_free(self, command: str) -> Reply:
         """Ask until the application is not busy with something else."""
-        deadline_s = time.monotonic() + self._shot_s
+        deadline_s = host_clock.now_s() + self._shot_s
         while True:
             reply = self._ask(command, self._shot_s)
             if reply.is_good or reply.code != ErrorCode.BUSY:
                 return reply
-            if self._stopping.wait(_LOOK_S) or time.monotonic() > deadline_s:
+            if (
+                host_clock.wait(self._stopping, _LOOK_S)
+                or host_clock.now_s() > deadline_s
+            ):
                 return reply
 
     def _ask(self, command: str, longer_s: float = 0.0) -> Reply:
@@ -148,8 +151,8 @@ class T2saTracker(LineInstrument):
             if self._link.is_open and (stale := self._link.drain()):
                 log.warning("%s: left out %r", self._link.name, stale)
             self._link.send(command.encode())
-            deadline_s = time.monotonic() + self._reply_timeout_s + longer_s
-            while (now_s := time.monotonic()) < deadline_s:
+            deadline_s = host_clock.now_s() + self._reply_timeout_s + longer_s
+            while (now_s := host_clock.now_s()) < deadline_s:
                 line = self._link.receive(min(now_s + _LOOK_S, deadline_s))
                 reply = None if line is None else parse_reply(line)
                 if reply is not None:

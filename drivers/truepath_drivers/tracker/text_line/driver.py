@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
@@ -123,15 +123,15 @@ class TextLineTracker(Tracker, ByteLink):
 
     def read(self, timeout_s: float) -> TrackerSamples:
         """Return all lines since the last call."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = host_clock.now_s() + timeout_s
         with self._lock:
             self._require_open()
             if not self._streams:
                 return TrackerSamples.empty()
             while self._streams:
-                self._take(max(0.0, min(_STEP_S, deadline_s - time.monotonic())))
+                self._take(max(0.0, min(_STEP_S, deadline_s - host_clock.now_s())))
                 samples = self._decode()
-                if len(samples) or time.monotonic() >= deadline_s:
+                if len(samples) or host_clock.now_s() >= deadline_s:
                     return samples
             return TrackerSamples.empty()
 
@@ -190,13 +190,13 @@ class TextLineTracker(Tracker, ByteLink):
 
     def _await_line(self) -> None:
         """Wait for a line that can be read; the first may have begun before."""
-        deadline_s = time.monotonic() + _FIRST_LINE_S
+        deadline_s = host_clock.now_s() + _FIRST_LINE_S
         while True:
             whole = self._rest.split(b"\n")[:-1]
             problems = [self._layout.explain(line) for line in whole]
             if "" in problems:
                 return
-            if time.monotonic() > deadline_s:
+            if host_clock.now_s() > deadline_s:
                 break
             self._take(_STEP_S)
         if not problems:
@@ -310,7 +310,7 @@ class TextLineTracker(Tracker, ByteLink):
 
     def _spread(self, count: int) -> NDArray[np.float64]:
         """Return times of lines that came at once, at the nominal rate up to now."""
-        now_s, period_s = time.monotonic(), 1.0 / self._rate_hz
+        now_s, period_s = host_clock.now_s(), 1.0 / self._rate_hz
         first_s = now_s - (count - 1) * period_s
         if first_s <= self._last_time_s:
             period_s = (now_s - self._last_time_s) / count
@@ -347,13 +347,13 @@ class Pace:
     """The best of what arrives in a window tells: late lines are late once only."""
 
     def __init__(self) -> None:
-        self._begin_s = time.monotonic()
+        self._begin_s = host_clock.now_s()
         self._ahead_s, self._ahead_before_s = -np.inf, np.nan
         self._drifts_s: list[float] = []
 
     def look(self, device_s: float) -> float | None:
         """Take the newest stamp; the clock's rate where it is off twice in a row."""
-        now_s = time.monotonic()
+        now_s = host_clock.now_s()
         self._ahead_s = max(self._ahead_s, device_s - now_s)
         passed_s = now_s - self._begin_s
         if passed_s < _WINDOW_S:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from collections import deque
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing, suppress
@@ -33,6 +32,7 @@ from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service, ServiceDep
 from truepath.service.api.sockets import send_until_left
 from truepath.service.api.topics import Topics, parse_topics
+from truepath_drivers import host_clock
 
 TICK_S = 1.0
 ASK_S = 0.5
@@ -110,7 +110,7 @@ class Subscription:
             known = newest
             for event in await run_sync(_read_present, service, topics, newest):
                 yield event
-        next_tick = time.monotonic()
+        next_tick = host_clock.now_s()
         while not service.closing.is_set():
             news, live = self._take()
             while news:
@@ -126,12 +126,12 @@ class Subscription:
                 news = bool(missed)
             for job_event in live:
                 yield _describe_live(job_event)
-            if time.monotonic() >= next_tick:
-                next_tick = time.monotonic() + TICK_S
+            if host_clock.now_s() >= next_tick:
+                next_tick = host_clock.now_s() + TICK_S
                 tick = {"time": format_utc_now(), "last_event_id": known}
                 yield ServerSentEvent(data=tick, event="tick")
             yield None
-            await self._wait(min(next_tick - time.monotonic(), ASK_S))
+            await self._wait(min(next_tick - host_clock.now_s(), ASK_S))
 
     def _take(self) -> tuple[bool, list[JobEvent]]:
         """Return whether the catalogue has news, and the live events."""
@@ -162,13 +162,13 @@ class Session:
 
     def __init__(self, service: Service, token: str) -> None:
         self._access, self._token = service.access, token
-        self._due_s = time.monotonic() + ASK_S
+        self._due_s = host_clock.now_s() + ASK_S
 
     async def is_open(self) -> bool:
         """Tell whether the stream may go on; asked as often as somebody likes."""
-        if time.monotonic() < self._due_s:
+        if host_clock.now_s() < self._due_s:
             return True
-        self._due_s = time.monotonic() + ASK_S
+        self._due_s = host_clock.now_s() + ASK_S
         return await run_sync(self._is_let_in, limiter=_ASKING)
 
     def _is_let_in(self) -> bool:

@@ -6,7 +6,6 @@ service has a registry of its own, so that two in one process share nothing.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import accumulate
 
@@ -32,6 +31,7 @@ from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.events import count_streams
 from truepath.service.api.security.route_roles import find_route
 from truepath.service.api.service import Service
+from truepath_drivers import host_clock
 
 _STREAMS = "/events"
 _REQUEST_BOUNDS_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
@@ -133,7 +133,7 @@ class RequestTimer:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        begun_s, status = time.monotonic(), 0
+        begun_s, status = host_clock.now_s(), 0
         method, path = scope["method"], scope["path"]
 
         async def send_noted(message: Message) -> None:
@@ -145,7 +145,7 @@ class RequestTimer:
             await self._app(scope, receive, send_noted)
         finally:
             if status:
-                took_s = time.monotonic() - begun_s
+                took_s = host_clock.now_s() - begun_s
                 self._metrics.count_request(method, path, status, took_s)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ipaddress
 import re
 import secrets
-import time
 from collections.abc import Collection
 from contextlib import suppress
 from urllib.parse import urlsplit
@@ -30,6 +29,7 @@ from truepath.service.api.problems import (
 )
 from truepath.service.api.security.route_roles import LONG_LIVED, find_route
 from truepath.service.api.security.trusted_proxies import find_peer, find_source
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -140,7 +140,7 @@ class _Answer:
 
     def __init__(self, scope: Scope, send: Send, request_id: str) -> None:
         self._scope, self._send, self._request_id = scope, send, request_id
-        self._begun = time.monotonic()
+        self._begun = host_clock.now_s()
         self._status = 0
         self._is_bare = False
 
@@ -183,7 +183,7 @@ class _Answer:
             status=self._status,
             source=find_source(self._scope),
             peer=find_peer(self._scope),
-            ms=round(1000 * (time.monotonic() - self._begun), 1),
+            ms=round(1000 * (host_clock.now_s() - self._begun), 1),
         )
 
 
