@@ -16,19 +16,25 @@ help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 24
 
 .PHONY: setup
-setup: .venv/ready ## make .venv with everything in it
+setup: .venv/developing ## make .venv with everything in it
 
-.venv/ready: pyproject.toml constraints.txt
+INSTALL := $(BIN)/python -m pip install --progress-bar off \
+  --upgrade-strategy only-if-needed -c constraints.txt
+
+.venv/running: pyproject.toml constraints.txt
 	@.ci/system-packages run
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or later is needed; set PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade-strategy only-if-needed \
-	  -c constraints.txt -e ".[dev,pg]"
+	$(INSTALL) -e .
+	@touch $@
+
+.venv/developing: .venv/running
+	$(INSTALL) -e ".[dev,pg]"
 	@touch $@
 
 .PHONY: run
-run: setup ## service, page and simulated devices; calibrates on the fly at once
+run: .venv/running ## service, page and simulated devices; calibrates on the fly at once
 	$(BIN)/truepath serve --simulated --measure --data-dir var
 
 .PHONY: check
