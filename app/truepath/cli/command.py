@@ -6,7 +6,6 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Annotated, NoReturn
 
 import typer
@@ -61,6 +60,8 @@ def run(arguments: Sequence[str]) -> int:
 
 def _print_version(asked: bool) -> None:
     if asked:
+        from importlib.metadata import version  # reads mail headers: slow to import
+
         print(version("truepath"))
         raise typer.Exit
 

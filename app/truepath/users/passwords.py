@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
@@ -10,7 +12,6 @@ from truepath.errors import BadInput
 SHORTEST, LONGEST = 10, 200
 
 _hasher = PasswordHasher()
-_NOBODY = _hasher.hash("the password of nobody")
 
 
 def hash_password(password: str) -> str:
@@ -26,6 +27,11 @@ def hash_password(password: str) -> str:
 def is_password(password: str, kept: str | None) -> bool:
     """Say whether it is the password. Without a user it takes just as long."""
     try:
-        return _hasher.verify(kept or _NOBODY, password) and kept is not None
+        return _hasher.verify(kept or _hash_nobody(), password) and kept is not None
     except (VerificationError, InvalidHashError):
         return False
+
+
+@cache
+def _hash_nobody() -> str:  # at first need: it takes a third of a second
+    return _hasher.hash("the password of nobody")
