@@ -57,7 +57,9 @@ def wait_for(
     return condition.wait_for(is_so, timeout_s)
 
 
-def get(source: queue.Queue[T], timeout_s: float | None = None) -> T:
+def get(
+    source: queue.Queue[T] | queue.SimpleQueue[T], timeout_s: float | None = None
+) -> T:
     """Take the next of a queue. Raises queue.Empty where there is none by then."""
     return source.get(timeout=timeout_s)
 
