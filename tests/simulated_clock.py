@@ -1,61 +1,78 @@
 """A clock on which time passes when every thread of this process waits for it.
 
-Ten seconds of patience cost a moment, and however busy the computer is nothing comes
-late: time stands while anybody works. It takes the place of the functions of
-`truepath_drivers.host_clock`; threads that were there before it are left out.
+Ten seconds of patience cost a moment, and time stands while anybody works. It takes the
+place of the functions of `truepath_drivers.host_clock`; threads that were there before
+it are left out. A thread that sleeps elsewhere (a lock, a socket) holds time for a
+thirtieth of a second. What is waited for is asked of any thread, under the lock of the
+clock: such a question takes no lock itself.
 """
 
 from __future__ import annotations
 
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from truepath_drivers import host_clock
 
 _LOOK_S = 0.002  # real: for threads that end, or are blocked elsewhere
-_STUCK_S = 0.03  # real: of a thread that sleeps elsewhere than here
+_ASLEEP_S = 0.03  # real: without having run once
 _EPOCH_S = 1_780_000_000.0
 _TASKS = Path("/proc/self/task")
+_SWITCHES = re.compile(r"ctxt_switches:\t(\d+)")
+_NAMES = ("now_s", "now_ns", "wall_s", "wall_ns", "sleep_s")
+_NAMES += ("wait", "wait_for", "get", "put", "join", "result")
 
 
 @dataclass(eq=False)
 class _Wait:
     is_over: Callable[[], bool]
     until_s: float
-    gate: Any  # a lock, let go of at the end
+    gate: threading.Lock = field(default_factory=threading.Lock)
+    error: Exception | None = None
 
 
 class SimulatedClock:
-    """The functions of `host_clock`, on simulated time."""
+    """The functions of `host_clock`, on simulated time.
+
+    time_s : a test may set it forward, as after a suspension of the computer
+    wall_jump_s : by which the wall clock was set
+    """
 
     def __init__(self) -> None:
         self.time_s = 1000.0
         self.wall_jump_s = 0.0
+        self._lock = threading.RLock()
         self._waits: dict[int, _Wait] = {}
-        self._lock = threading.Lock()
+        self._runs: dict[int, tuple[list[str], float]] = {}
         self._before = set(threading.enumerate()) - {threading.current_thread()}
-        self._is_over = False
-        self._still: tuple[Any, float] = (None, 0.0)
+        self._is_closed = False
         self._ticker = threading.Thread(target=self._run, name="clock", daemon=True)
         self._ticker.start()
 
     def now_s(self) -> float:
         return self.time_s
 
+    def now_ns(self) -> int:
+        return round(self.time_s * 1e9)
+
     def wall_s(self) -> float:
         return _EPOCH_S + self.time_s + self.wall_jump_s
 
+    def wall_ns(self) -> int:
+        return round(self.wall_s() * 1e9)
+
     def sleep_s(self, duration_s: float) -> None:
-        self._wait(lambda: False, duration_s)
+        self._wait(lambda: False, self.time_s + duration_s)
 
     def wait(self, event: threading.Event, timeout_s: float | None = None) -> bool:
-        return self._wait(event.is_set, timeout_s)
+        return self._wait(event.is_set, self._end_s(timeout_s))
 
     def wait_for(
         self,
@@ -64,10 +81,10 @@ class SimulatedClock:
         timeout_s: float | None = None,
     ) -> bool:
         until_s = self._end_s(timeout_s)
-        while not is_so() and self.time_s < until_s:
+        while not is_so() and self.time_s < until_s and not self._is_closed:
             condition.release()
             try:
-                self._wait(is_so, until_s - self.time_s)
+                self._wait(is_so, until_s)
             finally:
                 condition.acquire()
         return is_so()
@@ -75,112 +92,130 @@ class SimulatedClock:
     def get(self, source: queue.Queue[Any], timeout_s: float | None = None) -> Any:
         until_s = self._end_s(timeout_s)
         while True:
-            self._wait(lambda: not source.empty(), until_s - self.time_s)
+            self._wait(lambda: not source.empty(), until_s)
             try:
                 return source.get_nowait()
             except queue.Empty:
-                if self.time_s >= until_s:
+                if self.time_s >= until_s or self._is_closed:
+                    raise
+
+    def put(
+        self, target: queue.Queue[Any], item: Any, timeout_s: float | None = None
+    ) -> None:
+        until_s = self._end_s(timeout_s)
+        while True:
+            self._wait(lambda: not target.full(), until_s)
+            try:
+                return target.put_nowait(item)
+            except queue.Full:
+                if self.time_s >= until_s or self._is_closed:
                     raise
 
     def join(self, thread: threading.Thread, timeout_s: float | None = None) -> None:
-        end_s = self._end_s(timeout_s)
-        while thread.is_alive() and self.time_s < end_s:
-            if thread.ident in self._waits:
-                self._wait(lambda: not thread.is_alive(), end_s - self.time_s)
-            else:
-                thread.join(_LOOK_S)  # it works
+        until_s = self._end_s(timeout_s)
+        if thread.ident not in self._waits:  # most calls are over at once
+            thread.join(_LOOK_S)
+        self._wait(lambda: not thread.is_alive(), until_s)
 
     def result(self, future: Any, timeout_s: float | None = None) -> Any:
-        self._wait(future.done, timeout_s)
+        self._wait(future.done, self._end_s(timeout_s))
         return future.result(0.0)
 
     def close(self) -> None:
         """Let go of everybody who waits still."""
-        self._is_over = True
+        with self._lock:
+            self._is_closed = True
+            self._wake()
         self._ticker.join()
 
     def _end_s(self, timeout_s: float | None) -> float:
         return float("inf") if timeout_s is None else self.time_s + timeout_s
 
-    def _wait(self, is_over: Callable[[], bool], timeout_s: float | None) -> bool:
-        if is_over():
-            return True
-        wait = _Wait(is_over, self._end_s(timeout_s), threading.Lock())
-        wait.gate.acquire()
+    def _wait(self, is_over: Callable[[], bool], until_s: float) -> bool:
+        wait = _Wait(is_over, until_s)
         with self._lock:
+            if is_over() or self._is_closed:
+                return is_over()
+            wait.gate.acquire()
             self._waits[threading.get_ident()] = wait
-        self._step()
+            self._step()
         wait.gate.acquire()
+        if wait.error is not None:
+            raise wait.error
         return is_over()
 
     def _run(self) -> None:
-        while not self._is_over:
+        while not self._is_closed:
             time.sleep(_LOOK_S)
-            self._step()
-        self.time_s = float("inf")
-        self._wake()
+            with self._lock:
+                self._step()
 
     def _step(self) -> None:
         """Wake who need not wait any more, and let time pass where nobody works."""
-        if not self._wake() and self._is_still():
-            self._advance()
+        if self._wake() or not self._waits or not self._is_still():
+            return
+        until_s = min(wait.until_s for wait in self._waits.values())
+        if until_s < float("inf"):
+            self.time_s = max(self.time_s, until_s)
             self._wake()
 
     def _wake(self) -> int:
         """Wake whose end has come; return how many those are."""
-        with self._lock:
-            over = [
-                (ident, wait)
-                for ident, wait in self._waits.items()
-                if wait.until_s <= self.time_s or wait.is_over()
-            ]
-            for ident, wait in over:
-                del self._waits[ident]
-                wait.gate.release()
+        over = [
+            (ident, wait) for ident, wait in self._waits.items() if self._ends(wait)
+        ]
+        for ident, wait in over:
+            del self._waits[ident]
+            wait.gate.release()
         return len(over)
+
+    def _ends(self, wait: _Wait) -> bool:
+        if self._is_closed or wait.until_s <= self.time_s:
+            return True
+        try:
+            return wait.is_over()
+        except Exception as error:
+            wait.error = error
+            return True
 
     def _is_still(self) -> bool:
         """Whether nobody works: all wait here, or sleep for long elsewhere."""
-        with self._lock:
-            waiting = frozenset(self._waits)
         left_out = self._before | {self._ticker}
-        others = [
-            thread
+        return all(
+            thread in left_out or thread.ident in self._waits or self._sleeps(thread)
             for thread in threading.enumerate()
-            if thread not in left_out and thread.ident not in waiting
-        ]
-        if not others:
-            return bool(waiting)
-        seen = (waiting, frozenset(thread.ident for thread in others))
-        if seen != self._still[0] or not all(map(_sleeps, others)):
-            self._still = seen, time.monotonic()
-        return bool(waiting) and time.monotonic() - self._still[1] > _STUCK_S
+        )
 
-    def _advance(self) -> None:
-        with self._lock:
-            ends_s = [wait.until_s for wait in self._waits.values()]
-        if ends_s and (until_s := min(ends_s)) < float("inf"):
-            self.time_s = max(self.time_s, until_s)
+    def _sleeps(self, thread: threading.Thread) -> bool:
+        """Whether a thread was not on a processor for a while.
 
-
-def _sleeps(thread: threading.Thread) -> bool:
-    try:
-        stat = (_TASKS / str(thread.native_id) / "stat").read_text()
-    except OSError:
-        return False
-    return stat.rpartition(")")[2].split()[0] == "S"
+        One that waits for the interpreter or for a processor is, again and again.
+        """
+        if thread.ident is None or thread.ident == threading.get_ident():
+            return False
+        try:
+            status = (_TASKS / str(thread.native_id) / "status").read_text()
+        except OSError:
+            return False
+        runs, now_s = _SWITCHES.findall(status), time.monotonic()
+        if "State:\tS" not in status:
+            runs = []
+        seen, since_s = self._runs.get(thread.ident, ([], now_s))
+        if runs != seen or not runs:
+            self._runs[thread.ident] = runs, now_s
+            return False
+        return now_s - since_s > _ASLEEP_S
 
 
 @contextmanager
 def simulated_clock() -> Iterator[SimulatedClock]:
     """Put a simulated clock in the place of the computer's."""
     clock, before = SimulatedClock(), dict(vars(host_clock))
-    names = ("now_s", "wall_s", "sleep_s", "wait", "wait_for", "get", "join", "result")
     try:
-        for name in names:
+        for name in _NAMES:
             setattr(host_clock, name, getattr(clock, name))
         yield clock
     finally:
-        clock.close()
-        for name in names:
+        for name in _NAMES:
             setattr(host_clock, name, before[name])
+        clock.close()

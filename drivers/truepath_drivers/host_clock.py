@@ -25,7 +25,7 @@ def now_s() -> float:
 
 def now_ns() -> int:
     """Return monotonic nanoseconds."""
-    return round(now_s() * 1e9)
+    return time.monotonic_ns()
 
 
 def wall_s() -> float:
@@ -35,7 +35,7 @@ def wall_s() -> float:
 
 def wall_ns() -> int:
     """Return nanoseconds of the epoch, as this computer has them."""
-    return round(wall_s() * 1e9)
+    return time.time_ns()
 
 
 def sleep_s(duration_s: float) -> None:
@@ -62,6 +62,11 @@ def get(
 ) -> T:
     """Take the next of a queue. Raises queue.Empty where there is none by then."""
     return source.get(timeout=timeout_s)
+
+
+def put(target: queue.Queue[T], item: T, timeout_s: float | None = None) -> None:
+    """Add to a queue. Raises queue.Full where there is no room by then."""
+    target.put(item, timeout=timeout_s)
 
 
 def join(thread: threading.Thread, timeout_s: float | None = None) -> None:

@@ -87,9 +87,7 @@ def test_a_program_of_somebody_else_stands_in_the_way(state, hold_reason):
 @pytest.mark.parametrize("hold_reason", ["", "command", "watchdog"])
 def test_what_an_earlier_measurement_has_left_held_stands_in_no_way(hold_reason):
     held = shown(MotionState.HELD, hold_reason=hold_reason)
-    assert not ConditionBoard(
-        lambda: replace(GOOD, controller=held), lambda: NOW_S
-    ).list_obstacles()
+    assert not ConditionBoard(lambda: replace(GOOD, controller=held)).list_obstacles()
 
 
 @pytest.mark.parametrize("override", [0.0, 0.7, 1.2])

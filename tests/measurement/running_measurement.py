@@ -18,6 +18,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.timing import EngineSettings
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.tracker import AnyTracker
 
@@ -48,7 +49,7 @@ class RunningMeasurement:
     def wait_for_run(self) -> Run:
         """Wait for the end; return the Run."""
         self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
-        self.thread.join(5.0)
+        host_clock.join(self.thread, 5.0)
         return open_run(self.journal.of(RunClosed)[-1].run_file)
 
 
@@ -71,4 +72,4 @@ def run_measurements(motion: MotionController, journal: Journal) -> Iterator[Beg
     for one in begun:
         if one.thread.is_alive():
             one.measurement.obey(CellVerb.ABORT)
-            one.thread.join(5.0)
+            host_clock.join(one.thread, 5.0)

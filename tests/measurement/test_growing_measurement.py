@@ -21,6 +21,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.progress import ProgressEstimator, schedule_rows
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.motion.configurations import Configurations, append_part
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path
 
 pytestmark = pytest.mark.usefixtures("clock")
@@ -50,7 +51,7 @@ class Growing:
 
     def ended(self):
         self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
-        self.thread.join(5.0)
+        host_clock.join(self.thread, 5.0)
         return self.journal.states[-1]
 
     @property
@@ -74,7 +75,7 @@ def grown(mill, square, tracker, motion, journal, calm, tmp_path):
     for one in begun:
         if one.thread.is_alive():
             one.measurement.obey(CellVerb.ABORT)
-            one.thread.join(5.0)
+            host_clock.join(one.thread, 5.0)
 
 
 def test_a_path_grows_in_the_same_run(grown, square, motion, journal):

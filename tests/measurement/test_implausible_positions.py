@@ -95,7 +95,7 @@ class Running:
 
 @pytest.fixture
 def running(tracker, motion, journal, calm, order):
-    """Real seconds: 20 mm in a look of a fiftieth."""
+    """At 20 mm in a look of a fiftieth of a second."""
     tracker.speed = motion.speed = 4.0
     devices = {"tracker": tracker.connect(), "motion": motion.connect()}
     settings = replace(calm, timeouts=replace(calm.timeouts, beam_s=1.0))
@@ -109,7 +109,7 @@ def running(tracker, motion, journal, calm, order):
     yield Running(begun, journal, order)
     if thread.is_alive():
         begun.obey(CellVerb.ABORT)
-        thread.join(5.0)
+        host_clock.join(thread, 5.0)
 
 
 @pytest.mark.fault_row(42)

@@ -96,7 +96,7 @@ class Running:
 
     def ended(self) -> str:
         self.until(lambda: bool(self.journal.of(RunClosed)))
-        self.thread.join(5.0)
+        host_clock.join(self.thread, 5.0)
         assert not self.thread.is_alive()
         return self.journal.states[-1]
 
@@ -153,7 +153,7 @@ def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
     for one in begun:
         if one.thread.is_alive():
             one.measurement.obey(CellVerb.ABORT)
-            one.thread.join(5.0)
+            host_clock.join(one.thread, 5.0)
 
 
 def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(

@@ -21,6 +21,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.timing import EngineSettings
 from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, NotOffered, Refused
 from truepath_drivers.interfaces.records import Identity, Path
 from truepath_drivers.interfaces.tracker import PolledTracker, TargetChoice
@@ -123,7 +124,7 @@ def measure(tracker, motion, order, journal):
             if journal.states and journal.states[-1] == "paused":
                 mend()
                 measurement.obey(CellVerb.RESUME)
-            thread.join(0.05)
+            host_clock.join(thread, 0.05)
         run = open_run(journal.of(RunClosed)[-1].run_file)
         at = order.commanded.position[: len(run.tracker.position_mm)]
         places = run.tracker.position_mm - PLACE_MM - at
@@ -202,7 +203,7 @@ class SlowTracker(ChoosingTracker):
         return self.limit_s
 
     def select_target(self, name: str) -> None:
-        self.turned.wait(1.5)
+        host_clock.wait(self.turned, 1.5)
         super().select_target(name)
 
 
@@ -242,7 +243,7 @@ def drive(motion, order, journal):
             if journal.states and journal.states[-1] == "paused":
                 mend()
                 made.obey(CellVerb.RESUME)
-            thread.join(0.05)
+            host_clock.join(thread, 0.05)
         return open_run(journal.of(RunClosed)[-1].run_file)
 
     return driven

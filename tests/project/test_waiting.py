@@ -8,6 +8,7 @@ ROOMS = ("app/truepath", "drivers/truepath_drivers")
 REAL = {
     "drivers/truepath_drivers/host_clock.py": "is the clock",
     "drivers/truepath_drivers/cnc/linuxcnc/truepath_watchdog.py": "runs in LinuxCNC",
+    "drivers/truepath_drivers/tracker/bridge": "is copied beside the SDK of a maker",
     "drivers/truepath_drivers/transport": "ports wait for bytes; tests replace them",
     "drivers/truepath_drivers/conformance": "holds devices of iron to their times",
     "app/truepath/client": "runs in programs of others",
@@ -22,7 +23,17 @@ REAL = {
     "app/truepath/catalogue/store/postgres_connection.py": "psycopg waits by itself",
     "app/truepath/users/access.py": "bounds how many hash passwords at once",
 }
-WAITS = {"wait", "wait_for", "join", "get", "result", "acquire", "poll", "settimeout"}
+WAITS = {
+    "wait",
+    "wait_for",
+    "join",
+    "get",
+    "put",
+    "result",
+    "acquire",
+    "poll",
+    "settimeout",
+}
 CLOCKS = {"monotonic", "monotonic_ns", "time", "time_ns", "sleep", "perf_counter"}
 
 
@@ -37,7 +48,10 @@ def waits_for_real_time(node: ast.AST) -> bool:
     named = {word.arg for word in node.keywords}
     is_timed = (
         bool(named & {"timeout", "timeout_s"})
-        or (name != "get" and any(_is_duration(given) for given in node.args))
+        or (
+            name not in ("get", "put")
+            and any(_is_duration(given) for given in node.args)
+        )
         or (name in ("poll", "settimeout") and bool(node.args))
     )
     return is_timed or (owner == "asyncio" and name.startswith("wait"))

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy import text
 
 from truepath.errors import BadInput, NotFound
+from truepath.users import passwords
 from truepath.users.errors import UserConflict
 from truepath.users.passwords import is_password
 from truepath.users.roles import Role, includes
@@ -21,6 +22,11 @@ def test_a_password_is_kept_as_argon2id_only(accounts, database):
     with database.read() as connection:
         rows = connection.execute(text("SELECT * FROM users")).all()
     assert PASSWORD not in str(rows)
+
+
+def test_who_is_not_there_is_refused_as_slowly_as_who_is():
+    assert not passwords._hasher.check_needs_rehash(passwords._NOBODY)
+    assert not passwords.is_password("the password of nobody", None)
 
 
 def test_nobody_has_a_password(accounts):

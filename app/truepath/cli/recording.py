@@ -82,8 +82,11 @@ def record_run(
             note = f"{samples} samples, {lost} lost {_NOTES[verdict]}".strip()
             on_progress(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
 
+        def wait_for_end(duration_s: float) -> bool:
+            return host_clock.wait(end, duration_s)
+
         try:
-            record_stream(tracker, recorder, header.rate_hz, end.wait, on_samples)
+            record_stream(tracker, recorder, header.rate_hz, wait_for_end, on_samples)
             outcome = "finished"
         finally:
             environment.stop()

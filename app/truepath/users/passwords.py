@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
@@ -12,6 +10,10 @@ from truepath.errors import BadInput
 SHORTEST, LONGEST = 10, 200
 
 _hasher = PasswordHasher()
+_NOBODY = (  # a hash of the same cost; to make one takes a third of a second
+    "$argon2id$v=19$m=65536,t=3,p=4$7L/cmRntCvkbKmd5KIKS7Q$+fZY/B"
+    "fwkQnxlvS9zlKdJncZhKvVBtVvfUh1JBU3RfI"
+)
 
 
 def hash_password(password: str) -> str:
@@ -27,11 +29,6 @@ def hash_password(password: str) -> str:
 def is_password(password: str, kept: str | None) -> bool:
     """Say whether it is the password. Without a user it takes just as long."""
     try:
-        return _hasher.verify(kept or _hash_nobody(), password) and kept is not None
+        return _hasher.verify(kept or _NOBODY, password) and kept is not None
     except (VerificationError, InvalidHashError):
         return False
-
-
-@cache
-def _hash_nobody() -> str:  # at first need: it takes a third of a second
-    return _hasher.hash("the password of nobody")

@@ -22,11 +22,13 @@ FOLDER = Path(kit.__file__).parent
 @pytest.fixture(scope="module", params=["c", "python"])
 def port(request, tmp_path_factory):
     """Port of the example of each language; the C one is built here."""
-    command = [sys.executable, str(FOLDER / "gst_bridge.py")]
+    folder = tmp_path_factory.mktemp("bridge")
+    copy = shutil.copy(FOLDER / "gst_bridge.py", folder)  # as beside the SDK of a maker
+    command = [sys.executable, "-I", "-S", str(copy)]
     if request.param == "c":
         if shutil.which("cc") is None:
             pytest.skip("no C compiler")
-        program = tmp_path_factory.mktemp("bridge") / "bridge"
+        program = folder / "bridge"
         strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
         build = ["cc", *strict, "-o", str(program), str(FOLDER / "example.c"), "-lm"]
         subprocess.run(build, check=True)

@@ -102,7 +102,7 @@ class LiveEstimation:
     def ask(self) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
         with suppress(queue.Full):
-            self._queue.put(LiveCommand.CHOOSE_PART, timeout=FINISH_S)
+            host_clock.put(self._queue, LiveCommand.CHOOSE_PART, FINISH_S)
 
     def take_part(self) -> Part | None:
         """Return the answer to `ask` as soon as there is one. Never waits."""
@@ -113,12 +113,12 @@ class LiveEstimation:
     def extend(self, part: Commanded) -> None:
         """Say what is driven next, beside the rows so far."""
         with suppress(queue.Full):
-            self._queue.put(part, timeout=FINISH_S)
+            host_clock.put(self._queue, part, FINISH_S)
 
     def finish(self) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
-            self._queue.put(LiveCommand.END, timeout=FINISH_S)
+            host_clock.put(self._queue, LiveCommand.END, FINISH_S)
             host_clock.wait(self._ended, FINISH_S)
 
     def close(self) -> None:

@@ -198,7 +198,7 @@ class Recorder:
         Never raises: what could not be done is in `failure` of the answer.
         """
         with contextlib.suppress(queue.Full):
-            self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
+            host_clock.put(self._queue, None, CLOSE_TIMEOUT_S)
         host_clock.join(self._writer, CLOSE_TIMEOUT_S)
         sha256 = ""
         if self._writer.is_alive():
@@ -269,7 +269,7 @@ class Recorder:
         if self.failure:
             raise MeasurementFailed(self.failure)
         try:
-            self._queue.put(item, timeout=PUT_TIMEOUT_S)
+            host_clock.put(self._queue, item, PUT_TIMEOUT_S)
         except queue.Full:
             self.failure = (
                 f"the disk under {self.file.parent} is too slow: {self._queue.maxsize} "

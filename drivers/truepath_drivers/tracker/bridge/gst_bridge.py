@@ -12,9 +12,8 @@ import select
 import socket
 import struct
 import sys
+import time
 import zlib
-
-from truepath_drivers import host_clock
 
 _PATIENCE_US = 5_000_000
 _STATUS_US = 500_000
@@ -166,7 +165,7 @@ def _refuse(body: bytes, code: int, text: str) -> bytes:
 
 
 def _clock_us() -> int:
-    return host_clock.now_ns() // 1000
+    return time.monotonic_ns() // 1000
 
 
 def _serve(bridge: GstBridge, host: socket.socket) -> None:
