@@ -208,7 +208,7 @@ def test_a_cell_does_not_outlive_its_parent_though_a_driver_hangs(
     (tmp_path / "machine.json").write_bytes(encode_machine(mill))
     script = tmp_path / "parent.py"
     script.write_text(dedent(SCRIPT))
-    paths = [str(site), str(ROOT)]
+    paths = [str(site), str(ROOT), str(ROOT / "tests")]
     parent = subprocess.Popen(
         [sys.executable, str(script), str(tmp_path), "wait" if way == "killed" else ""],
         stdout=subprocess.PIPE,
