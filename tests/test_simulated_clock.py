@@ -71,14 +71,14 @@ def test_an_event_that_comes_in_time_is_seen_before_the_timeout(clock):
 
 
 def test_queues_conditions_and_calls_wait_on_it(clock):
-    items, condition, told = queue.Queue(), threading.Condition(), []
+    items, condition, given = queue.Queue(), threading.Condition(), []
 
     def give():
         host_clock.sleep_s(5.0)
         items.put("a")
         host_clock.sleep_s(5.0)
         with condition:
-            told.append("b")
+            given.append("b")
             condition.notify_all()
 
     (giver,) = begin(give)
@@ -86,8 +86,8 @@ def test_queues_conditions_and_calls_wait_on_it(clock):
     with pytest.raises(queue.Empty):
         host_clock.get(items, 1.0)
     with condition:
-        assert not host_clock.wait_for(condition, lambda: bool(told), 1.0)
-        assert host_clock.wait_for(condition, lambda: bool(told))
+        assert not host_clock.wait_for(condition, lambda: bool(given), 1.0)
+        assert host_clock.wait_for(condition, lambda: bool(given))
     host_clock.join(giver, 1.0)
     assert not giver.is_alive()
     assert host_clock.now_s() == pytest.approx(1010.0)
