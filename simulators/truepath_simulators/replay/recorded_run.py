@@ -23,7 +23,10 @@ from truepath_drivers.tracker.streaming.message_codec import parse_message
 from truepath_drivers.tracker.streaming.messages import Ack, StreamInfo, Type
 from truepath_simulators.errors import SimulatorError
 
-_SAMPLE_BYTES = 48  # a record of the stream `tracker`, its number first
+_SAMPLE = np.dtype(  # a record of the stream `tracker`
+    [("sequence", "<i8"), ("time", "<f8"), ("place_mm", "<f8", 3), ("status", "<i8")]
+)
+_STILL_MM, _LATER_S = 0.5, 1e-3
 _BATCH_S = 0.15  # the bytes of a batch came in this time before it, at most
 _SETTLED = 5e-3  # mm or deg: an axis that is as near as this has arrived
 _TYPE_AT = 2  # of a frame: code byte, version, type; none of them is zero
@@ -74,10 +77,13 @@ def read_recorded_run(file: Path) -> RecordedRun:
             "the driver it was recorded with does not hand them out"
         )
     zero_s = 1e-9 * link[0][2] - _BATCH_S
-    numbers = _read_numbers(batches)
-    pieces, piece_s, opening = _cut_frames(link, zero_s, len(numbers), file)
+    samples = _read_samples(batches)
+    numbers = samples["sequence"]
+    pieces, piece_s, measured, opening = _cut_frames(link, zero_s, len(numbers), file)
     decoded = StreamDecoder().feed(b"\0".join(pieces) + b"\0").samples.sequence
     axes_s, position = _read_axes(batches, len(manifest["axes"]), zero_s)
+    moves = _find_moves(events, axes_s, position, zero_s)
+    _let_orders_precede(moves, piece_s, measured, samples)
     return RecordedRun(
         manifest["name"],
         manifest["machine"],
@@ -89,7 +95,7 @@ def read_recorded_run(file: Path) -> RecordedRun:
         np.array_equal(np.diff(decoded), np.diff(numbers)) and len(numbers) > 0,
         axes_s,
         position,
-        _find_moves(events, axes_s, position, zero_s),
+        moves,
     )
 
 
@@ -126,9 +132,9 @@ def _is_whole(row: tuple[Any, ...]) -> bool:
     return zlib.crc32(payload, zlib.crc32(head)) == crc
 
 
-def _read_numbers(batches: list[tuple[Any, ...]]) -> np.ndarray:
+def _read_samples(batches: list[tuple[Any, ...]]) -> np.ndarray:
     payload = b"".join(row[3] for row in batches if row[0] == "tracker")
-    return np.frombuffer(payload, "<i8").reshape(-1, _SAMPLE_BYTES // 8)[:, 0]
+    return np.frombuffer(payload, _SAMPLE)
 
 
 def _read_axes(
@@ -141,8 +147,11 @@ def _read_axes(
 
 def _cut_frames(
     link: list[tuple[Any, ...]], zero_s: float, samples: int, file: Path
-) -> tuple[list[bytes], np.ndarray, StreamInfo]:
-    """Return the link's pieces without replies, up to the last recorded sample."""
+) -> tuple[list[bytes], np.ndarray, np.ndarray, StreamInfo]:
+    """Return the link's pieces without replies, up to the last recorded sample.
+
+    Returns as well when each came, which of them hold the samples, and the opening.
+    """
     pieces = b"".join(row[3] for row in link).split(b"\0")
     ends = np.cumsum([len(piece) + 1 for piece in pieces])
     came_s = _date_bytes(link, zero_s, ends)
@@ -167,7 +176,8 @@ def _cut_frames(
     # Bytes go to the disk a little before their samples: what came last may be cut.
     last = measured[min(samples, len(measured)) - 1] if samples else -1
     kept = kept[: last + 1]
-    return [pieces[k] for k in kept], came_s[kept], opening
+    whole = np.array(measured[:samples], np.int64)
+    return [pieces[k] for k in kept], came_s[kept], whole, opening
 
 
 def _date_bytes(
@@ -179,6 +189,34 @@ def _date_bytes(
     begin_s = np.maximum(done_s - _BATCH_S, np.append(0.0, done_s[:-1]))
     at = np.stack([count - [row[1] for row in link], count], 1).ravel()
     return np.interp(ends, at, np.stack([begin_s, done_s], 1).ravel())
+
+
+def _let_orders_precede(
+    moves: tuple[Move, ...],
+    piece_s: np.ndarray,
+    measured: np.ndarray,
+    samples: np.ndarray,
+) -> None:
+    """Date what was still before an order, what moved after it, in place.
+
+    When bytes came is known to a tenth of a second, which may be much of a motion.
+    """
+    seen = samples["status"][: len(measured)] == 0
+    measured, place_mm = measured[seen], samples["place_mm"][: len(seen)][seen]
+    arrived_s = 0.0
+    for move in moves:
+        before = (piece_s[measured] >= arrived_s) & (piece_s[measured] < move.begin_s)
+        stood = np.flatnonzero(before)
+        arrived_s = move.end_s
+        if not len(stood):
+            continue
+        middle = stood[len(stood) // 2]
+        away_mm = np.linalg.norm(place_mm[middle:] - place_mm[middle], axis=1)
+        moved = measured[middle:][away_mm > _STILL_MM]
+        if len(moved):
+            first = moved[0]
+            piece_s[:first] = np.minimum(piece_s[:first], move.begin_s)
+            piece_s[first:] = np.maximum(piece_s[first:], move.begin_s + _LATER_S)
 
 
 def _find_moves(

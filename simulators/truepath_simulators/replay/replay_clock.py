@@ -3,7 +3,8 @@
 A host never works at just the same pace twice. So the recording stands still before
 each of its motions until the host orders it, and at its end until the host has been
 told: the host then sees no less of the stream at every standstill than it once did. It
-waits a moment only; then the stream goes on, for the same samples come in any case.
+waits for some seconds at most; then the stream goes on, for the same samples come in
+any case.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from truepath_simulators.replay.recorded_run import Move
 
 _TELL_EARLY_S = 0.25  # a host looks a few times a second
 _OPENING_S = 0.06  # of the stream, until a host has seen it begin
-_PATIENCE_S = 0.3  # of the wall clock: a host takes half a second for silence
+_SEEN_S, _PATIENCE_S = 0.3, 2.0  # of the wall clock; a busy host is slow to order
 
 
 @dataclass(slots=True)
@@ -22,6 +23,7 @@ class _Gate:
     """A time at which the recording waits."""
 
     time_s: float
+    patience_s: float = _PATIENCE_S
     is_open: bool = False
 
 
@@ -63,7 +65,7 @@ class ReplayClock:
             return
         self._waits_since_s = self._waits_since_s or wall_s
         self.now_s = min(gate.time_s for gate in closed)
-        if wall_s - self._waits_since_s > _PATIENCE_S:
+        if wall_s - self._waits_since_s > max(gate.patience_s for gate in closed):
             self._waits_since_s = None
             for gate in closed:
                 gate.is_open |= gate.time_s <= self.now_s
@@ -98,7 +100,7 @@ class ReplayClock:
     def _rewind(self) -> None:
         self.now_s = 0.0
         self._waits_since_s: float | None = None
-        self._opening = _Gate(_OPENING_S, is_open=not self._moves)
+        self._opening = _Gate(_OPENING_S, _SEEN_S, is_open=not self._moves)
         self._ordered = [_Gate(move.begin_s) for move in self._moves]
         told = [(m.begin_s, m.end_s - _TELL_EARLY_S) for m in self._moves]
         self._told = [_Gate(max(times)) for times in told]

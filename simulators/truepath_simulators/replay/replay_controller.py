@@ -15,7 +15,6 @@ from truepath_simulators.replay.replay_clock import ReplayClock
 
 _SAME = 0.02  # mm or deg between an ordered and a recorded end
 _AHEAD = 4  # rows that a machine passes between two looks, at most
-_CONCLUDED_S = 0.05  # after it was told a host has drawn its conclusions
 
 
 class ReplayController(Controller):
@@ -31,7 +30,6 @@ class ReplayController(Controller):
         self._run_of, self._clock = run, clock
         self._at = run.position[0]
         self._driven, self._line_now = -1, 0
-        self._told_s: float | None = None
         self._end = MotionState.FINISHED
         self._rows = self._at[None]
 
@@ -40,13 +38,9 @@ class ReplayController(Controller):
         if self.state is MotionState.RUNNING and self._clock.has_arrived(self._driven):
             self.state, self._at = self._end, self._run_of.moves[self._driven].goal
 
-    def note_look(self, wall_s: float) -> None:
+    def note_look(self) -> None:
         """The host has read the status."""
-        if self.state is not self._end or self._driven < 0:
-            return
-        self._told_s = self._told_s or wall_s
-        is_last = self._driven == len(self._run_of.moves) - 1
-        if wall_s >= self._told_s + (_CONCLUDED_S if is_last else 0.0):
+        if self.state is self._end and self._driven >= 0:
             self._clock.tell(self._driven)
 
     @property
@@ -125,7 +119,7 @@ class ReplayController(Controller):
             for number in range(first, len(moves))
             if np.abs(moves[number].goal - self._rows[-1]).max() <= _SAME
         ]
-        self._driven, self._told_s = (ends or [len(moves) - 1])[0], None
+        self._driven = (ends or [len(moves) - 1])[0]
         self._end = MotionState.FINISHED if ends else MotionState.ABORTED
         self._clock.order(first)
         self._clock.pass_through(first, self._driven)

@@ -34,11 +34,11 @@ class ReplayRegisters(CncRegisters):
         self, controller: ReplayController, clocks: Clocks, serial: str
     ) -> None:
         super().__init__(controller, clocks, serial)
-        self._replayed, self._wall_s = controller, clocks.wall_s
+        self._replayed = controller
 
     def _refresh(self, now_s: float) -> None:
         super()._refresh(now_s)
-        self._replayed.note_look(self._wall_s())
+        self._replayed.note_look()
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ from truepath_simulators.replay.replay_clock import ReplayClock
 
 # A host that ends its stream some time after the last motion gets the rest at once
 # before that time is over, so that no sample is left behind.
-_REST_S = 0.8
+_REST_S = 0.8  # where nothing moved
 _AFTER_S = 0.3  # wall seconds after the last byte, until the host is helped to an end
 
 
@@ -64,7 +64,8 @@ class ReplayTracker:
             return b""
         times, now_s = self._run.piece_s, self._clock.now_s
         upto = int(np.searchsorted(times, now_s, side="right"))
-        if self._clock.is_past_moves and now_s >= times[-1] - _REST_S:
+        is_rest = bool(self._run.moves) or now_s >= times[-1] - _REST_S
+        if is_rest and self._clock.is_past_moves:
             upto = len(times)
         if upto <= self._sent:
             return self._fill(wall_s) if self._sent == len(times) else b""
