@@ -58,6 +58,10 @@ coverage: setup-system setup ## the same tests, counting lines and branches: a t
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" \
 	  --cov --cov-report= --cov-fail-under=90
 
+.PHONY: mutants
+mutants: setup-system setup ## how many of 60 small faults in the code the tests notice
+	$(SINGLE) $(BIN)/python tests/mutants.py --jobs $(JOBS)
+
 .PHONY: test-long
 test-long: setup ## the tests that need minutes; API and jobs on PostgreSQL
 	@.ci/system-packages test-long

@@ -1,0 +1,183 @@
+"""How many small faults the tests notice: one at a time in a copy of the tree.
+
+Each room that decides gets an equal share of random faults: a comparison turned, a
+sign, an `and`, a number. It counts as noticed once a test of its room fails or hangs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+ROOMS = {
+    "app/truepath/estimation": ["estimation"],
+    "app/truepath/alignment": ["alignment"],
+    "app/truepath/discovery": ["discovery"],
+    "app/truepath/measurement": ["measurement"],
+    "app/truepath/motion": ["motion"],
+    "drivers/truepath_drivers": ["drivers"],
+    "app/truepath/jobs": ["jobs", "operation"],
+    "app/truepath/compensation": ["compensation"],
+}
+LIMIT_S = 1800.0  # of one room's tests
+_COMPARED: dict[type[ast.cmpop], str] = {
+    ast.Lt: "<=",
+    ast.LtE: "<",
+    ast.Gt: ">=",
+    ast.GtE: ">",
+    ast.Eq: "!=",
+    ast.NotEq: "==",
+    ast.Is: "is not",
+    ast.IsNot: "is",
+    ast.In: "not in",
+    ast.NotIn: "in",
+}
+_COMPUTED: dict[type[ast.operator], str] = {
+    ast.Add: "-",
+    ast.Sub: "+",
+    ast.Mult: "/",
+    ast.Div: "*",
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A fault: what stands in a file from `begin` to `end` becomes `text`."""
+
+    room: str
+    file: Path
+    line: int
+    begin: int
+    end: int
+    text: str
+
+    def show(self) -> str:
+        """Return the place and what changed there."""
+        before = (ROOT / self.file).read_bytes()[self.begin : self.end].decode()
+        return f"{self.file}:{self.line}: {before!r} -> {self.text!r}"
+
+
+def find_mutants(room: str, file: Path) -> Iterator[Mutant]:
+    """Find every fault that could be made in the functions of a file."""
+    source = (ROOT / file).read_bytes()  # the syntax tree counts bytes
+    starts = [0]
+    for row in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(row))
+    for function in ast.walk(ast.parse(source)):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for statement in function.body:
+            for node in ast.walk(statement):
+                for first, last, text in _list_faults(node):
+                    begin = starts[first.end_lineno - 1] + first.end_col_offset
+                    end = starts[last.lineno - 1] + last.col_offset
+                    if first is last:
+                        begin, end = end, begin
+                    elif set(source[begin:end]) & set(b"()#\n"):
+                        continue  # the operator alone is to be replaced
+                    yield Mutant(room, file, first.lineno, begin, end, text)
+
+
+def _list_faults(node: ast.AST) -> Iterator[tuple[ast.expr, ast.expr, str]]:
+    """Return what stands between two expressions, or is one, and its replacement."""
+    match node:
+        case ast.Compare(left=left, ops=[one], comparators=[right]):
+            yield left, right, f" {_COMPARED[type(one)]} "
+        case ast.BinOp(left=left, op=one, right=right) if type(one) in _COMPUTED:
+            yield left, right, f" {_COMPUTED[type(one)]} "
+        case ast.BoolOp(op=one, values=[left, right]):
+            yield left, right, " or " if isinstance(one, ast.And) else " and "
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            yield node, node, f"bool({ast.unparse(operand)})"
+        case ast.Constant(value=bool() as value):
+            yield node, node, str(not value)
+        case ast.Constant(value=int() | float() as value):
+            yield node, node, repr(value + 1 if value in (0, 1) else value * 2)
+        case _:
+            return
+
+
+def choose(count: int, seed: int) -> list[Mutant]:
+    """Choose faults at random, equally many in each room."""
+    rng = random.Random(seed)
+    chosen: list[Mutant] = []
+    for number, room in enumerate(ROOMS):
+        files = sorted((ROOT / room).rglob("*.py"))
+        found = sorted(
+            {m for f in files for m in find_mutants(room, f.relative_to(ROOT))},
+            key=lambda mutant: (str(mutant.file), mutant.begin),
+        )
+        share = (count + number) // len(ROOMS)
+        chosen += rng.sample(found, share)
+    return chosen
+
+
+def is_noticed(mutant: Mutant, tree: Path) -> bool:
+    """Run the tests of a fault's room in a copy of the tree."""
+    file = tree / mutant.file
+    source = file.read_bytes()
+    fault = mutant.text.encode()
+    file.write_bytes(source[: mutant.begin] + fault + source[mutant.end :])
+    tests = [str(tree / "tests" / folder) for folder in ROOMS[mutant.room]]
+    roots = [str(tree / root) for root in ("app", "drivers", "simulators")]
+    order = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not long"]
+    order += ["-p", "no:cacheprovider", *tests]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(roots)}
+    try:
+        done = subprocess.run(
+            order, cwd=tree, env=environment, capture_output=True, timeout=LIMIT_S
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        file.write_bytes(source)
+    return done.returncode != 0
+
+
+def copy_tree(folder: Path) -> Path:
+    """Copy what the tests need."""
+    left_out = shutil.ignore_patterns(".venv", ".git", "var", "__pycache__", ".*_cache")
+    return Path(shutil.copytree(ROOT, folder / "tree", ignore=left_out))
+
+
+def main() -> None:
+    """Make the faults, print those that no test noticed, fail where they are many."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--noticed", type=int, default=54, help="as many at least")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    asked = parser.parse_args()
+    mutants = choose(asked.count, asked.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        trees = [copy_tree(Path(folder) / str(n)) for n in range(asked.jobs)]
+
+        def work(share: int) -> list[Mutant]:
+            return [
+                mutant
+                for mutant in mutants[share :: asked.jobs]
+                if not is_noticed(mutant, trees[share])
+            ]
+
+        with ThreadPoolExecutor(asked.jobs) as pool:
+            missed = [m for part in pool.map(work, range(asked.jobs)) for m in part]
+    for mutant in missed:
+        print("not noticed:", mutant.show())
+    noticed = len(mutants) - len(missed)
+    print(f"{noticed} of {len(mutants)} faults were noticed")
+    sys.exit(noticed < asked.noticed)
+
+
+if __name__ == "__main__":
+    main()
