@@ -15,7 +15,7 @@ from truepath.alignment.known_points import (
 from truepath.errors import AlignmentError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine.tracker_head import TrackerPose, place_anew

@@ -23,7 +23,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath.plugins import find_plugins, load
 from truepath.settings import load_settings
 from truepath_drivers.conformance import device

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from truepath.kinematics.conditions import RecordedState, make_standstill
-from truepath.kinematics.effects.tracker_error import (
-    BeamBending,
-    ElevationIndex,
-    TrackerSpecification,
-)
+from truepath.kinematics.effects.tracker_air import BeamBending
+from truepath.kinematics.effects.tracker_error import ElevationIndex
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
 

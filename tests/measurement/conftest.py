@@ -15,7 +15,7 @@ from simulated_clock import SimulatedClock, simulated_clock
 
 from truepath.measurement.messages import CellEvent, FaultReported, StateChanged
 from truepath.measurement.run_file.run_file import LINK_STREAM
-from truepath.measurement.timing import EngineSettings, StreamTimeouts
+from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.errors import DeviceTimeout

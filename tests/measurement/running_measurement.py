@@ -17,7 +17,7 @@ from truepath.measurement.messages import (
     RunClosed,
 )
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.tracker import AnyTracker

@@ -45,7 +45,7 @@ from truepath.measurement.process.cell import Cell
 from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox, serve
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.run_file.run_repair import repair_run
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath.planning.lines.default_path import default_path
 from truepath.plugins import load

@@ -12,7 +12,7 @@ from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
 from truepath.measurement.monitors.feed_hold import FeedHold
 from truepath.measurement.run_file.event_log import EventLog
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers.interfaces.records import MotionState
 
 

@@ -18,7 +18,7 @@ from truepath.measurement.messages import (
     MeasurementOrder,
 )
 from truepath.measurement.target import target_search
-from truepath.measurement.timing import EngineSettings, StreamTimeouts
+from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers import host_clock

@@ -21,7 +21,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.interfaces.records import Path

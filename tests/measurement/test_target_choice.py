@@ -19,7 +19,7 @@ from truepath.measurement.messages import (
     RunClosed,
 )
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, NotOffered, Refused

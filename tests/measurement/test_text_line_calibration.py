@@ -12,7 +12,7 @@ from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.measurement.engine.measurement import Measurement
 from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_reading import open_run
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath.planning.lines.default_path import default_path
 from truepath.plugins import load
 from truepath.results.analysis import analyse

@@ -4,7 +4,7 @@ import pytest
 
 from truepath.measurement.faults import Fault
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
-from truepath.measurement.timing import EngineSettings, RunningClock, Stopwatch
+from truepath.measurement.time_limits import EngineSettings, RunningClock, Stopwatch
 
 
 def test_a_stopwatch_that_starts_at_zero_measures_from_there(hand_clock):

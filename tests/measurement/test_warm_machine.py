@@ -23,7 +23,7 @@ from truepath.measurement.messages import (
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.run_file.run_repair import repair_run
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.hidden.warming import ThermalGrowth

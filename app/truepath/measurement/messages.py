@@ -14,7 +14,7 @@ from typing import Any
 from truepath.files.bundle.run import PointBlock
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.durations import Durations
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import (
     Identity,

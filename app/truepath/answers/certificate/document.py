@@ -11,7 +11,7 @@ from truepath.answers.certificate.closing_sections import (
     describe_signatures,
     describe_verification,
 )
-from truepath.answers.certificate.heading_sections import (
+from truepath.answers.certificate.identity_sections import (
     describe_heading,
     describe_identity,
     describe_verdict,

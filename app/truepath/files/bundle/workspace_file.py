@@ -33,7 +33,7 @@ from truepath.documents.file_model import (
     validate,
 )
 from truepath.documents.whole_files import read_whole
-from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 

@@ -22,7 +22,7 @@ from truepath.machines.conditions.conditions import Condition, Observed
 from truepath.machines.machine_cells import MachineCell
 from truepath.measurement.messages import CellConfig
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.timing import StreamTimeouts
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath_drivers import host_clock
 
 

@@ -56,7 +56,7 @@ from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.target.target_check import TargetCheck
 from truepath.measurement.target.target_search import TargetSearch
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
 from truepath_drivers import host_clock

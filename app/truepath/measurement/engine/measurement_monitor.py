@@ -42,7 +42,7 @@ from truepath.measurement.rows_to_repeat import RowsToRepeat
 from truepath.measurement.run_file.event_log import EventLog
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.target.target_search import SearchStep, Sight, TargetSearch
-from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 from truepath_drivers.interfaces.motion import MotionController

@@ -17,7 +17,7 @@ from truepath.measurement.faults import (
 )
 from truepath.measurement.monitors.plausibility import PositionGate
 from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.motion import MotionController

@@ -11,7 +11,7 @@ from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import CellState
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
 from truepath.measurement.run_file.event_log import EventLog
-from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import MotionState, MotionStatus
 

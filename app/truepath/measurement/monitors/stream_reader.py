@@ -16,7 +16,7 @@ from truepath.errors import MeasurementFailed
 from truepath.measurement.monitors.plausibility import SeenPlace
 from truepath.measurement.monitors.tracker_trial import drop_earlier_samples
 from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.timing import RunningClock, StreamTimeouts
+from truepath.measurement.time_limits import RunningClock, StreamTimeouts
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
 from truepath_drivers.interfaces.records import TrackerSamples

@@ -49,7 +49,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.monitors.channel_judge import ChannelJudge
 from truepath.measurement.monitors.tracker_trial import try_tracker
-from truepath.measurement.timing import EngineSettings
+from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
 from truepath_drivers.interfaces.motion import MotionController

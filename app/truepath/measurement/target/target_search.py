@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truepath.driver_border import Call
 from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.timing import EngineSettings, Stopwatch
+from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath.numerics.rigid import fit_rigid
 from truepath_drivers.interfaces.errors import DeviceError, NotOffered
 from truepath_drivers.interfaces.tracker import TargetFinder

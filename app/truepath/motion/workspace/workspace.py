@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float64
 
 from truepath.errors import PlanningError
 from truepath.kinematics.conditions import Conditions, observe_targets
-from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.kinematics.machine.machine import Machine, Target
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.line_of_sight import (

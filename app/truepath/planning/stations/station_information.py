@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float64
 from truepath.errors import Unidentifiable
 from truepath.estimation.problem.runs import RunInput, collect_information
 from truepath.kinematics.coarse_model import add_half_widths
-from truepath.kinematics.effects.tracker_error import TrackerSpecification
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel

@@ -1,7 +1,7 @@
 /* One error motion over its axis, with the band of its expanded uncertainty (k = 2). */
 import { number, t } from "../texts.js";
 import { decimalsOf, shown, unitOf } from "../units.js";
-import { colour, font } from "./colours.js";
+import { colour, font } from "./css-colour.js";
 import { axisStyle, drawFilling, drawLevel } from "./filling-chart.js";
 
 export const COVERAGE = 2;

@@ -1,5 +1,5 @@
 /* What charts of uPlot share: they fill their element, and a line may go across. */
-import { colour, font } from "./colours.js";
+import { colour, font } from "./css-colour.js";
 
 /** Draw a chart that stays as large as its element; answers {chart, close}. */
 export function drawFilling(element, data, options) {

@@ -2,7 +2,7 @@
 import { h } from "../dom.js";
 import { number, t } from "../texts.js";
 import { shown, unitOf } from "../units.js";
-import { colour } from "./colours.js";
+import { colour } from "./css-colour.js";
 import { roundReach } from "./error-chart.js";
 
 const STOPS = ["map-low", "map-middle", "map-high"];

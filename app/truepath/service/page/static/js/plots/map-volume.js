@@ -1,6 +1,6 @@
 /* The volumetric error as arrows in space. */
 import { quantity } from "../units.js";
-import { colour } from "./colours.js";
+import { colour } from "./css-colour.js";
 import { coordinates, drawScene, edges } from "./scene.js";
 
 const MOST = 5; // arrows an axis: more hide each other

@@ -1,5 +1,5 @@
 /* A planned path in space with the tracker that looks at it: how much of it is chosen. */
-import { colour } from "./colours.js";
+import { colour } from "./css-colour.js";
 import { boxTrace, coordinates, drawScene, edges } from "./scene.js";
 
 const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };

@@ -1,7 +1,7 @@
 /* Pictures in space: plotly.js where a graphics processor draws them, else flat; and the frame they share. */
 import { ROOT } from "../api.js";
 import { shown, unitOf } from "../units.js";
-import { colour } from "./colours.js";
+import { colour } from "./css-colour.js";
 import { drawFlat } from "./flat-scene.js";
 
 const SCRIPT = `${ROOT}/../../assets/plotly.min.js`;

@@ -1,7 +1,7 @@
 /* The last half minute: how far the target was beside its line. */
 import { number } from "../texts.js";
 import { shown } from "../units.js";
-import { colour } from "./colours.js";
+import { colour } from "./css-colour.js";
 import { axisStyle, drawFilling } from "./filling-chart.js";
 
 const WINDOW_S = 30;

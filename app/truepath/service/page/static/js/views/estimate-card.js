@@ -2,7 +2,7 @@
 import { h, mark, write } from "../dom.js";
 import { isMoving } from "../flow.js";
 import { segments, tableFrame } from "../parts.js";
-import { colour } from "../plots/colours.js";
+import { colour } from "../plots/css-colour.js";
 import { COVERAGE, drawErrors, reachOf, roundReach } from "../plots/error-chart.js";
 import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { singleErrors, tablesByAxis } from "../tables.js";

@@ -3,7 +3,7 @@ import { links } from "../api.js";
 import { h } from "../dom.js";
 import { place } from "../flow.js";
 import { card, head, linkButton, notice, segments, tableFrame } from "../parts.js";
-import { colour } from "../plots/colours.js";
+import { colour } from "../plots/css-colour.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
