@@ -27,6 +27,7 @@ pytestmark = [
 ]
 
 SPEED = 8.0
+STRAIGHT = "0 0 0\n500 500 500\n"
 BUMP = "0 0 0\n250 250.06 250.06\n500 500 500\n"  # 60 µm too far in the middle of X
 
 
@@ -87,11 +88,13 @@ def read_standing(client):
 def test_a_machine_that_has_changed_raises_an_alarm_on_every_way(
     client, rig, browser, alarms, tmp_path
 ):
+    table = tmp_path / "bump-X.tbl"  # it corrects from the start: that is no change
+    table.write_text(STRAIGHT)
+    rig.load_compensation([table])
     first = calibrate(client)
     wait_for(lambda: read_standing(client)["calibration"] == first, "the first")
     before = read_standing(client)
     assert (before["is_alarm"], before["has_changed"]) == (False, None)
-    table = tmp_path / "bump-X.tbl"
     table.write_text(BUMP)
     rig.load_compensation([table])
     second = calibrate(client)

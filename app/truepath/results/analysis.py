@@ -99,7 +99,8 @@ def analyse(
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     brought = find_contributions(estimated, checked.given)
     budget = split_uncertainty(estimated)
-    ranges = judge_range(_score_ranges(checked.estimate), checked.given, names)
+    scores = _score_ranges(checked.estimate)
+    ranges = judge_range(scores, checked.given, names)
     fit = checked.estimate.fit
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
@@ -107,7 +108,8 @@ def analyse(
     air = judge_air([run.refraction for run in runs], names)
     verdict = Verdict.merge([found.verdict, ranges])
     if verdict.state != "usable" and fit is not None:
-        chain = judge_chain(fit)  # it bends the volume as a wrong home distance does
+        # It bends the volume as a wrong home distance does.
+        chain = judge_chain(fit, scores)
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
     verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)

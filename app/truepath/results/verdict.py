@@ -163,12 +163,13 @@ def judge_range(
     )
 
 
-def judge_chain(fit: Fit) -> Verdict:
+def judge_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
     """Return whether the data contradict the order of the linear axes.
 
-    fit : whose result is contradicted
+    fit : whose result is contradicted; scores : of each of its Runs: distances that are
+        all off are no other chain where they explain more
     """
-    other, times = _find_better_order(fit)
+    other, times = _find_better_order(fit, scores)
     if times < _OTHER_CHAIN[0]:
         return Verdict()
     declared = fit.model.machine.chain
@@ -393,24 +394,37 @@ def _grade(value: float, limits: tuple[float, float]) -> State:
     return ("usable", "doubtful", "not-usable")[int(np.searchsorted(limits, value))]
 
 
-def _find_better_order(fit: Fit) -> tuple[str, float]:
+def _find_better_order(
+    fit: Fit, scores: Sequence[RangeOffsetScore | None]
+) -> tuple[str, float]:
     """Return the chain that fits best, and by which factor χ² is less than declared.
 
+    The factor is 1 where the declared one fits as well once distances are corrected.
     The order moves no nominal point, only the levers of turns: alignment cannot see it,
     and the fit bends, or takes it for an error of the tracker.
     """
     declared = fit.model.machine
     names = [axis.name for axis in declared.linear_axes]
-    left = {m.chain: _fit_order(fit, m) for m in list_orders(declared, names)}
+    exact = [0.0] * len(fit.runs)
+    orders = list_orders(declared, names)
+    left = {m.chain: _fit_order(fit, m, exact) for m in orders}
     best = min(left, key=lambda chain: left[chain])
+    offsets_mm = [0.0 if score is None else score.offset_mm for score in scores]
+    if _fit_order(fit, declared, offsets_mm) <= left[best]:
+        return declared.chain, 1.0
     return best, left[declared.chain] / left[best]
 
 
-def _fit_order(fit: Fit, machine: Machine) -> float:
+def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> float:
     inputs: list[RunInput] = []
-    for run in fit.runs:
+    for run, offset_mm in zip(fit.runs, too_long_mm, strict=True):
         seen, (white, ou) = run.observations, _NOISE
-        seen = replace(seen, at=replace(seen.at, machine=machine))
+        range_mm = np.linalg.norm(seen.tracker_mm, axis=1)[:, None]
+        seen = replace(
+            seen,
+            at=replace(seen.at, machine=machine),
+            tracker_mm=seen.tracker_mm * (1.0 - offset_mm / range_mm),
+        )
         noise = replace(run.noise, white=white, ou=ou)
         inputs.append(RunInput(seen, run.linearisation.pose, noise))
     offsets_mm = [each.observations.at.offset_mm for each in inputs]
