@@ -108,7 +108,7 @@ def analyse(
     air = judge_air([run.refraction for run in runs], names)
     verdict = Verdict.merge([found.verdict, ranges])
     if verdict.state != "usable" and fit is not None:
-        # It bends the volume as a wrong home distance does.
+        # Another order bends the volume as a wrong home distance does.
         chain = judge_chain(fit, scores)
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
     verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])

@@ -166,8 +166,8 @@ def judge_range(
 def judge_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
     """Return whether the data contradict the order of the linear axes.
 
-    fit : whose result is contradicted; scores : of each of its Runs: distances that are
-        all off are no other chain where they explain more
+    fit : whose result is contradicted; scores : of each of its Runs. Where distances
+        that are all off explain as much, the order is not blamed.
     """
     other, times = _find_better_order(fit, scores)
     if times < _OTHER_CHAIN[0]:

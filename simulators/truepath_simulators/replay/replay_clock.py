@@ -15,7 +15,8 @@ from truepath_simulators.replay.recorded_run import Move
 
 _TELL_EARLY_S = 0.25  # a host looks a few times a second
 _OPENING_S = 0.06  # of the stream, until a host has seen it begin
-_SEEN_S, _PATIENCE_S = 0.3, 2.0  # of the wall clock; a busy host is slow to order
+_SEEN_S = 0.3  # of the wall clock, for a host to see the stream begin
+_PATIENCE_S = 2.0  # of the wall clock, for a busy host to order or to look
 
 
 @dataclass(slots=True)

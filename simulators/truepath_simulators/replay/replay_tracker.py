@@ -33,9 +33,9 @@ from truepath_drivers.tracker.streaming.messages import (
 from truepath_simulators.replay.recorded_run import RecordedRun
 from truepath_simulators.replay.replay_clock import ReplayClock
 
-# A host that ends its stream some time after the last motion gets the rest at once
-# before that time is over, so that no sample is left behind.
-_REST_S = 0.8  # where nothing moved
+# A host ends its stream some time after the last motion. So it gets the rest at once
+# when that is over, or so long before the end where nothing moved: no sample is lost.
+_REST_S = 0.8
 _AFTER_S = 0.3  # wall seconds after the last byte, until the host is helped to an end
 
 
