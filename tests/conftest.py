@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib
 import json
 import logging
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -141,6 +143,32 @@ def hand_clock(monkeypatch: pytest.MonkeyPatch) -> HandClock:
 def rng() -> np.random.Generator:
     """Seeded randomness."""
     return np.random.default_rng(20230307)
+
+
+MakeOnce = Callable[[str, Callable[[FilePath], None]], FilePath]
+
+
+@pytest.fixture(scope="session")
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+    """Make a folder once for all workers: make_once(name, make) gives it filled.
+
+    `make` fills the folder that it is given. What is in it is not to be changed.
+    """
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+
+    def once(name: str, make: Callable[[FilePath], None]) -> FilePath:
+        folder = shared / "made-once" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        done = folder.with_name(f"{name}.done")
+        with folder.with_name(f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                make(folder)
+                done.touch()
+        return folder
+
+    return once
 
 
 @pytest.fixture(scope="session")
