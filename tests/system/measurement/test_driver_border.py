@@ -177,7 +177,7 @@ def test_nonsense_while_it_measures_is_a_fault_that_names_its_driver(measuring):
 def test_thermometers_that_break_cost_neither_the_cell_nor_the_devices(drive):
     driven = drive("thermometer", "read", "exit")
     assert driven.cell.connect()["motion"].model == "fake controller"
-    driven.until(lambda: bool(driven.of(TemperaturesRead)), 5.0)
+    driven.until(lambda: bool(driven.of(TemperaturesRead)), 20.0)
     assert driven.of(TemperaturesRead)[0].readings == {}
     assert driven.cell.alive
 
