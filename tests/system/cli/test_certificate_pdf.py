@@ -1,5 +1,7 @@
 """`certificate`: the PDF is a readable document, alike each time."""
 
+import logging
+
 import pypdf
 import pytest
 
@@ -65,7 +67,11 @@ def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_documen
     assert all(len(page) > 400 for page in pages[:-1])  # none is all but empty
 
 
-def test_a_letter_that_no_font_has_is_in_html_and_not_in_pdf(command, words, analysed):
+@pytest.mark.parametrize("level", [logging.WARNING, logging.CRITICAL])
+def test_a_letter_that_no_font_has_is_in_html_and_not_in_pdf(
+    command, words, analysed, caplog, level
+):
+    caplog.set_level(level)
     result, customer = analysed / "result.json", "customer=Werk \U0010fffd"
     said = command.refuse(*words(result, "c.pdf", "--state", customer))
     assert "no installed font has \U0010fffd; install" in said

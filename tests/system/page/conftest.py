@@ -30,7 +30,10 @@ from scripted_service import Played, ScriptedService
 
 HERE = Path(__file__).parent
 NOTHING = "/nothing"  # where a page waits for its next test
-FORGET = "<script>localStorage.clear(), sessionStorage.clear()</script>"
+FORGET = (
+    '<link rel="icon" href="data:,">'  # else it asks for one, heard in the next test
+    "<script>localStorage.clear(), sessionStorage.clear()</script>"
+)
 LOOPBACK = "127.0.0.1"
 PATIENCE_MS = 10_000.0
 NAME = "shop-floor.test"

@@ -45,21 +45,24 @@ def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
     page, card = show(panel, service)
     rows = {
         "English": (
+            "Correct the machine",
             "48.3 → 1.6 µrad ± 0.7 µrad (k = 2)",
             "Not in the result",
             "Nothing",
         ),
         "Deutsch": (
+            "Maschine korrigieren",
             "48,3 → 1,6 µrad ± 0,7 µrad (k = 2)",
             "Nicht im Ergebnis",
             "Nichts",
         ),
     }
     account = card.locator("[data-rotary]")
-    for (width, height), (language, texts) in zip(
+    for (width, height), (language, (title, *texts)) in zip(
         (DESK, PHONE), rows.items(), strict=True
     ):
         choose(page, language)
+        expect(page.get_by_role("heading", name=title)).to_be_visible()
         page.set_viewport_size({"width": width, "height": height})
         card.get_by_text("LinuxCNC").click()
         for text, count in zip(texts, (1, 2, 1), strict=True):
