@@ -88,6 +88,11 @@ class Timeline:
         piece, t = self._locate(time_s)
         return self.acceleration[piece] + t * self.jerk[piece]
 
+    def lengths(self, time_s: np.ndarray) -> np.ndarray:
+        """Return what is gone along the path (n,) at times (n,)."""
+        piece, run = self._run(time_s)
+        return self.gone[piece] + run
+
     def rows(self, time_s: np.ndarray) -> np.ndarray:
         """Return the row that the machine moves towards or dwells at, (n,)."""
         return self.row[self._locate(time_s)[0]]

@@ -163,7 +163,7 @@ def _split_piece(timeline: Timeline, piece: int) -> Timeline:
                 for k in range(int(bend_per_mm * whole / np.pi) + 1)
                 if 0.0 < (run := (x + k * np.pi) / bend_per_mm) < whole
             }
-    times = [begin_s, *(_find_time(own, run, end_s) for run in sorted(at))]
+    times = [begin_s, *_find_times(own, sorted(at), end_s)]
     times = [t for t in times if begin_s <= t < end_s]
     states = [own.state(t) for t in times]
     return Timeline(
@@ -179,12 +179,11 @@ def _split_piece(timeline: Timeline, piece: int) -> Timeline:
     )
 
 
-def _find_time(own: Timeline, run: float, end_s: float) -> float:
-    low, high = float(own.start_s[0]), end_s
+def _find_times(own: Timeline, runs: Sequence[float], end_s: float) -> list[float]:
+    """Return when so much is gone, all at once: a controller answers in 0.2 s."""
+    low, high = np.full(len(runs), own.start_s[0]), np.full(len(runs), end_s)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if own.state(middle).gone - own.gone[0] < run:
-            low = middle
-        else:
-            high = middle
-    return high
+        is_short = own.lengths(middle) - own.gone[0] < runs
+        low, high = np.where(is_short, middle, low), np.where(is_short, high, middle)
+    return high.tolist()
