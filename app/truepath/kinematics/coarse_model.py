@@ -190,15 +190,17 @@ def build_run_models(
     machine: Machine,
     offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
     known: Sequence[Effect] = (),
+    instrument: Sequence[Effect] = (),
 ) -> RunModels:
     """Return the models of Runs.
 
     offsets_mm : of the targets in each Run
     known : effects of the machine from an earlier measurement
+    instrument : errors of the tracker
     """
     return RunModels(
-        _nest(machine, offsets_mm, known),
-        build_coarse_model(machine, offsets_mm, known),
+        _nest(machine, offsets_mm, (*known, *instrument)),
+        build_coarse_model(machine, offsets_mm, known, instrument),
         build_shape_model(machine, *offsets_mm),
     )
 

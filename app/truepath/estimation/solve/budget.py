@@ -111,8 +111,9 @@ def _scale_white(noise: NoiseModel, factor: float) -> NoiseModel:
 
 
 def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:
-    beam, across = noise.ou
-    return replace(noise, ou=(beam * factor, across * factor))
+    beam, azimuth, elevation = noise.ou
+    ou = (beam * factor, azimuth * factor, elevation * factor)
+    return replace(noise, ou=ou)
 
 
 def _propagate(

@@ -1,0 +1,262 @@
+"""What a tracker in order adds to every measurement, known no better than its maker says.
+
+Every estimate has these terms beside the errors of the machine, each with the standard
+uncertainty of its specification (Hughes et al. 2011; Muralikrishnan et al. 2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.kinematics.conditions import Conditions, RecordedState
+from truepath.kinematics.effects.base import (
+    Effect,
+    EffectOfRun,
+    Parameter,
+    QuadraticPrior,
+    Role,
+)
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+
+_CYCLES = np.arange(3, 17)  # a turn, of what is fine
+_GRID = 96
+_LEFT_OUT = 2e-3  # of the variance of what is fine
+
+
+@dataclass(frozen=True)
+class _Beam:
+    """Where the tracker looks, and its directions there, in its own frame."""
+
+    along: Float64[np.ndarray, "n 3"]
+    across: Float64[np.ndarray, "n 3"]
+    up: Float64[np.ndarray, "n 3"]
+    distance_mm: Float64[np.ndarray, " n"]
+    azimuth: Float64[np.ndarray, " n"]
+    elevation: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def of(recorded: RecordedState) -> _Beam:
+        x, y, z = recorded.tracker_mm.T
+        flat = np.hypot(x, y)
+        distance = np.hypot(flat, z)
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
+        ca, sa = np.cos(azimuth), np.sin(azimuth)
+        ce, se = np.cos(elevation), np.sin(elevation)
+        nothing = np.zeros_like(ca)
+        return _Beam(
+            np.stack([ca * ce, sa * ce, se], axis=1),
+            np.stack([-sa, ca, nothing], axis=1),
+            np.stack([-ca * se, -sa * se, ce], axis=1),
+            distance,
+            azimuth,
+            elevation,
+        )
+
+
+@dataclass(frozen=True)
+class FineCircle:
+    """Three to sixteen cycles a turn, as a stationary process over the angles seen.
+
+    Its shapes are those of greatest variance over them (Karhunen and Loève).
+    """
+
+    low_rad: float
+    high_rad: float
+
+    @staticmethod
+    def over(angle_rad: Float64[np.ndarray, " n"]) -> FineCircle:
+        """Return the process over angles, seen from their mean direction."""
+        middle = float(np.angle(np.exp(1j * angle_rad).sum()))
+        off = np.angle(np.exp(1j * (angle_rad - middle)))
+        return FineCircle(middle + float(off.min()), middle + float(off.max()))
+
+    @cached_property
+    def _shapes(self) -> tuple[Float64[np.ndarray, " g"], Float64[np.ndarray, "g k"]]:
+        grid = np.linspace(self.low_rad, self.high_rad, _GRID)
+        value, vector = np.linalg.eigh(_correlate(grid, grid))
+        value, vector = value[::-1], vector[:, ::-1]
+        left = 1.0 - np.cumsum(value) / value.sum()
+        count = int(np.count_nonzero(left > _LEFT_OUT)) + 1
+        return grid, vector[:, :count] / np.sqrt(value[:count])
+
+    @property
+    def count(self) -> int:
+        """How many shapes."""
+        return self._shapes[1].shape[1]
+
+    def rows(self, angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
+        """Return the shapes at angles, of standard deviation 1 together."""
+        grid, weight = self._shapes
+        return _correlate(angle_rad, grid) @ weight
+
+
+def _correlate(
+    a: Float64[np.ndarray, " n"], b: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "n m"]:
+    apart = a[:, None] - b[None, :]
+    return np.mean([np.cos(k * apart) for k in _CYCLES], axis=0)
+
+
+class _Terms:
+    """Columns that are put together, each with its size."""
+
+    def __init__(self) -> None:
+        self.columns: list[Float64[np.ndarray, "n 3"]] = []
+
+    def add(self, sigma: float, *columns: Float64[np.ndarray, "n 3"]) -> None:
+        if sigma > 0.0:
+            self.columns += [sigma * column for column in columns]
+
+
+@dataclass(frozen=True)
+class TrackerErrors(Effect):
+    """Errors that the tracker takes along from place to place; θ in their sizes."""
+
+    kind = "tracker-errors"
+    role = Role.NUISANCE
+    specification: TrackerSpecification
+    azimuth: FineCircle
+    elevation: FineCircle
+    is_moving: bool
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One a column."""
+        return tuple(Parameter(f"tracker[{k}]", "1") for k in range(self._count))
+
+    @property
+    def _count(self) -> int:
+        s = self.specification
+        parts = [
+            (s.eccentricity_urad, 4),
+            (s.encoder_urad, 4),
+            (s.fine_urad, self.azimuth.count + self.elevation.count),
+            (s.index_urad, 1),
+            (s.beam_offset_um, 2),
+            (s.transit_offset_um, 1),
+            (s.tilt_urad, 2),
+            (s.reflector_um, 2),
+            (s.delay_us if self.is_moving else 0.0, 4),
+        ]
+        return sum(count for size, count in parts if size > 0.0)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the columns where the observer stands."""
+        recorded = at.recorded
+        if recorded is None:
+            return np.zeros((len(at), 3, self._count))
+        s, b, terms = self.specification, _Beam.of(recorded), _Terms()
+        turn = (b.distance_mm * np.cos(b.elevation))[:, None] * b.across
+        rise = b.distance_mm[:, None] * b.up
+        for size, cycles in ((s.eccentricity_urad, 1), (s.encoder_urad, 2)):
+            for arm, angle in ((turn, b.azimuth), (rise, b.elevation)):
+                for wave in (np.cos, np.sin):
+                    terms.add(1e-6 * size, wave(cycles * angle)[:, None] * arm)
+        if s.fine_urad:
+            for arm, angle, circle in (
+                (turn, b.azimuth, self.azimuth),
+                (rise, b.elevation, self.elevation),
+            ):
+                for shape in circle.rows(angle).T:
+                    terms.add(1e-6 * s.fine_urad, shape[:, None] * arm)
+        sine, tangent = np.sin(b.elevation)[:, None], np.tan(b.elevation)[:, None]
+        cosine = np.cos(b.elevation)[:, None]
+        terms.add(1e-6 * s.index_urad, rise)
+        terms.add(1e-3 * s.beam_offset_um, b.across, b.up)
+        terms.add(1e-3 * s.transit_offset_um, cosine * b.along - sine * b.up)
+        terms.add(1e-6 * s.tilt_urad, tangent * turn, turn / cosine)
+        terms.add(1e-3 * s.reflector_um, b.across, b.up)
+        if self.is_moving:
+            speed = at.velocity_mm_s @ recorded.rotation.T
+            away, side, up = (
+                np.einsum("ni,ni->n", speed, arm)[:, None]
+                for arm in (b.along, b.across, b.up)
+            )
+            terms.add(
+                1e-6 * s.delay_us, away * b.along, side * b.across, up * b.across,
+                side * b.up,
+            )
+        return _turn_back(terms, recorded)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the standard uncertainties, 1 each."""
+        return _known(self._count)
+
+
+@dataclass(frozen=True)
+class SetUpErrors(Effect):
+    """Errors of a tracker that are others after a new set-up, lock or weather."""
+
+    kind = "set-up-errors"
+    role = Role.NUISANCE
+    specification: TrackerSpecification
+    begin_s: float
+    end_s: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One a column."""
+        return tuple(Parameter(f"set-up[{k}]", "1") for k in range(self._count))
+
+    @property
+    def _count(self) -> int:
+        s = self.specification
+        sizes = (s.range_offset_um, s.scale_ppm, s.scale_drift_ppm, s.bending_urad_per_m)
+        return sum(size > 0.0 for size in sizes)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the columns where the observer stands."""
+        recorded = at.recorded
+        if recorded is None:
+            return np.zeros((len(at), 3, self._count))
+        s, b, terms = self.specification, _Beam.of(recorded), _Terms()
+        r = b.distance_mm[:, None]
+        when = (at.time_s - self.begin_s) / max(self.end_s - self.begin_s, 1e-9)
+        terms.add(1e-3 * s.range_offset_um, b.along)
+        terms.add(1e-6 * s.scale_ppm, r * b.along)
+        terms.add(1e-6 * s.scale_drift_ppm, (when - 0.5)[:, None] * r * b.along)
+        bend = r**2 * (
+            np.cos(b.elevation)[:, None] * b.up - np.sin(b.elevation)[:, None] * b.along
+        )
+        terms.add(1e-9 * s.bending_urad_per_m, bend)
+        return _turn_back(terms, recorded)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the standard uncertainties, 1 each."""
+        return _known(self._count)
+
+
+def _turn_back(terms: _Terms, recorded: RecordedState) -> Float64[np.ndarray, "n 3 p"]:
+    if not terms.columns:
+        return np.zeros((len(recorded.tracker_mm), 3, 0))
+    stacked = np.stack(terms.columns, axis=2)
+    return np.einsum("ji,njp->nip", recorded.rotation, stacked)
+
+
+def _known(count: int) -> QuadraticPrior:
+    return QuadraticPrior(np.eye(count), count, float(count), is_known=True)
+
+
+def list_instrument_errors(
+    specification: TrackerSpecification, runs: Sequence[Conditions]
+) -> tuple[Effect, ...]:
+    """Return what the tracker of Runs adds to them. runs : with what was recorded."""
+    points = [at.recorded.tracker_mm for at in runs if at.recorded is not None]
+    if not points:
+        return ()
+    x, y, z = np.concatenate(points).T
+    azimuth = FineCircle.over(np.arctan2(y, x))
+    elevation = FineCircle.over(np.arctan2(z, np.hypot(x, y)))
+    is_moving = any((at.line >= 0).any() for at in runs)
+    effects: list[Effect] = [
+        TrackerErrors(specification, azimuth, elevation, is_moving)
+    ]
+    for number, at in enumerate(runs):
+        begin, end = float(at.time_s.min()), float(at.time_s.max())
+        effects.append(EffectOfRun(SetUpErrors(specification, begin, end), number))
+    return tuple(effect for effect in effects if effect.parameters)
