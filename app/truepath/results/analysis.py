@@ -32,7 +32,6 @@ from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
 from truepath.planning.grade import Grade, SetUp, grade_together
 from truepath.progress import Progress, ignore_progress, scale_progress
@@ -86,7 +85,7 @@ def analyse(
             machine,
             [each.at.offset_mm for each in observed],
             known.effects,
-            list_instrument_errors(_spec(), [each.at for each in observed]),
+            list_instrument_errors([each.at for each in observed]),
         ),
         observed,
         known=known,
@@ -118,15 +117,6 @@ def analyse(
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
     verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
-
-
-def _spec() -> TrackerSpecification:
-    import json, os
-    text = os.environ.get("SPEC")
-    if not text:
-        return TrackerSpecification()
-    zero = {k: 0.0 for k in TrackerSpecification.__slots__}
-    return TrackerSpecification(**{**zero, **json.loads(text)})
 
 
 def _score_ranges(estimated: Estimate) -> list[RangeOffsetScore | None]:

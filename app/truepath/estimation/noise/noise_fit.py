@@ -54,9 +54,7 @@ _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # times what samples scatter, of their means
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
-_BOUNDS = np.log(
-    [*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]]
-)
+_BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
@@ -173,9 +171,9 @@ def _find_shown(
     smaller of the differences: a step of the set-up is in many of the others.
     """
     white, _ = split_sigma_mm(seen, noise)
-    stated = seen.at.machine.tracker.sigma_mm(
-        np.linalg.norm(seen.tracker_mm, axis=1)
-    )[:, [0, 1, 1]]
+    stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
+        :, [0, 1, 1]
+    ]
     pairs = _pair_neighbours(seen)
     if len(pairs) < _FEWEST_TRIPLES:
         return 0.0, 0.0, 0.0
@@ -308,7 +306,9 @@ def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
     along = noise.along_sigma_mm
     if jitter:
         along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
-    return replace(noise, ou=(beam, azimuth, elevation), ou_time_s=tau, along_sigma_mm=along)
+    return replace(
+        noise, ou=(beam, azimuth, elevation), ou_time_s=tau, along_sigma_mm=along
+    )
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:

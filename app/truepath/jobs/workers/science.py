@@ -223,7 +223,7 @@ def check_station(
         hold_against_plan,
         measure_points,
     )
-    from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+    from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 
     within = TrackerSpecification(**specification)
     try:

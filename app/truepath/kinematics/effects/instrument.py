@@ -178,7 +178,10 @@ class TrackerErrors(Effect):
                 for arm in (b.along, b.across, b.up)
             )
             terms.add(
-                1e-6 * s.delay_us, away * b.along, side * b.across, up * b.across,
+                1e-6 * s.delay_us,
+                away * b.along,
+                side * b.across,
+                up * b.across,
                 side * b.up,
             )
         return _turn_back(terms, recorded)
@@ -206,7 +209,12 @@ class SetUpErrors(Effect):
     @property
     def _count(self) -> int:
         s = self.specification
-        sizes = (s.range_offset_um, s.scale_ppm, s.scale_drift_ppm, s.bending_urad_per_m)
+        sizes = (
+            s.range_offset_um,
+            s.scale_ppm,
+            s.scale_drift_ppm,
+            s.bending_urad_per_m,
+        )
         return sum(size > 0.0 for size in sizes)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -242,10 +250,9 @@ def _known(count: int) -> QuadraticPrior:
     return QuadraticPrior(np.eye(count), count, float(count), is_known=True)
 
 
-def list_instrument_errors(
-    specification: TrackerSpecification, runs: Sequence[Conditions]
-) -> tuple[Effect, ...]:
+def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
     """Return what the tracker of Runs adds to them. runs : with what was recorded."""
+    specification = runs[0].machine.tracker.systematic
     points = [at.recorded.tracker_mm for at in runs if at.recorded is not None]
     if not points:
         return ()
