@@ -48,6 +48,14 @@ check: setup ## format, lint, import contracts, types
 setup-system: ## Debian packages the tests call (apt-get, as root)
 	@.ci/system-packages test
 
+.PHONY: fast
+fast: setup ## format, lint, types of files that have changed, unit tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	@changed=$$(git diff --name-only --diff-filter=d HEAD -- app drivers simulators | grep '\.py$$'); \
+	  [ -z "$$changed" ] || $(BIN)/pyright $$changed
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not long" tests/unit
+
 .PHONY: test
 test: setup-system check ## check, and the tests
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" --durations=15
@@ -66,8 +74,8 @@ mutants: setup-system setup ## how many of 60 small faults in the code the tests
 test-long: setup ## the tests that need minutes; API and jobs on PostgreSQL
 	@.ci/system-packages test-long
 	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m long --timeout 900
-	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "not long" \
-	  --database postgresql tests/api tests/jobs
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadfile -m "database and not long" \
+	  --database postgresql
 
 .PHONY: reliability
 reliability: setup ## runs every test of a fault; writes the table of docs/reliability.md

@@ -3,8 +3,8 @@
 usage: python remove_unused.py FOLDER
 
 Only for the image: a third of what the libraries install are their own tests, headers
-and parts for other uses. `tests/project/test_image.py` runs the main job, an upload and
-a report on what is left.
+and parts for other uses. `tests/system/project/test_image.py` runs the main job, an
+upload and a report on what is left.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
-sys.path.append(str(FilePath(__file__).parent))
+sys.path.append(str(FilePath(__file__).parent / "helpers"))
 from postgres_server import PostgresServer
 
 
@@ -275,7 +275,10 @@ def square() -> Path:
 
 @pytest.fixture(scope="session")
 def record() -> Record:
-    """Make a recording: record(seed, mode, rows=…, feed=…, chain=…, setting=…)."""
+    """Make a recording: record(seed, mode, rows=…, feed=…, chain=…, setting=…).
+
+    The fewer mm its axes travel, the fewer parameters an estimate has.
+    """
     made: dict[Any, Recorded] = {}
 
     def make(
@@ -288,10 +291,14 @@ def record() -> Record:
         corners: bool = False,
         program: Program | None = None,
         setting: synthetic.Setting | None = None,
+        travel_mm: float | None = None,
     ) -> Recorded:
-        key = (seed, mode, rows, feed, chain, corners, repr(program), repr(setting))
+        how = (feed, chain, corners, travel_mm, repr(program), repr(setting))
+        key = (seed, mode, rows, how)
         if key not in made:
             content = {**load_machine("demo"), "kinematic_chain": chain}
+            for axis in content["axes"].values() if travel_mm else ():
+                axis["max_mm"] = axis["min_mm"] + travel_mm
             machine = parse_machine(content)
             drive = program
             if drive is None and mode == "standstill":

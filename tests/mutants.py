@@ -30,6 +30,7 @@ ROOMS = {
     "app/truepath/jobs": ["jobs", "operation"],
     "app/truepath/compensation": ["compensation"],
 }
+KINDS = "unit", "system"
 LIMIT_S = 1800.0  # of one room's tests
 _COMPARED: dict[type[ast.cmpop], str] = {
     ast.Lt: "<=",
@@ -129,7 +130,10 @@ def is_noticed(mutant: Mutant, tree: Path) -> bool:
     source = file.read_bytes()
     fault = mutant.text.encode()
     file.write_bytes(source[: mutant.begin] + fault + source[mutant.end :])
-    tests = [str(tree / "tests" / folder) for folder in ROOMS[mutant.room]]
+    folders = [
+        tree / "tests" / kind / room for kind in KINDS for room in ROOMS[mutant.room]
+    ]
+    tests = [str(folder) for folder in folders if folder.is_dir()]
     roots = [str(tree / root) for root in ("app", "drivers", "simulators")]
     order = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not long"]
     order += ["-p", "no:cacheprovider", *tests]

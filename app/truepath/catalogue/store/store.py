@@ -7,7 +7,7 @@ that an operator has read go stale.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
@@ -132,12 +132,13 @@ class Store:
 
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
+        ended = self._ended.copy()  # before reading: meanwhile it may be stored
         with self._database.read() as connection:
-            return self.see(read_job(connection, job_id))
+            return _see(read_job(connection, job_id), ended)
 
     def see(self, job: Job) -> Job:
         """Return a job as the catalogue has it, but ended if it has."""
-        return job if job.is_final else self._ended.get(job.id, job)
+        return _see(job, self._ended)
 
     def keep_end(self, before: Job, ended: Job) -> Job:
         """Let a job be seen as ended until `change` has stored it; the first counts."""
@@ -199,13 +200,14 @@ class Store:
     def count_by_state(self) -> dict[tuple[JobKind, State], int]:
         """Return how many jobs of each kind are in each state, of all times."""
         query = select(jobs.c.kind, jobs.c.state, func.count())
+        ended = self._ended.copy()
         with self._database.read() as connection:
             rows = connection.execute(query.group_by(jobs.c.kind, jobs.c.state)).all()
-            stored = [read_job(connection, job_id) for job_id in [*self._ended]]
+            stored = [read_job(connection, job_id) for job_id in ended]
         counts = {(JobKind(kind), State(state)): n for kind, state, n in rows}
         for job in stored:
             counts[job.kind, job.state] -= 1
-            seen = job.kind, self.see(job).state
+            seen = job.kind, _see(job, ended).state
             counts[seen] = counts.get(seen, 0) + 1
         return counts
 
@@ -340,8 +342,9 @@ class Store:
         self._database.write(change)
 
     def _read(self, query: Select[Any]) -> list[Job]:
+        ended = self._ended.copy()
         with self._database.read() as connection:
-            return [self.see(job) for job in select_jobs(connection, query)]
+            return [_see(job, ended) for job in select_jobs(connection, query)]
 
     def _update(self, job_id: str, **values: Any) -> None:
         query = update(jobs).where(jobs.c.id == job_id).values(**values)
@@ -355,6 +358,10 @@ class Store:
     def _publish(self, outcome: tuple[Job, JobEvent | None]) -> None:
         if (event := outcome[1]) is not None:
             self._listener(event)
+
+
+def _see(job: Job, ended: Mapping[str, Job]) -> Job:
+    return job if job.is_final else ended.get(job.id, job)
 
 
 def _insert_event(connection: Connection, job: Job) -> JobEvent:

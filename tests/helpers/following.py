@@ -1,0 +1,62 @@
+"""A Run as the live estimate follows it, block by block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from truepath.estimation.checks.notices import Notice
+from truepath.estimation.live.live import LiveEstimate, LiveEstimator
+from truepath.results.error_tables import build_error_tables
+
+
+@dataclass
+class Followed:
+    """The estimates on the way and the last; what was noticed when each was made."""
+
+    live: LiveEstimator
+    on_the_way: list[LiveEstimate] = field(default_factory=list)
+    noticed: list[tuple[float, tuple[Notice, ...]]] = field(default_factory=list)
+    last: LiveEstimate | None = None
+
+
+def follow(run, *, blocks=None, with_notices=False, **options) -> Followed:
+    """Give a Run to the live estimate in blocks, of 20 samples if none are given."""
+    followed = Followed(LiveEstimator(run.machine, run.commanded, **options))
+    for block in blocks or list_blocks(run):
+        if not followed.live.take(block):
+            continue
+        now = followed.live.estimate()
+        if now is not None:
+            followed.on_the_way.append(now)
+        if now is not None and with_notices:
+            time_s = float(block.device_time_s[-1])
+            followed.noticed.append((time_s, followed.live.list_notices()))
+    followed.live.finish()
+    followed.last = followed.live.estimate()
+    return followed
+
+
+def list_blocks(run, size=20):
+    tracker = run.tracker
+    begins = range(0, len(tracker), size)
+    return [tracker.select(slice(begin, begin + size)) for begin in begins]
+
+
+def shift(run, shift_mm):
+    """Return a Run whose samples (n,) lie elsewhere by (n, 3)."""
+    moved = run.tracker.position_mm + shift_mm
+    return replace(run, tracker=replace(run.tracker, position_mm=moved))
+
+
+def compare_tables(found, expected):
+    """Return how far tables are off those of another estimate, in u."""
+    tables = build_error_tables(found)
+    return np.concatenate(
+        [
+            (tables.table(table.symbol).value - table.value)
+            / np.maximum(table.uncertainty, 0.05)
+            for table in build_error_tables(expected).tables
+        ]
+    )

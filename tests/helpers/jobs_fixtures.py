@@ -1,0 +1,233 @@
+"""A service over a scripted cell, its catalogue on either database."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+
+from arming import arm_at_once
+from job_builders import OTF, write_bundle_zip
+from resumption_doubles import Closer, Resumer
+from scripted_cell import CellMaker, Inline, ReaderHere, Science, wait_until
+from simulated_clock import simulated_clock
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store import database as databases
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import FINAL, State
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.event_bus import EventBus
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.machine_cells import MachineCell, Machines
+from truepath_simulators.scenario import load_machine
+
+
+@pytest.fixture
+def database(catalogue_url):
+    """An empty catalogue on the database of the whole session."""
+    database = Database(catalogue_url)
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def told():
+    """Every stored event that listeners were told of."""
+    return []
+
+
+@pytest.fixture
+def store(database, told):
+    return Store(database, told.append)
+
+
+@pytest.fixture
+def event_bus():
+    return EventBus()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def logged_plainly(plain_log):
+    """The fancy traces of the default take seconds each."""
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left_over():
+    before = set(threading.enumerate())
+    yield
+    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
+    assert not left
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Let a test live on simulated time, on which SQLite waits for nobody by itself."""
+    monkeypatch.setattr(databases, "_PRAGMAS", (*databases._PRAGMAS, "busy_timeout=0"))
+    with simulated_clock() as clock:
+        yield clock
+
+
+@pytest.fixture
+def machine():
+    return machine_from_json(load_machine("demo"))
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """A real Dask scheduler with two workers, in threads of this process."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def make_cell():
+    """Makes the cells of the service under test."""
+    return CellMaker()
+
+
+@pytest.fixture
+def science():
+    return Science()
+
+
+@pytest.fixture
+def context(database, event_bus, make_cell, science, machine, tmp_path):
+    """Everything a job works with; the cell is not started yet."""
+    cell = CellSupervisor(make_cell, first_pause_s=0.02)
+    results = tmp_path / "results"
+    results.mkdir()
+    yield JobContext(
+        store=Store(database, event_bus.publish),
+        runs=RunCatalogue(database, tmp_path / "runs", ReaderHere()),
+        results=results,
+        executor=Inline(),
+        science=science,
+        machines=Machines([MachineCell("default", machine, cell)]),
+        confirm_s={
+            State.PAUSING: 0.3,
+            State.RESUMING: 0.3,
+            State.ABORTING: 0.3,
+            State.CANCELLING: 30.0,
+        },
+    )
+    cell.close()
+
+
+@pytest.fixture
+def open_dispatcher(context, event_bus):
+    """Opens the service as often as a test asks, with parts of its own."""
+    opened = []
+
+    def make(**parts):
+        opened.append(Dispatcher(replace(context, **parts), event_bus))
+        return opened[-1]
+
+    yield make
+    for dispatcher in opened:
+        dispatcher.close()
+
+
+@pytest.fixture
+def dispatcher(context, open_dispatcher):
+    """Jobs can be given; the cell runs."""
+    context.require_cell().start()
+    return open_dispatcher()
+
+
+@pytest.fixture
+def open_watched(context, open_dispatcher):
+    """Opens the service with a machine whose conditions are what the test says."""
+
+    def make(observe, **parts):
+        board = ConditionBoard(observe)
+        watched = replace(context.machines.get("default"), conditions=board)
+        return open_dispatcher(machines=Machines([watched]), **parts)
+
+    return make
+
+
+@pytest.fixture
+def until(context):
+    """Wait until a job is in a state, or has ended; return it."""
+
+    def wait(job, *states):
+        def reached():
+            now = context.store.get(job.id)
+            return now if now.state in (states or FINAL) else None
+
+        return wait_until(reached, f"{states}, is {context.store.get(job.id)}")
+
+    return wait
+
+
+@pytest.fixture
+def ready(dispatcher, until):
+    """A job that waits to be armed."""
+    return until(dispatcher.create(OTF)[0], "ready")
+
+
+@pytest.fixture
+def begin(dispatcher, until, make_cell):
+    """Arms a job as soon as it is ready; waits until the machine moves."""
+
+    def begin(job, dispatcher=dispatcher):
+        version = until(job, "ready").version
+        make_cell.cell.begun.clear()
+        armed = arm_at_once(dispatcher, job.id, version)
+        assert make_cell.cell.begun.wait(25)
+        return armed
+
+    return begin
+
+
+@pytest.fixture
+def cell(dispatcher, make_cell):
+    """The cell that measures."""
+    return make_cell.cell
+
+
+@pytest.fixture
+def end_in_motion(cell, until):
+    """Has a fault end what is measured; returns the job then."""
+
+    def end(job):
+        cell.fault()
+        cell.end("faulted")
+        return until(job, "faulted")
+
+    return end
+
+
+@pytest.fixture
+def resumer():
+    return Resumer()
+
+
+@pytest.fixture
+def closer():
+    return Closer()
+
+
+@pytest.fixture
+def bundle(machine, tmp_path):
+    """A zipped bundle of a Run that has lost three samples."""
+    sequence = (0, 1, 2, 3, 7, 8, 9, 10, 11, 12)
+    return write_bundle_zip(machine, tmp_path / "bundle.zip", sequence)
+
+
+@pytest.fixture
+def run(context, bundle):
+    """An uploaded Run."""
+    return context.runs.add_uploaded(bundle, "from the shop floor")

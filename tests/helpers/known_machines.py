@@ -1,0 +1,114 @@
+"""Machines that err in a known way: as results state them, and exact ones."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from truepath.compensation.account.rotary_left import (
+    describe_rotary,
+    measure_over_axes,
+    read_rotary_files,
+)
+from truepath.compensation.installed import load_format
+from truepath.compensation.rotary_tables import AxisPlace
+from truepath.compensation.tables.error_map import ErrorMap, map_errors
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine_file import parse_machine
+
+
+def build_model(content: Mapping[str, Any], **options: Any) -> MachineModel:
+    """Build the model of a machine, once for all tests."""
+    return _build(json.dumps(content), **options)
+
+
+@cache
+def _build(text: str, **options: Any) -> MachineModel:
+    machine = machine_from_json(json.loads(text), file="machine.json")
+    offsets = np.array([target.offset_mm for target in machine.targets])
+    return build_identifiable_model(machine, offsets, **options)[0]
+
+
+def map_known(
+    model: MachineModel, values: Mapping[str, Any] | np.ndarray, variance: Any = 1e-16
+) -> ErrorMap:
+    """Map the errors of a machine whose parameters are all of these, or 0."""
+    theta = values
+    if not isinstance(theta, np.ndarray):
+        theta = np.zeros(model.size)
+        for name, value in dict(values).items():
+            theta[model.slices[name]] = value
+    covariance = np.diag(np.broadcast_to(variance, model.size))
+    return map_errors(CalibrationResult(model, theta, covariance))
+
+
+def tabulate(
+    errors: ErrorMap, name: str, spacing_mm: float = 50.0, **choices: str
+) -> Tabulation:
+    """What makes files of errors, with tables over the whole travel."""
+    ranges = find_measured_ranges(errors.machine, {}, None)
+    kind = load_format(name, choices)
+    return Tabulation(kind, "c", ("by hand",), spacing_mm, ranges)
+
+
+@dataclass(frozen=True)
+class Written:
+    """Files of a machine with rotary axes, and what their account states of these."""
+
+    files: Mapping[str, str]
+    over: Mapping[str, Any]  # all axes
+    rotary: Mapping[str, Any]
+
+
+def write(errors: ErrorMap, name: str, spacing_mm: float = 50.0) -> Written:
+    """Return files of a format without the costly rest of their account."""
+    made = tabulate(errors, name, spacing_mm)
+    content = made.tabulate(errors)
+    files = made.kind.write(content)
+    rotary = read_rotary_files(made.kind, content, files)
+    correction = made.kind.read(files, errors.machine)
+    over = measure_over_axes(errors, correction, rotary)
+    return Written(files, over or {}, describe_rotary(errors, rotary))
+
+
+def displace(content: Mapping[str, Any], places: Sequence[AxisPlace]) -> TruthMachine:
+    """Return the exact machine whose rotary axes are off their places."""
+    truth = perfect(parse_machine(dict(content)))
+    joints = dict(truth.joints)
+    for place in places:
+        own, at = place.axis.name, place.location
+        shift, tilt = (
+            tuple(at.get(f"{one}O{own}", 0.0) for one in letters)
+            for letters in ("XYZ", "ABC")
+        )
+        joints[own] = replace(joints[own], shift_mm=shift, tilt_rad=tilt)
+    return replace(truth, joints=joints)
+
+
+def spread(axes: Sequence[Any], count: int) -> np.ndarray:
+    """Return positions all over the travel of all axes."""
+    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
+    unit = np.random.default_rng(2).uniform(size=(count, len(axes)))
+    return low + unit * (high - low)
+
+
+def measure_left(
+    truth: TruthMachine, files: Mapping[str, str], position: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return lengths of errors, mm, without files and once a control has them."""
+    before, after = (
+        np.linalg.norm(measure_deviation_mm(truth, one, position), axis=1)
+        for one in (None, LoadedTables(files).correct(truth.machine))
+    )
+    return before, after

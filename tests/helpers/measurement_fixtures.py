@@ -1,0 +1,683 @@
+"""Machines, Runs and bundles that the measurement tests start from."""
+
+from __future__ import annotations
+
+import itertools
+import pathlib
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from simulated_clock import SimulatedClock, simulated_clock
+from truepath.files.bundle.run import Run
+from truepath.measurement.engine.measurement import Measurement
+from truepath.measurement.messages import (
+    CellEvent,
+    CellVerb,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
+from truepath.measurement.run_file.run_file import LINK_STREAM
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
+from truepath.motion.configurations import Configurations
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.arcs import trace
+from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
+    Identity,
+    LinkHealth,
+    MotionState,
+    MotionStatus,
+    Path,
+    TrackerSamples,
+)
+from truepath_drivers.interfaces.tracker import (
+    ByteLink,
+    EventSource,
+    PolledTracker,
+    Tracker,
+)
+from truepath_drivers.interfaces.tracker_records import (
+    Air,
+    Clock,
+    PointMeasurement,
+    TrackerCapabilities,
+    TrackerEvent,
+)
+
+E = TypeVar("E")
+Rows = Sequence[Sequence[float]] | np.ndarray
+Begin = Callable[..., "Running"]
+JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
+"""The patience of the service."""
+QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
+NOISE_MM = 0.001  # of a shot of a tracker that is polled
+PLACE_MM = np.array([2000.0, 300.0, 50.0])
+"""Where it sees the target of a machine at zero."""
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def clock() -> Iterator[SimulatedClock]:
+    """Let a test live on simulated time."""
+    with simulated_clock() as clock:
+        yield clock
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left_over() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
+    assert not left
+
+
+@pytest.fixture
+def calm() -> EngineSettings:
+    """Timeouts that a busy computer does not reach."""
+    return EngineSettings(
+        poll_s=0.02,
+        confirm_s=30.0,
+        stale_s=30.0,
+        link_s=30.0,
+        first_sample_s=30.0,
+        progress_s=0.0,
+        axes_rows=5,
+        timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0),
+    )
+
+
+@pytest.fixture
+def read_link_bytes() -> Callable[[str | pathlib.Path], bytes]:
+    """Read the bytes that the tracker's port received from a closed Run."""
+
+    def read(file: str | pathlib.Path) -> bytes:
+        database = sqlite3.connect(file)
+        query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
+        rows = database.execute(query, (LINK_STREAM,)).fetchall()
+        database.close()
+        return b"".join(payload for (payload,) in rows)
+
+    return read
+
+
+class FakeTracker(Tracker, ByteLink):
+    """A tracker in this process: its clock runs `speed` times faster than ours."""
+
+    def __init__(self, speed: float = 20.0) -> None:
+        self.speed = speed
+        self.silent = False
+        self.damaged = False  # of twenty samples one arrives
+        self.beam = True
+        self.follows: FakeMotion | None = None  # its machine; else it moves by itself
+        self.frozen = False  # it repeats the last place
+        self.place = (1.0, 2.0, 3.0)  # of the target before the machine moved
+        self._last = np.array(self.place)
+        self.error: Exception | None = None
+        self.refusal: Exception | None = None
+        self.restarted = False
+        self.streaming = False
+        self.stops = 0
+        self._begun_s = 0.0
+        self._sent = 0
+        self._rate_hz = 500.0
+        self._bytes = b""
+
+    def connect(self) -> Identity:
+        return Identity("Us", "fake tracker", "T1", "0")
+
+    def close(self) -> None:
+        self.stop()
+
+    def start(self, rate_hz: float) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+        self._rate_hz, self._begun_s, self._sent = rate_hz, host_clock.now_s(), 0
+        self.streaming = True
+
+    def stop(self) -> None:
+        self.streaming = False
+        self.stops += 1
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        deadline_s = host_clock.now_s() + timeout_s
+        while True:
+            if self.error is not None:
+                raise self.error
+            block = self._new()
+            if len(block) or host_clock.now_s() >= deadline_s:
+                return block
+            host_clock.sleep_s(0.005)
+
+    def take_link_bytes(self) -> bytes:
+        data, self._bytes = self._bytes, b""
+        return data
+
+    @property
+    def health(self) -> LinkHealth:
+        return LinkHealth(frames=self._sent, crc_errors=2)
+
+    def _new(self) -> TrackerSamples:
+        if not self.streaming:
+            return TrackerSamples.empty()
+        passed_s = (host_clock.now_s() - self._begun_s) * self.speed
+        count = max(int(passed_s * self._rate_hz), self._sent)
+        first, self._sent = self._sent, count
+        if self.silent or count <= first:
+            return TrackerSamples.empty()
+        sequence = np.arange(first, count, dtype=np.int64)
+        if self.restarted:
+            sequence -= first
+        self._bytes += bytes(count - first)
+        samples = TrackerSamples(
+            sequence,
+            100.0 + np.arange(first, count) / self._rate_hz,
+            self._see(count - first),
+            np.full(count - first, 0 if self.beam else 4, np.int64),
+        )
+        return samples.select(sequence % 20 == 0) if self.damaged else samples
+
+    def _see(self, count: int) -> np.ndarray:
+        """Return the place of the target `count` times; none of it is bit for bit."""
+        if self.follows is not None and not self.frozen:
+            self._last = self.follows.here + self.place
+        places = np.tile(self._last, (count, 1))
+        if not self.frozen:
+            places[:, 0] += 1e-6 * np.random.default_rng(self._sent).random(count)
+            self._last = places[-1]
+        return places
+
+
+class FakePolledTracker(PolledTracker):
+    """What every tracker that is polled in this process has."""
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        return TrackerCapabilities(streams=False, clock=Clock.HOST, distance="ADM")
+
+    def connect(self) -> Identity:
+        return Identity("Us", "fake polled tracker", "P1", "0")
+
+    def close(self) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Nothing is under way."""
+
+
+class FakePolled(FakePolledTracker, EventSource):
+    """Sees the axes of a controller in this process; shots come at 200 Hz."""
+
+    def __init__(self, motion) -> None:
+        self.motion = motion
+        self.asked = self.connects = 0
+        self.before: Callable[[int], None] = lambda _: None
+        self.stopped = threading.Event()
+        self.events: list[TrackerEvent] = []
+        self._rng = np.random.default_rng(5)
+
+    def connect(self) -> Identity:
+        self.connects += 1
+        return super().connect()
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        events, self.events = tuple(self.events), []
+        return events
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        self.stopped.clear()
+        self.asked += 1
+        self.before(self.asked)
+        begin_s = host_clock.now_s()
+        times, shots = [], []
+        while host_clock.now_s() - begin_s < dwell_s or not shots:
+            noise = self._rng.normal(0.0, NOISE_MM, 3)
+            shots.append(PLACE_MM + self.motion.here + noise)
+            times.append(host_clock.now_s())
+            if host_clock.wait(self.stopped, 0.005):
+                raise Refused("the measurement was stopped")
+        air = Air(21.5, 1013.0, 40.0)
+        return PointMeasurement.average(np.array(times), np.array(shots), air)
+
+
+@pytest.fixture
+def polled(motion) -> FakePolled:
+    motion.speed = 2000.0
+    return FakePolled(motion)
+
+
+class FakeMotion(MotionController):
+    """A controller in this process: constant speed, `speed` times faster than told."""
+
+    def __init__(self, speed: float = 20.0) -> None:
+        self.speed = speed
+        self.calls: list[str] = []
+        self.out_of_reach = False
+        self.has_watchdog = True
+        self.stops_unasked = False
+        self.override: float | None = None
+        self.referenced: bool | None = None
+        self.compensation: bool | None = None
+        self.limits_override = True
+        self.ignores_hold = self.ignores_resume = self.ignores_abort = False
+        self.ends_after_s: float | None = None
+        self.runs_on = False  # another program follows the last row
+        self.stale_looks = 0  # that still show the last line of the program before
+        self.here = np.zeros(3)
+        self.loaded: Path | None = None
+        self.alarm = ""
+        self.beats = self.looks = 0
+        self._is_fed = False
+        self._state, self._reason = MotionState.IDLE, ""
+        self._rows: list[np.ndarray] = []
+        self._owners: list[int] = []
+        self._feed = 6000.0
+        self._done_s = 0.0
+        self._since_s = host_clock.now_s()
+        self._lock = threading.RLock()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return ("X", "Y", "Z")
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+
+    def connect(self) -> Identity:
+        return Identity(
+            "Us",
+            "fake controller",
+            "C1",
+            "0",
+            self.has_watchdog,
+            stops_unasked=self.stops_unasked,
+        )
+
+    def close(self) -> None:
+        self.abort()
+
+    def send_heartbeat(self) -> None:
+        self._reach()
+        self._is_fed = True
+
+    def status(self) -> MotionStatus:
+        self._reach()
+        with self._lock:
+            line = self._advance()
+            if self.stale_looks and len(self._rows) > 2:
+                self.stale_looks, line = self.stale_looks - 1, len(self._rows) - 2
+            line = self._owners[line] if self._owners else line
+            if self._state is MotionState.RUNNING:
+                self.looks += 1
+                self.beats += self._is_fed
+            self._is_fed = False
+            return MotionStatus(
+                self._state,
+                tuple(self.here),
+                line,
+                self.alarm,
+                self._reason,
+                self.override,
+                self.referenced,
+                self.compensation,
+            )
+
+    def limit_override(self, largest: float) -> None:
+        if not self.limits_override:
+            super().limit_override(largest)
+        self.override = min(self.override or largest, largest)
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        self._reach()
+        self.calls.append("move_to")
+        self._run([np.array(position, float)], feed_mm_min)
+
+    def load(self, path: Path) -> None:
+        self._reach()
+        self.calls.append("load")
+        self.loaded = path
+        self._state = MotionState.READY
+
+    def start(self) -> None:
+        self._reach()
+        self.calls.append("start")
+        assert self.loaded is not None
+        places, owners = trace(self.loaded)
+        self._run(list(places), float(self.loaded.feed_mm_min[0]))
+        self._owners = owners.tolist()  # rows, where an arc is driven in chords
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        raise NotImplementedError
+
+    def hold(self) -> None:
+        self._reach()
+        self.calls.append("hold")
+        with self._lock:
+            if not self.ignores_hold:
+                self.stand("command")
+
+    def resume(self) -> None:
+        self._reach()
+        self.calls.append("resume")
+        with self._lock:
+            if self._state is MotionState.HELD and not self.ignores_resume:
+                self.go_on()
+
+    def abort(self) -> None:
+        self._reach()
+        self.calls.append("abort")
+        with self._lock:
+            self._advance()
+            if self.ignores_abort:
+                return
+            self.loaded = None
+            if self._state is not MotionState.ALARM:
+                self._state, self._reason = MotionState.ABORTED, ""
+
+    # What happens at the machine itself.
+
+    def stand(self, reason: str) -> None:
+        """Hold the feed for a reason."""
+        with self._lock:
+            self._advance()
+            if self._state is MotionState.RUNNING:
+                self._state, self._reason = MotionState.HELD, reason
+
+    def go_on(self) -> None:
+        """Release the feed."""
+        with self._lock:
+            self._state, self._reason = MotionState.RUNNING, ""
+            self._since_s = host_clock.now_s()
+
+    def raise_alarm(self, text: str) -> None:
+        """Stop with an alarm."""
+        with self._lock:
+            self._advance()
+            self._state, self.alarm = MotionState.ALARM, text
+
+    def begin_elsewhere(self) -> None:
+        """Run a program that nobody here has started."""
+        self._run([np.array([400.0, 0.0, 0.0])], 6.0)
+
+    def _reach(self) -> None:
+        if self.out_of_reach:
+            raise DeviceTimeout("the controller does not answer; is it on?")
+
+    def _run(self, rows: list[np.ndarray], feed_mm_min: float) -> None:
+        with self._lock:
+            self._rows = [self.here.copy(), *rows]
+            self._owners = list(range(len(rows)))
+            self._feed, self._done_s = feed_mm_min, 0.0
+            self.go_on()
+
+    def _advance(self) -> int:
+        """Bring position and state to now; return the row moved towards."""
+        now_s = host_clock.now_s()
+        if self._state is not MotionState.RUNNING:
+            return max(len(self._rows) - 2, 0)
+        self._done_s += (now_s - self._since_s) * self.speed
+        self._since_s = now_s
+        left_mm = self._done_s * self._feed / 60.0
+        for row, (begin, end) in enumerate(itertools.pairwise(self._rows)):
+            length = float(np.linalg.norm(end - begin))
+            if left_mm < length:
+                self.here = begin + (end - begin) * left_mm / length
+                self._end_early()
+                return row
+            left_mm -= length
+        self.here = self._rows[-1].copy()
+        if self.runs_on and len(self._rows) > 2:
+            self.here -= [min(left_mm, 1.5), 0.0, 0.0]
+            return len(self._rows) - 2
+        self._state = MotionState.FINISHED
+        return max(len(self._rows) - 2, 0)
+
+    def _end_early(self) -> None:
+        if self.ends_after_s is not None and self._done_s > self.ends_after_s:
+            self._state = MotionState.FINISHED
+
+
+@pytest.fixture
+def motion() -> FakeMotion:
+    return FakeMotion()
+
+
+@pytest.fixture
+def tracker(motion: FakeMotion) -> FakeTracker:
+    fake = FakeTracker()
+    fake.follows = motion
+    return fake
+
+
+class Journal:
+    """Collects events and waits for some."""
+
+    def __init__(self) -> None:
+        self.events: list[CellEvent] = []
+        self._changed = threading.Condition()
+
+    def report(self, event: CellEvent) -> None:
+        with self._changed:
+            self.events.append(event)
+            self._changed.notify_all()
+
+    def of(self, kind: type[E]) -> list[E]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def states(self) -> list[str]:
+        return [event.state for event in self.of(StateChanged)]
+
+    @property
+    def faults(self) -> list[str]:
+        return [event.code for event in self.of(FaultReported)]
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float = 25.0) -> None:
+        with self._changed:
+            came = host_clock.wait_for(self._changed, condition, timeout_s)
+            assert came, self.events[-8:]
+
+
+@pytest.fixture
+def journal() -> Journal:
+    return Journal()
+
+
+class Running:
+    """A measurement on devices in this process, in a thread, and what it leaves."""
+
+    def __init__(self, order, tracker, motion, journal, settings, sensors=None) -> None:
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        self.order, self.journal, self.motion = order, journal, motion
+        self.measurement = Measurement(
+            order, tracker, motion, devices, journal.report, settings, sensors
+        )
+        self.obey, self.told = self.measurement.obey, journal.of
+        self.thread = threading.Thread(target=self.measurement.run)
+
+    @property
+    def states(self) -> list[str]:
+        return self.journal.states
+
+    @property
+    def faults(self) -> list[str]:
+        return self.journal.faults
+
+    @property
+    def fault(self) -> FaultReported:
+        """The last one that was told."""
+        return self.told(FaultReported)[-1]
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        self.journal.wait(condition)
+
+    def until_state(self, state: str) -> None:
+        self.until(lambda: self.states[-1:] == [state])
+
+    def until_told(self, *codes: str) -> None:
+        """Wait until these faults, and no others, were told."""
+        self.until(lambda: self.faults == list(codes))
+
+    def until_done(self, rows: int = 1) -> None:
+        """Wait until so many lines or points are done: it moves."""
+        told = self.told
+        self.until(lambda: any(p.done >= rows for p in told(MeasurementProgress)))
+
+    def until_seen(self, device_time_s: float) -> None:
+        """Wait until the tracker has measured for so long; its clock begins at 100."""
+        told = self.journal.of
+        self.until(
+            lambda: any(b.device_time_s > device_time_s for b in told(LivePoints))
+        )
+
+    def pass_until(self, condition: Callable[[], bool]) -> None:
+        """Let time pass, a tenth of a second a look, until something has happened."""
+        deadline_s = host_clock.now_s() + 25.0
+        while not condition():
+            assert host_clock.now_s() < deadline_s, self.journal.events[-8:]
+            host_clock.sleep_s(0.1)
+
+    def look(self, times: int = 3, kind: type = MeasurementProgress) -> None:
+        """Let it look at its devices some more times."""
+        told = len(self.told(kind))
+        self.until(lambda: len(self.told(kind)) > told + times)
+
+    def see(self, times: int = 3) -> None:
+        """Let it see where the target is some more times."""
+        self.look(times, LivePoints)
+
+    def pause(self) -> None:
+        self.obey(CellVerb.PAUSE)
+        self.until_state("paused")
+
+    def pause_and_resume(self) -> None:
+        self.pause()
+        self.obey(CellVerb.RESUME)
+        self.until_state("running")
+
+    def ended(self) -> str:
+        """Wait for its end; return its last state."""
+        host_clock.join(self.thread, 30.0)
+        assert not self.thread.is_alive(), self.journal.events[-8:]
+        return self.states[-1]
+
+    def ends(self, state: str, *codes: str) -> None:
+        """It ends in this state, and these faults were told."""
+        assert (self.ended(), tuple(self.faults)) == (state, codes)
+
+    def finished(self) -> None:
+        """Let the machine be quick about the rest; it ends in order."""
+        self.motion.speed = 5000.0
+        self.motion.override = 5000.0  # it says so, or it would not be believed
+        assert self.ended() == "finished"
+
+    def finished_after(self, *codes: str) -> None:
+        """Likewise, and these faults were told."""
+        self.finished()
+        assert tuple(self.faults) == codes
+
+    def resume_to_the_end(self) -> None:
+        self.obey(CellVerb.RESUME)
+        self.finished()
+
+    @property
+    def run(self) -> Run:
+        return open_run(self.order.run_file)
+
+    def texts(self, kind: str) -> list[str]:
+        """Return the texts of events of the Run."""
+        return [event.text for event in self.run.events if event.kind == kind]
+
+
+@pytest.fixture
+def begin(tracker, motion, journal, calm) -> Iterator[Begin]:
+    """Begin measurements in threads; those under way at the end are aborted."""
+    begun: list[Running] = []
+
+    def start(order, *, settings=calm, tracker=tracker, sensors=None) -> Running:
+        begun.append(Running(order, tracker, motion, journal, settings, sensors))
+        begun[-1].thread.start()
+        return begun[-1]
+
+    yield start
+    for one in begun:
+        if one.thread.is_alive():
+            one.obey(CellVerb.ABORT)
+            host_clock.join(one.thread, 5.0)
+
+
+@pytest.fixture
+def order(mill, square, tmp_path) -> MeasurementOrder:
+    """Three lines in the travel of the mill."""
+    file = str(tmp_path / "monday.sqlite")
+    return MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
+
+
+def along(
+    order: MeasurementOrder, rows: Rows, feed_mm_min: float = 6000.0, **given
+) -> MeasurementOrder:
+    """Return the order with a path through rows, without a dwell."""
+    n = len(rows)
+    path = Path(
+        order.commanded.axes,
+        np.array(rows, float),
+        np.full(n, feed_mm_min),
+        np.zeros(n),
+        **given,
+    )
+    return replace(order, commanded=path)
+
+
+def there_and_back(order: MeasurementOrder, times: int) -> MeasurementOrder:
+    """Return the order with long lines, a quarter of a second each."""
+    return along(order, [[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]] * times)
+
+
+def standing_at(
+    order: MeasurementOrder, rows: Rows, dwell_s: float, target: Sequence[str] = ()
+) -> MeasurementOrder:
+    """Return the order with standstill points."""
+    dwells_s = np.full(len(rows), dwell_s)
+    points = Configurations(
+        order.commanded.axes, np.array(rows, float), dwells_s, tuple(target)
+    )
+    return replace(order, commanded=points)
+
+
+def draw_rows(n: int) -> np.ndarray:
+    """Return rows anywhere in the travel of the mill."""
+    return np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (n, 3))
+
+
+@pytest.fixture
+def measure(polled, motion, order, journal):
+    """Measure to the end; return the last state and the Run."""
+
+    def made(
+        order: MeasurementOrder = order, settings: EngineSettings = QUICK
+    ) -> tuple[str, Run | None]:
+        made.running = Running(order, polled, motion, journal, settings)
+        made.running.measurement.run()
+        file = journal.of(RunClosed)[-1].run_file
+        return journal.states[-1], made.running.run if file else None
+
+    return made

@@ -1,0 +1,23 @@
+"""Machines of three linear axes, in no more words than a test needs."""
+
+from __future__ import annotations
+
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
+
+
+def build_mill(
+    *offsets_mm, sides=("", "XYZ"), travel_mm=(500.0, 500.0, 500.0), low_mm=0.0
+):
+    """Return a mill with targets T1, T2, … on the tool.
+
+    sides : the axes that move the workpiece, those that move the tool, base to both
+    """
+    axes = tuple(
+        LinearAxis(name, low_mm, low_mm + length)
+        for name, length in zip("XYZ", travel_mm, strict=True)
+    )
+    targets = tuple(
+        Target(f"T{k}", "tool", offset) for k, offset in enumerate(offsets_mm, 1)
+    )
+    return Machine("m", tuple(sides[0]), tuple(sides[1]), axes, targets, TrackerNoise())

@@ -1,0 +1,81 @@
+"""What tests do on a page and look at, whatever its view."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from playwright.sync_api import Locator, Page, expect
+
+NEXT = "#next button"
+DESK, PHONE = (1280, 800), (390, 844)
+SLOW_MS = 60_000.0  # a picture in space without a graphics card
+HOLD_S = 1.4
+# As behind a proxy that lets no stream of events through: each is closed at once.
+NO_EVENTS = """
+const Real = WebSocket;
+window.WebSocket = class extends EventTarget {
+  constructor(url) {
+    super();
+    if (!url.includes("/events")) return new Real(url);
+    this.close = () => {};
+    setTimeout(() => this.dispatchEvent(new Event("close")));
+  }
+};
+"""
+
+
+def follow(page: Page, label: str) -> None:
+    """Press the one button that leads on, by its name."""
+    page.locator(NEXT, has_text=label).click()
+
+
+def prepare(page: Page) -> str:
+    """Press the button that leads on to the check; return the job that is there."""
+    page.locator(NEXT).click()
+    page.wait_for_url("**/#/check/*")
+    return job_of(page)
+
+
+def job_of(page: Page) -> str:
+    """The job that the address names."""
+    return page.url.rsplit("/", 1)[1]
+
+
+def go(page: Page, where: str) -> None:
+    """Turn to another view without loading the page anew."""
+    page.goto(page.url.split("#")[0] + where)
+
+
+def choose(page: Page, *names: str) -> None:
+    """Choose units, appearance or language in the settings."""
+    page.locator("#open-settings").click()
+    for name in names:
+        page.locator("#settings").get_by_role("button", name=name).click()
+        pressed = page.locator("#settings [aria-pressed=true]", has_text=name)
+        expect(pressed).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.locator("#settings")).to_be_hidden()
+
+
+@contextmanager
+def held(page: Page, button: Locator) -> Iterator[None]:
+    """Keep the button pressed meanwhile; it takes no effect before 1.5 s are over."""
+    expect(button).to_be_enabled()
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 40, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    begun = time.monotonic()
+    yield
+    assert time.monotonic() - begun > HOLD_S
+    page.mouse.up()
+
+
+def assert_fits(page: Page) -> None:
+    """Nothing is wider than the panel, once pictures have its size."""
+    page.wait_for_function(
+        "() => document.documentElement.scrollWidth <= window.innerWidth"
+    )

@@ -1,0 +1,206 @@
+"""A CNC behind Modbus TCP and RTU, written from the page of the map, bytes by hand."""
+
+from __future__ import annotations
+
+import struct
+import time
+import zlib
+from collections.abc import Callable
+
+from wires import Peer, PtyWire, TcpWire, Wire
+
+IDLE, READY, RUNNING, HELD, FINISHED, ABORTED, ALARM = range(7)
+MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
+
+
+class CncModel:
+    """Registers and state machine; a motion is over after `motion_s`."""
+
+    def __init__(self) -> None:
+        self.words = [0] * 400
+        self.executed: list[int] = []
+        self.rows: dict[int, bytes] = {}
+        self.motion_s = 0.05
+        self.takes_commands = True
+        self.answers_with: int | None = None
+        self.loses_rows = False
+        self.keeps_watchdog_ms: int | None = None
+        self._ends_s = 0.0
+        self._beat_s = 0.0
+        self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 2, 3,
+                                *b"XYZ", 0, 0, 0, *[0] * 6, 4096))  # fmt: skip
+        for address, text in ((20, "Truepath"), (28, "loopback"), (36, "CNC-1")):
+            self.put(address, text.encode().ljust(16, b"\0"))
+        self.put(44, b"0.2".ljust(16, b"\0"))
+        self.put(52, struct.pack(">6i", -100_000, 0, -3_000_000, 0, 0, 0))
+        self.put(64, struct.pack(">6i", 5_000_000, 4_000_000, 0, 0, 0, 0))
+        self.put(76, struct.pack(">I", 30_000_000))
+        self.words[181] = 1000
+
+    def put(self, address: int, data: bytes) -> None:
+        count = len(data) // 2
+        self.words[address : address + count] = struct.unpack(f">{count}H", data)
+
+    def get(self, address: int, count: int) -> bytes:
+        return struct.pack(f">{count}H", *self.words[address : address + count])
+
+    @property
+    def state(self) -> int:
+        return self.words[100]
+
+    @state.setter
+    def state(self, state: int) -> None:
+        self.words[100] = state
+
+    def raise_alarm(self, code: int, text: str) -> None:
+        self.state, self.words[102] = ALARM, code
+        self.put(130, text.encode().ljust(64, b"\0"))
+
+    def advance(self) -> None:
+        """Let time pass: the motion ends, or the watchdog bites."""
+        now_s = time.monotonic()
+        if self.state != RUNNING:
+            return
+        if now_s > self._beat_s + self.words[181] * 1e-3:
+            self.state, self.words[101] = HELD, 2
+        elif now_s >= self._ends_s:
+            self.state = FINISHED
+
+    def written(self, first: int, count: int) -> None:
+        if self.keeps_watchdog_ms is not None:
+            self.words[181] = self.keeps_watchdog_ms
+        if first <= 180 < first + count:
+            self._beat_s = time.monotonic()
+        fresh = self.words[200] != self.words[105]
+        if first <= 200 < first + count and fresh and self.takes_commands:
+            self.advance()
+            result = self._run(self.words[201])
+            self.words[106] = result if self.answers_with is None else self.answers_with
+            self.words[105] = self.words[200]
+
+    def _run(self, verb: int) -> int:
+        self.executed.append(verb)
+        standing = self.state in (IDLE, READY, FINISHED, ABORTED)
+        if verb in (MOVE_TO, PUT_ROWS, COMMIT, START) and not standing:
+            return 7 if self.state == ALARM else 1
+        first, count = self.words[202:204]
+        if verb == MOVE_TO:
+            self.words[112:124] = self.words[206:218]
+        elif verb == PUT_ROWS:
+            for i in range(count):
+                self.rows[first + i] = self.get(206 + 16 * i, 16)
+        elif verb == COMMIT:
+            return self._commit(count)
+        elif verb == START and not self.words[104]:
+            return 3
+        elif verb == HOLD and self.state == RUNNING:
+            self.state, self.words[101] = HELD, 3
+        elif verb == ABORT:
+            self.words[104], self.state = 0, ABORTED
+        if verb in (MOVE_TO, START) or (verb == RESUME and self.state == HELD):
+            self.state, self.words[101] = RUNNING, 0
+            self._beat_s = time.monotonic()
+            self._ends_s = self._beat_s + self.motion_s
+        return 0
+
+    def _commit(self, count: int) -> int:
+        data = b"".join(self.rows.get(i, bytes(32)) for i in range(count))
+        if zlib.crc32(data) != int.from_bytes(self.get(204, 2), "big"):
+            return 4
+        self.words[104] = count - self.loses_rows
+        self.put(108, self.get(204, 2))
+        self.state = READY
+        return 0
+
+
+def answer_pdu(model: CncModel, pdu: bytes) -> bytes:
+    """Return the reply to a request by the Modbus specification, codes 3, 6 and 16."""
+    code, address, value = struct.unpack_from(">BHH", pdu)
+    count = 1 if code == 6 else value
+    if code not in (3, 6, 16):
+        return bytes([code | 0x80, 1])
+    if address + count > len(model.words):
+        return bytes([code | 0x80, 2])
+    model.advance()
+    if code == 3:
+        return bytes([code, 2 * count]) + model.get(address, count)
+    model.put(address, pdu[3:5] if code == 6 else pdu[6 : 6 + 2 * count])
+    model.written(address, count)
+    return pdu[:5]
+
+
+class ModbusPeer(Peer):
+    """Serves a model. Faults are attributes.
+
+    exceptions : codes to answer the next requests with, 0 is a good reply
+    mangle : gets each reply as it would go out and returns what does
+    """
+
+    def __init__(self, wire: Wire) -> None:
+        super().__init__(wire)
+        self.model = CncModel()
+        self.unit = 1
+        self.requests: list[bytes] = []
+        self.exceptions: list[int] = []
+        self.mangle: Callable[[bytes], bytes] = lambda reply: reply
+
+    def answer(self, pdu: bytes) -> bytes:
+        self.requests.append(pdu)
+        if self.exceptions and (code := self.exceptions.pop(0)):
+            return bytes([pdu[0] | 0x80, code])
+        return answer_pdu(self.model, pdu)
+
+
+class TcpPeer(ModbusPeer):
+    """Modbus TCP: transaction, protocol 0, length, unit, PDU."""
+
+    def __init__(self) -> None:
+        wire = TcpWire()
+        super().__init__(wire)
+        self.drop = wire.drop
+        self.hangs_up = False
+
+    def step(self, data: bytes) -> None:
+        if data and self.hangs_up:
+            self.drop()
+            return
+        while data:
+            transaction, length = struct.unpack_from(">HxxH", data)
+            reply = self.answer(data[7 : 6 + length])
+            head = struct.pack(">HHHB", transaction, 0, len(reply) + 1, self.unit)
+            self.wire.write(self.mangle(head + reply))
+            data = data[6 + length :]
+
+
+class RtuPeer(ModbusPeer):
+    """Modbus RTU on a pseudo-terminal: unit, PDU, CRC-16 (polynomial 0xA001)."""
+
+    def __init__(self) -> None:
+        super().__init__(PtyWire())
+        self.options = {"serial_port": self.options["port"], "baudrate": 115_200}
+        self._heard = b""
+
+    def step(self, data: bytes) -> None:
+        self._heard += data
+        while len(self._heard) >= 8:
+            length = 9 + self._heard[6] if self._heard[1] == 16 else 8
+            if len(self._heard) < length:
+                return
+            frame, self._heard = self._heard[:length], self._heard[length:]
+            assert crc16(frame) == 0
+            if frame[0] == self.unit:
+                reply = bytes([self.unit]) + self.answer(frame[1:-2])
+                reply += struct.pack("<H", crc16(reply))
+                self.wire.write(self.mangle(reply))
+
+
+def crc16(data: bytes) -> int:
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+PEERS = {"tcp": TcpPeer, "rtu": RtuPeer}

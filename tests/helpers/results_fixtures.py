@@ -1,0 +1,197 @@
+"""Estimates constructed from known numbers, and what is found in them."""
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.solve.batch import Estimate, Observability
+from truepath.estimation.solve.extrapolation import full_travel
+from truepath.estimation.solve.run_estimate import Residuals, RunEstimate
+from truepath.files.bundle.run import RunSummary
+from truepath.files.earlier.result_file import CalibrationResult, result_from_json
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.numerics.rigid import RigidTransform
+from truepath.results.analysis import analyse
+from truepath.results.findings import Provenance, state_findings
+from truepath.results.result_json import result_json
+from truepath_simulators.scenario import load_machine
+
+AXES = (
+    LinearAxis("X", -200.0, 300.0),  # zero inside the travel
+    LinearAxis("Y", 10.0, 400.0),  # zero outside: the lowest position stands in
+    LinearAxis("Z", 0.0, 310.0),
+)
+ONE_TARGET = (Target("", "tool", (20.0, 30.0, -150.0)),)
+THREE_TARGETS = (
+    Target("short", "tool", (20.0, 30.0, -150.0)),
+    Target("long", "tool", (20.0, 30.0, -250.0)),
+    Target("aside", "tool", (120.0, -40.0, -150.0)),
+)
+LINES, CELLS = 12, 240
+
+
+def machine_with(targets: tuple[Target, ...]) -> Machine:
+    return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
+
+
+def of_a_run(residuals: Residuals) -> RunEstimate:
+    return RunEstimate(
+        NoiseModel((1.1, 0.9), (0.2, 0.3), 1.5, 2e-4),
+        RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
+        1e-6 * np.eye(6),
+        np.array([50.0, 200.0, 0.0]),
+        TrackerNoise(),
+        1_100.0,
+        residuals,
+        CELLS,
+        9_000,
+        10_000,
+        frozenset(range(1, LINES + 1)),
+    )
+
+
+@pytest.fixture(scope="session")
+def construct():
+    """Make an estimate with random parameters and a random covariance."""
+
+    def made(targets=ONE_TARGET, seed=5):
+        rng = np.random.default_rng(seed)
+        machine = machine_with(targets)
+        offsets = np.array([t.offset_mm for t in targets])
+        model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)
+        # Millimetres and radians differ in size as they do in a machine.
+        size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
+        spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
+        low = [axis.low for axis in AXES]
+        high = [axis.high for axis in AXES]
+        residual = 1e-3 * rng.standard_normal((CELLS, 3))
+        residuals = Residuals(
+            residual,
+            np.linalg.norm(residual[:, 1:], axis=1),
+            np.repeat(np.arange(1, LINES + 1), CELLS // LINES),
+            rng.uniform(low, high, (CELLS, 3)),
+            float(np.sqrt(np.mean(residual**2))),
+            1e-3,
+        )
+        return Estimate(
+            model,
+            size * rng.standard_normal(model.size),
+            1e-4 * spread @ spread.T,
+            {"EXX": 2.5},
+            Observability(model.size + 20, model.size, tuple(str(m) for m in merged)),
+            "none",
+            False,
+            (of_a_run(residuals),),
+            full_travel(machine),
+        )
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def with_residuals():
+    """Change the residuals of an estimate's only Run, and what else is said of it."""
+
+    def changed(estimate, residuals, **more):
+        run = replace(estimate.runs[0], residuals=residuals, **more)
+        return replace(estimate, runs=(run,))
+
+    return changed
+
+
+@pytest.fixture(scope="session")
+def estimate(construct):
+    return construct()
+
+
+@pytest.fixture(scope="session")
+def provenance():
+    run = RunSummary(
+        "monday",
+        "otf",
+        "0" * 64,
+        LINES,
+        (2500.0, 10_000.0),
+        300.0,
+        10_000,
+        {"X": (19.9, 20.1)},
+        {"source": "monday.zip"},
+    )
+    return Provenance((run,), "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
+
+
+@pytest.fixture(scope="session")
+def found(estimate, provenance):
+    return state_findings(estimate, provenance)
+
+
+@pytest.fixture(scope="session")
+def loaded(estimate):
+    """The estimate as prediction reads it, without a file between."""
+    return as_loaded(estimate)
+
+
+@pytest.fixture(scope="session")
+def load():
+    return as_loaded
+
+
+def as_loaded(estimate: Estimate) -> CalibrationResult:
+    model = estimate.model
+    return CalibrationResult(model, estimate.theta, estimate.covariance)
+
+
+@pytest.fixture(scope="session")
+def three_targets():
+    return THREE_TARGETS
+
+
+@pytest.fixture
+def travel_points(rng):
+    """Positions all over the travel."""
+    low = [axis.low for axis in AXES]
+    high = [axis.high for axis in AXES]
+    return rng.uniform(low, high, (60, 3))
+
+
+@pytest.fixture(scope="session")
+def across_only(construct):
+    """An estimate of what lies across the travel alone."""
+    plain = construct()
+    run = plain.runs[0]
+    noise = replace(run.noise, along_sigma_mm=np.inf)
+    return replace(plain, runs=(replace(run, noise=noise),), perpendicular_only=True)
+
+
+TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
+
+
+def load_small():
+    """The content of the machine that they are of."""
+    content = load_machine("demo")
+    for axis in content["axes"].values():
+        axis["max_mm"] = TRAVEL_MM
+    return content
+
+
+def shorten(content):
+    """Let straight axes travel a third, in the middle of what they could."""
+    for axis in content["axes"].values():
+        if "min_mm" in axis:
+            third = round((axis["max_mm"] - axis["min_mm"]) / 3.0, 1)
+            axis["min_mm"] += third
+            axis["max_mm"] -= third
+    return content
+
+
+@pytest.fixture(scope="session")
+def calibrated(record):
+    """The result of a measurement of machine 1, as its file is read."""
+    run, _ = record(1, rows=24, travel_mm=TRAVEL_MM)
+    return result_from_json(json.loads(json.dumps(result_json(analyse(run)))))

@@ -1,0 +1,78 @@
+"""`certificate`: the PDF is a readable document, alike each time."""
+
+import logging
+
+import pypdf
+import pytest
+
+ISSUED = ("--issued", "2026-11-24")
+
+
+@pytest.fixture
+def judged(result, keep):
+    """A result file that says another thing of itself."""
+
+    def judge(state):
+        verdict = {"state": state, "reasons": ["The table shook."]}
+        return keep({**result, "verdict": verdict})
+
+    return judge
+
+
+@pytest.fixture
+def words(tmp_path):
+    """The command line of a certificate."""
+
+    def spell(result, name, *more):
+        return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
+
+    return spell
+
+
+def read_pages(file, *texts):
+    """Return the pages of a PDF that has each text in one of them."""
+    pages = [page.extract_text() for page in pypdf.PdfReader(file).pages]
+    assert 5 <= len(pages) <= 12
+    for text in texts:
+        assert any(text in page for page in pages), text
+    return pages
+
+
+@pytest.mark.long
+def test_a_result_not_to_be_used_is_printed_alike_each_time(
+    command, words, judged, tmp_path
+):
+    file, (one, other) = (
+        judged("not-usable"),
+        (tmp_path / n for n in ("a.pdf", "b.pdf")),
+    )
+    for name in (one.name, other.name):
+        command.run(*words(file, name, "--accept-verdict"))
+    assert one.read_bytes() == other.read_bytes()
+    texts = ("Calibration certificate", "Uncertainty budget", "Page 2 of ")
+    first, *_ = read_pages(one, *texts)
+    assert "NOT TO BE USED" in first
+    assert "The table shook." in first
+
+
+def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_document(
+    command, words, judged, result, measure_again, tmp_path
+):
+    left = ("--as-left", measure_again(result), "--language", "de")
+    command.run(*words(judged("doubtful"), "c.pdf", *left))
+    texts = ("Kalibrierschein", "Verifizierung", "für", "Größte", "Seite 2 von ")
+    pages = read_pages(tmp_path / "c.pdf", *texts)
+    assert "ZWEIFELHAFT" in pages[0]
+    assert "The table shook." in pages[0]
+    assert all(len(page) > 400 for page in pages[:-1])  # none is all but empty
+
+
+@pytest.mark.parametrize("level", [logging.WARNING, logging.CRITICAL])
+def test_a_letter_that_no_font_has_is_in_html_and_not_in_pdf(
+    command, words, analysed, caplog, level
+):
+    caplog.set_level(level)
+    result, customer = analysed / "result.json", "customer=Werk \U0010fffd"
+    said = command.refuse(*words(result, "c.pdf", "--state", customer))
+    assert "no installed font has \U0010fffd; install" in said
+    command.run(*words(result, "c.html", "--state", customer))

@@ -1,0 +1,180 @@
+"""`analyse` and `predict`: files in, files out, one object on standard output."""
+
+import csv
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from truepath.cli.summary import print_result
+from truepath.files.bundle.bundle import write_bundle, zip_bundle
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.numerics import adaptive_trials
+
+
+@pytest.fixture
+def bundles(record, tmp_path):
+    """Write recordings side by side: bundles(name=run, …)."""
+
+    def write(**runs):
+        for name, one in runs.items():
+            write_bundle(one, tmp_path / name)
+        return [tmp_path / name for name in runs]
+
+    return write
+
+
+def test_analyse_writes_result_tables_and_report(analysed, result):
+    assert {path.name for path in analysed.iterdir()} == {
+        "result.json",
+        "error_tables.csv",
+        "report.html",
+    }
+    assert result["schema"] == "result/1"
+    assert result["mode"] == "otf"
+
+
+def test_a_zip_says_the_same_as_its_folder_in_one_object(
+    command, record, result, tmp_path
+):
+    archive, out = tmp_path / "run.zip", tmp_path / "out"
+    archive.write_bytes(zip_bundle(record(1, rows=24)[0]))
+    said = command.json("analyse", archive, "-o", out)
+    assert said["schema"] == "summary/1"
+    assert said["mode"] == "otf"
+    assert said["residual_rms_um"] > 0
+    assert said["observability"]["rank"] < said["observability"]["parameters"]
+    assert {str(path) for path in out.iterdir()} == set(said["files"])
+    highest = max(result["error_tables"]["EXX"]["value_um"])
+    assert said["error_tables"]["EXX"]["highest_um"] == pytest.approx(highest)
+
+
+def test_bundles_of_both_modes_are_analysed_together(
+    command, record, bundles, tmp_path
+):
+    otf, standstill = record(1, rows=24)[0], record(1, "standstill", rows=30)[0]
+    places, out = bundles(otf=otf, standstill=standstill), tmp_path / "out"
+    assert command.json("analyse", *places, "-o", out)["runs"] == [
+        {"name": "otf", "mode": "otf"},
+        {"name": "standstill", "mode": "standstill"},
+    ]
+    page = (out / "report.html").read_text()
+    assert "Runs otf (on the fly), standstill (at standstill)" in page
+
+
+def test_of_several_bundles_the_bad_one_is_named(command, record, bundles, tmp_path):
+    whole = record(1, rows=24)[0]
+    cut = replace(whole, tracker=whole.tracker.select(slice(100, None)))
+
+    def refuse(places):
+        return command.refuse("analyse", *places, "-o", tmp_path / "out")
+
+    assert "cut: has samples of whole in it" in refuse(bundles(whole=whole, cut=cut))
+    places = bundles(a=whole, b=whole)
+    assert "b: is the same measurement as a" in refuse(places)
+    machine = tmp_path / "b" / "machine.json"
+    content = json.loads(machine.read_text())
+    content["axes"]["X"]["max_mm"] += 1.0
+    machine.write_text(json.dumps(content))
+    assert "b/machine.json: axes.X.max_mm is" in refuse(places)
+    (tmp_path / "b" / "path.csv").unlink()
+    assert "b: path.csv: is missing from the bundle" in refuse(places)
+    assert not (tmp_path / "out").exists()
+
+
+def test_perpendicular_only_knows_less_and_a_person_gets_tables(
+    command, result, recorded, tmp_path
+):
+    out = tmp_path / "out"
+    said = command.run("analyse", recorded, "-o", out, "--perpendicular-only")
+    assert "EXX" in said.out
+    assert "C0Y" in said.out
+    assert "not seen by this measurement" in said.out
+    assert "grade of the set-up: 0." in said.out
+    stages = [line.removeprefix("analyse: ") for line in said.err.splitlines()]
+    assert stages == ["reading", "aligning", "estimating", "reporting", "writing"]
+    alone = json.loads((out / "result.json").read_text())
+    both, across = (
+        np.mean(one["error_tables"]["EXX"]["uncertainty_um"]) for one in (result, alone)
+    )
+    assert across > both
+
+
+def test_trials_are_told_in_the_summary_and_to_a_person(
+    command, small_run, tmp_path, monkeypatch, capsys
+):
+    few = partial(adaptive_trials.TrialPlan, most_blocks=2)
+    monkeypatch.setattr(adaptive_trials, "TrialPlan", few)
+    out, order = tmp_path / "out", ["--seed", "5", "--interval", "shortest"]
+    told = command.json("analyse", small_run, "-o", out, "--monte-carlo", *order)
+    said = told["monte_carlo"]
+    assert (said["seed"], said["interval"]) == (5, "shortest")
+    assert said["trials"] == 20_000
+    assert 0 < said["agreeing"] <= said["numbers"]
+    assert "error_tables" not in said
+    print_result(json.loads((out / "result.json").read_text()), out)
+    assert "20,000 trials did not settle" in capsys.readouterr().out
+
+
+def test_predict_adds_error_and_uncertainty_to_the_points(
+    command, analysed, points, tmp_path
+):
+    out, result = tmp_path / "predicted.csv", analysed / "result.json"
+    said = command.json("predict", result, "--points", points, "-o", out)
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["x_mm"] for row in rows] == ["0", "250", "500"]
+    for row in rows:
+        assert all(float(row[name]) > 0 for name in ("ux_um", "uy_um", "uz_um"))
+    assert said["points"] == 3
+    assert said["files"] == [str(out)]
+
+
+def test_predict_agrees_with_the_truth_within_its_uncertainty(
+    command, analysed, record, volume, rigid_free, tmp_path
+):
+    made, truth = record(1, rows=24)
+    q, file, out = volume(made.machine), tmp_path / "p.csv", tmp_path / "out.csv"
+    np.savetxt(file, q, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    order = ["predict", analysed / "result.json", "--points", file, "-o", out]
+    assert "300 points" in command.run(*order).out
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    predicted = np.stack([table[f"d{axis}_um"] for axis in "xyz"], axis=1)
+    sigma = np.stack([table[f"u{axis}_um"] for axis in "xyz"], axis=1)
+    true_um = 1e3 * truth.deviation_mm(q)
+    left = rigid_free(q, true_um - predicted)
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(rigid_free(q, true_um))
+    assert (np.abs(left) < 2 * sigma).mean() > 0.85
+
+
+def test_points_beyond_the_travel_are_noted_and_predicted(command, analysed, tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text("x_mm,y_mm,z_mm\n600,0,0\n")
+    order = ["--points", file, "-o", tmp_path / "out.csv"]
+    said = command.run("predict", analysed / "result.json", *order)
+    assert "note: 1 of 1 points lie beyond the travel" in said.err
+
+
+def test_a_run_file_is_analysed_as_its_bundle_is(command, record, result, tmp_path):
+    truth, _ = record(1, rows=24)
+    header = RunHeader("r", truth.machine, truth.commanded, 100.0, {}, ())
+    # The recording as the cell leaves it, not yet a bundle.
+    recorder = Recorder(tmp_path / "r.sqlite", header, reserve_bytes=0)
+    recorder.put_tracker(truth.tracker)
+    recorder.close("finished")
+    command.run("analyse", recorder.file, "-o", tmp_path / "again")
+    again = json.loads((tmp_path / "again" / "result.json").read_text())
+    for name in ("EXX", "EYX", "EZZ"):
+        ours, expected = (
+            one["error_tables"][name]["value_um"] for one in (again, result)
+        )
+        np.testing.assert_allclose(ours, expected, atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["r.sqlite", "odd.run"])
+def test_a_file_that_is_no_run_is_bad_input(name, command, tmp_path):
+    (tmp_path / name).write_bytes(b"SQLite format 3\0" + b"garbage" * 999)
+    said = command.refuse("analyse", tmp_path / name, "-o", tmp_path / "out")
+    assert f"{name}: is not a Run file" in said

@@ -1,0 +1,208 @@
+"""`serve`: settings that cannot work are one line; `--measure` is the main job."""
+
+import json
+import logging
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx2
+import pytest
+
+from truepath.cli import calibration
+from truepath.cli.calibration import (
+    calibrate,
+    follow_to_the_end,
+    measure_on_the_fly,
+)
+from truepath.client import Client
+from truepath.errors import MeasurementFailed
+
+TRUEPATH = Path(sys.executable).with_name("truepath")
+
+
+@pytest.fixture(autouse=True)
+def no_settings_of_this_computer(monkeypatch, tmp_path):
+    for name in list(os.environ):
+        if name.startswith("TRUEPATH_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+@pytest.fixture(autouse=True)
+def logging_as_before():
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers, root.level = handlers, level
+
+
+@pytest.mark.parametrize(
+    ("arguments", "content", "said"),
+    [
+        (["--config", "nowhere.toml"], None, "nowhere.toml: no such settings"),
+        (["--config", "file"], "port = ", "settings (file): "),
+        (["--config", "file"], "prot = 1", "setting prot: "),
+        (["--config", "file"], "port = 99999", "setting port: "),
+        (["--config", "file"], 'host = "0.0.0.0"', "--allow-plain-http"),
+        (
+            ["--config", "file"],
+            'machine_file = "none.json"',
+            "none.json: cannot be read",
+        ),
+        (["--measure"], None, "it needs --simulated"),
+        (["--hide", "backlash"], None, "it needs --simulated"),
+        (["--simulated", "--hide", "poltergeist"], None, "no effect 'poltergeist'"),
+    ],
+)
+def test_bad_settings_are_one_line(
+    arguments, content, said, command, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    if content is not None:
+        Path("file").write_text(content)
+    assert said in command.refuse("serve", "--data-dir", "data", *arguments)
+
+
+def test_a_port_in_use_is_one_line(command, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        order = ["serve", "--port", port, "--data-dir", tmp_path / "data"]
+        said = command.refuse(*order)
+    assert f"cannot listen on 127.0.0.1 port {port}" in said
+
+
+def read_until(pattern, stream, seen=None):
+    """Read lines of a stream until one fits; the timeout of the test bounds it."""
+    for line in stream:
+        if seen is not None:
+            seen.append(line)
+        if found := re.search(pattern, line):
+            return found
+    raise AssertionError(f"{pattern} was never said")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(180)
+def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
+    """The command of `make run`, its device clocks three times faster."""
+    service = subprocess.Popen(
+        [TRUEPATH, "serve", "--simulated", "--measure", "--port", "0"],
+        env=os.environ
+        | {"TRUEPATH_DATA_DIR": str(tmp_path), "TRUEPATH_SIMULATED_SPEED": "3"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    progress, said = service.stderr, []
+    with service:
+        try:
+            page = r"page +(http://127\.0\.0\.1:\d+)/"
+            address = read_until(page, service.stdout)[1]
+            read_until(re.escape(f"watch it at {address}/"), progress)
+            stands = f"error tables with uncertainties stand at {address}/"
+            read_until(re.escape(stands), progress, said)
+            with Client(address) as client:
+                (job,) = client.list_jobs()
+        finally:
+            service.send_signal(signal.SIGTERM)
+    assert service.returncode == 0
+    assert job["state"] == "succeeded"
+    assert job["health"]["samples"] > 40_000
+    assert job["health"]["lost_samples"] == 0
+    shown = [line for line in said if " lost" in line]
+    assert len(shown) > 8
+    assert all(", 0 lost" in line for line in shown)
+
+
+def job(state, **more):
+    return {
+        "id": "7",
+        "state": state,
+        "version": 3,
+        "stage": "measuring",
+        "progress": {"done": 1, "total": 4},
+        "health": {"samples": 10, "lost_samples": 0},
+        "verdict": None,
+        "error": None,
+        **more,
+    }
+
+
+class Script:
+    """A service that answers by path, with the states of its job one after another."""
+
+    def __init__(self, *states, **refused):
+        self.asked = []
+        self._states = list(states)
+        self._answers = {
+            "machines/current:connect": {},
+            "machines": {"items": [{"id": "mill-1"}, {"id": "mill-2"}]},
+            "jobs": job("queued"),
+            "jobs/7/arming": {"token": "once"},
+            "jobs/7/arm": job("running"),
+        }
+        self._refused = refused
+
+    def __call__(self, request):
+        path = request.url.path.removeprefix("/api/v1/")
+        body = json.loads(request.content or b"{}")
+        self.asked.append((request.method, path, body, request.headers.get("If-Match")))
+        if self._refused:
+            return httpx2.Response(409, json=self._refused)
+        is_asked = path == "jobs/7"
+        content = self._states.pop(0) if is_asked else self._answers[path]
+        return httpx2.Response(200, json=content)
+
+    def open(self, address="http://mill"):
+        return Client(address, transport=httpx2.MockTransport(self))
+
+
+def test_the_first_machine_is_measured_by_arming_the_version_that_was_ready():
+    script = Script(job("preparing"), job("ready", version=5))
+    with script.open() as client:
+        assert measure_on_the_fly(client) == "7"
+    order = {"kind": "measure-otf", "machine": "mill-1"}
+    assert script.asked[2] == ("POST", "jobs", order, None)
+    assert script.asked[-1] == ("POST", "jobs/7/arm", {"token": "once"}, '"5"')
+
+
+def test_a_job_that_fails_before_it_is_ready_is_never_armed():
+    problem = {"title": "Device", "detail": "the CNC is off", "action": "switch it on"}
+    script = Script(job("failed", error=problem))
+    said = "failed: the CNC is off; switch it on"
+    with script.open() as client, pytest.raises(MeasurementFailed, match=said):
+        measure_on_the_fly(client)
+    assert not [path for _, path, _, _ in script.asked if path.endswith("/arm")]
+
+
+def test_progress_is_told_until_the_end():
+    nothing = {"done": 0, "total": 0}
+    script = Script(job("running"), job("running", progress=nothing), job("succeeded"))
+    told = []
+    with script.open() as client:
+        follow_to_the_end(client, "7", lambda *words: told.append(words))
+    assert told[0] == (0.25, "measuring", "10 samples, 0 lost")
+    assert told[1][0] == 0.0
+    assert len(told) == 3
+
+
+def test_a_job_that_ends_badly_says_why():
+    said = "7 is faulted: no reason was given"
+    with (
+        Script(job("faulted")).open() as client,
+        pytest.raises(MeasurementFailed, match=said),
+    ):
+        follow_to_the_end(client, "7", lambda *words: None)
+
+
+def test_a_refusal_is_told_in_the_words_of_its_problem(monkeypatch, capsys):
+    refusing = Script(detail="the machine is in use", action="wait for it")
+    monkeypatch.setattr(calibration, "Client", refusing.open)
+    calibrate("http://mill")
+    said = capsys.readouterr().err
+    assert said == "the main job ended early: the machine is in use; wait for it\n"

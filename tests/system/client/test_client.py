@@ -1,0 +1,264 @@
+"""The Python client against answers that a test writes, without a service."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_type_hints
+
+import httpx2
+import pytest
+
+from truepath.client import (
+    Busy,
+    Client,
+    DeviceProblem,
+    JobEnded,
+    JobNotReached,
+    NotLoggedIn,
+    Problem,
+    Refused,
+    StaleVersion,
+    Unreachable,
+    bodies,
+    steps,
+)
+from truepath.client.problems import BadInput, ServiceProblem, make_problem
+
+ROOT = Path(__file__).parents[3]
+SCHEMAS = json.loads((ROOT / "docs" / "openapi.json").read_text("utf-8"))["components"][
+    "schemas"
+]
+
+
+def job(state, version=3, **more):
+    return {"id": "7", "state": state, "version": version, "error": None, **more}
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr(steps, "REPEATS_S", (0.0, 0.0, 0.0))
+
+
+class Script:
+    """Answers requests in turn; an exception in place of an answer is a lost one."""
+
+    def __init__(self, *answers):
+        self.answers, self.requests = list(answers), []
+
+    def __call__(self, request):
+        self.requests.append(request)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def open(self):
+        return Client("http://mill", transport=httpx2.MockTransport(self))
+
+
+LOST = httpx2.ReadError("gone")
+
+
+def answer(status, content, **headers):
+    return httpx2.Response(status, json=content, headers=headers)
+
+
+def stream(*events):
+    text = "".join(
+        f"event: {kind}\ndata: {json.dumps(data)}\n" + (f"id: {i}\n\n" if i else "\n")
+        for kind, data, i in events
+    )
+    headers = {"Content-Type": "text/event-stream"}
+    return httpx2.Response(200, text=text, headers=headers)
+
+
+def test_the_client_imports_neither_the_service_nor_numpy():
+    program = (
+        "import sys, truepath.client\n"
+        "heavy = ('numpy', 'scipy', 'fastapi', 'pydantic', 'truepath.')\n"
+        "loaded = [name for name in sys.modules if name.startswith(heavy)]\n"
+        "print([name for name in loaded if not name.startswith('truepath.client')])"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert said.stdout.strip() == "[]"
+
+
+def test_a_lost_reply_makes_no_second_job_and_every_job_has_a_key_of_its_own():
+    script = Script(LOST, LOST, *[answer(202, job("queued"))] * 2)
+    with script.open() as client:
+        assert client.create_job(kind="measure-otf")["id"] == "7"
+        client.create_job(kind="analyse")
+    first, *again, other = (r.headers["Idempotency-Key"] for r in script.requests)
+    assert again == [first, first]
+    assert other != first
+
+
+@pytest.mark.parametrize(("verb", "given"), [("arm", ["once"]), ("resume", [])])
+def test_what_moves_the_machine_is_never_sent_twice(verb, given):
+    script = Script(LOST)
+    with script.open() as client, pytest.raises(Unreachable, match="does not answer"):
+        getattr(client, verb)(job("ready", version=5), *given)
+    (request,) = script.requests
+    assert request.headers["If-Match"] == '"5"'
+
+
+def test_arming_asks_for_a_token_unless_one_is_given():
+    arming = answer(200, {"token": "once"})
+    script = Script(arming, *[answer(202, job("running"))] * 2)
+    with script.open() as client:
+        client.arm(job("ready"))
+        client.arm(job("ready"), "shown")
+    asked = [(r.url.path.rsplit("/")[-1], r.content) for r in script.requests]
+    assert asked == [
+        ("arming", b""),
+        ("arm", b'{"token":"once"}'),
+        ("arm", b'{"token":"shown"}'),
+    ]
+
+
+def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
+    script = Script(LOST, answer(202, job("aborting")), *[LOST] * 4)
+    with script.open() as client:
+        assert client.abort("7")["state"] == "aborting"
+        with pytest.raises(Unreachable):
+            client.get_job("7")
+    assert len(script.requests) == 6
+
+
+@pytest.mark.parametrize(
+    ("status", "code", "family"),
+    [
+        (409, "busy", Busy),
+        (409, "illegal-transition", Refused),
+        (412, "stale-version", StaleVersion),
+        (401, "not-logged-in", NotLoggedIn),
+        (422, "bundle", BadInput),
+        (502, "device", DeviceProblem),
+        (500, "internal-error", ServiceProblem),
+        (418, "odd", Refused),
+    ],
+)
+def test_a_refusal_is_an_exception_of_its_kind(status, code, family):
+    content = {"code": code, "detail": "no", "action": "go on", "request_id": "r1"}
+    script = Script(answer(status, content, **{"Retry-After": "3"}))
+    with script.open() as client, pytest.raises(family, match="no; go on") as raised:
+        client.get_job("7")
+    problem = raised.value
+    assert (problem.status, problem.code, problem.request_id) == (status, code, "r1")
+    assert problem.retry_after_s == 3.0
+
+
+def test_a_problem_hands_on_what_belongs_to_its_code():
+    busy = make_problem(409, {"code": "busy", "current_job": "/api/v1/jobs/8"})
+    assert isinstance(busy, Busy)
+    assert busy.current_job == "/api/v1/jobs/8"
+    stale = make_problem(412, {"code": "stale-version", "current_version": 9})
+    assert isinstance(stale, StaleVersion)
+    assert stale.current_version == 9
+    place = {"file": "path.csv", "row": 3, "column": "x_mm", "errors": [{"type": "a"}]}
+    wrong = make_problem(422, {"code": "bundle", **place})
+    assert isinstance(wrong, BadInput)
+    assert wrong.place == ("path.csv", 3, "x_mm")
+    assert wrong.errors == [{"type": "a"}]
+    assert str(make_problem(503, "no problem at all")) == "status 503"
+
+
+def test_waiting_ends_in_the_state_or_says_why_not():
+    script = Script(
+        answer(200, job("preparing")),
+        answer(200, job("ready")),
+        answer(200, job("failed", error={"detail": "the CNC is off"})),
+        answer(200, job("preparing")),
+    )
+    with script.open() as client:
+        assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
+        with pytest.raises(JobEnded, match="failed: the CNC is off"):
+            client.wait_for("7", "ready")
+        with pytest.raises(JobNotReached, match="preparing, not ready, after -1 s"):
+            client.wait_for("7", "ready", timeout_s=-1.0)
+
+
+def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
+    monkeypatch.setattr("truepath.client.events._PAUSES_S", (0.0,))
+    script = Script(
+        stream(("job", job("running"), 4), ("tick", {}, None)),
+        LOST,
+        answer(503, {"code": "storage"}),
+        stream(("job", job("succeeded"), 5)),
+    )
+    with script.open() as client:
+        found = client.events("7")
+        received = [next(found) for _ in range(3)]
+        found.close()
+    assert [(e.type, e.id) for e in received] == [
+        ("job", "4"),
+        ("tick", "4"),
+        ("job", "5"),
+    ]
+    sent = [r.headers.get("Last-Event-ID") for r in script.requests]
+    assert sent == [None, "4", "4", "4"]
+    assert {r.url.path for r in script.requests} == {"/api/v1/jobs/7/events"}
+
+
+def test_a_stream_that_is_refused_raises_its_problem():
+    script = Script(answer(404, {"code": "not-found", "detail": "there is no job 7"}))
+    with script.open() as client, pytest.raises(Problem, match="there is no job 7"):
+        next(client.events("7"))
+
+
+def test_a_list_is_read_page_after_page():
+    pages = [{"items": [job("ready")], "next": "abc"}, {"items": [], "next": None}]
+    script = Script(*[answer(200, page) for page in pages])
+    with script.open() as client:
+        assert [j["id"] for j in client.list_jobs(state=["ready"])] == ["7"]
+    queries = [dict(r.url.params) for r in script.requests]
+    assert queries == [{"state": "ready"}, {"state": "ready", "after": "abc"}]
+
+
+def test_a_token_goes_with_every_request_after_the_log_in():
+    script = Script(
+        answer(200, {"token": "secret"}), answer(200, {}), httpx2.Response(204)
+    )
+    with script.open() as client:
+        client.log_in("anna", "a long sentence is easy")
+        client.get_system()
+        client.log_out()
+    sent = [r.headers.get("Authorization") for r in script.requests]
+    assert sent == [None, "Bearer secret", "Bearer secret"]
+
+
+def test_an_estimate_that_is_not_there_yet_is_none():
+    with Script(httpx2.Response(204)).open() as client:
+        assert client.get_estimate("7") is None
+
+
+SCHEMA_OF = {
+    bodies.Job: "JobOut",
+    bodies.JobLinks: "JobLinks",
+    bodies.ResultLinks: "ResultLinks",
+    bodies.Progress: "JobProgress",
+    bodies.Health: "JobHealth",
+    bodies.Run: "RunOut",
+    bodies.Plan: "PlanResource",
+    bodies.ErrorTables: "ErrorTablesOut",
+    bodies.ErrorTable: "ErrorTableOut",
+    bodies.Squareness: "SquarenessOut",
+    bodies.Verdict: "VerdictOut",
+    bodies.Estimate: "EstimateOut",
+    bodies.Condition: "ConditionOut",
+    bodies.System: "SystemOut",
+    bodies.Machine: "MachineEntry",
+    bodies.MachineRecord: "MachineDetail",
+    bodies.Problem: "Problem",
+}
+
+
+@pytest.mark.parametrize("body", SCHEMA_OF)
+def test_the_types_of_the_client_are_those_of_the_interface(body):
+    described = SCHEMAS[SCHEMA_OF[body]]["properties"]
+    assert set(get_type_hints(body)) <= set(described)

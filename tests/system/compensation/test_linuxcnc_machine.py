@@ -1,0 +1,117 @@
+"""A real controller, not ours, drives our program and corrects by our tables."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linuxcnc_machine import TRAVEL, run_program
+from truepath.compensation.export import export_result
+from truepath.compensation.tables.error_map import map_errors
+from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.motion.nc_programs.programs import write_program
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.linuxcnc.rig import explain_absence
+
+ABSENT = explain_absence()
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
+]
+
+# Three rows on one line: what runs through them is no exact stop.
+ROWS = [
+    (10, 10, -10),
+    (60, 10, -10),
+    (110, 10, -10),
+    (110, 60, -60),
+    (10.1234, 10, -10),
+    (60, 10, -10),
+]
+FEED = [6000.0, 6000.0, 3000.0, 6000.0, 6000.0, 6000.0]
+DWELL_S = [0.5, 0.0, 0.3, 0.0, 0.2, 0.4]
+
+
+@pytest.fixture(scope="module")
+def source(loaded):
+    """A result whose machine has 8 µm of lost motion in X."""
+    axis = loaded.machine.linear_axes[0]
+    half_um = {"X": (np.array([axis.low, axis.high]), np.full(2, 4.0))}
+    return map_errors(replace(loaded, half_difference_um=half_um))
+
+
+@pytest.fixture(scope="module")
+def driven(source):
+    """Commanded and motor positions of one program with tables."""
+    machine = Machine(
+        "mill",
+        (),
+        ("X", "Y", "Z"),
+        tuple(LinearAxis(name, *travel) for name, travel in TRAVEL.items()),
+        (Target("", "tool", (0.0, 0.0, -100.0)),),
+        TrackerNoise(),
+    )
+    path = Path(
+        machine.axis_names, np.array(ROWS, float), np.array(FEED), np.array(DWELL_S)
+    )
+    files = export_result(source, "linuxcnc", "comp").files
+    tables = {axis: files[f"comp-{axis}.tbl"] for axis in TRAVEL}
+    return (*run_program(write_program(path, machine, "linuxcnc"), tables), tables)
+
+
+def speed_mm_s(position_mm):
+    return 1e3 * np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
+
+
+def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed(driven):
+    commanded, _, _ = driven
+    speed = speed_mm_s(commanded)
+    begin = 0
+    for row, feed in zip(ROWS, FEED, strict=True):
+        away = np.linalg.norm(commanded[begin:-1] - row, axis=1)
+        at = begin + int(np.argmax(away < 1e-3))
+        assert away[at - begin] < 1e-3, row
+        # 1000 mm/s²: within a millisecond of a stand it moves at 1 mm/s at most.
+        assert speed[max(at - 1, 0) : at + 2].min() < 1.0, row
+        if at > begin:
+            fastest = speed[begin:at].max()
+            assert fastest == pytest.approx(min(feed / 60, fastest), rel=1e-3)
+        begin = at
+    assert speed.max() == pytest.approx(100.0, rel=1e-3)
+
+
+def test_the_controller_dwells_as_the_path_says(driven):
+    commanded, _, _ = driven
+    still = np.concatenate([[False], speed_mm_s(commanded) < 1e-6, [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    stands = (edges[1::2] - edges[::2]) * 1e-3
+    places = commanded[edges[::2]]
+    for row, dwell_s in ((2, 0.3), (4, 0.2)):
+        near = np.linalg.norm(places - ROWS[row], axis=1) < 1e-3
+        assert stands[near].max() == pytest.approx(dwell_s, abs=0.1)
+
+
+def test_the_motor_is_sent_against_the_error_in_the_direction_it_comes_from(
+    driven, source
+):
+    commanded, motor, tables = driven
+    for column, axis in enumerate(TRAVEL):
+        table = np.array([line.split() for line in tables[axis].splitlines()], float)
+        trims = [np.interp(commanded[:, column], table[:, 0], table[:, 0] - table[:, k])
+                 for k in (1, 2)]  # fmt: skip
+        moved = np.diff(commanded[:, column], prepend=commanded[0, column])
+        steady = np.abs(moved) > 0.04  # well off a reversal, where trims are ramped
+        added = (motor - commanded)[:, column]
+        for k, sign in ((0, 1), (1, -1)):
+            inside = steady & (np.sign(moved) == sign)
+            inside &= np.roll(inside, 20) & np.roll(inside, -20)
+            if inside.any():
+                np.testing.assert_allclose(added[inside], trims[k][inside], atol=2e-5)
+    # At the end X came up, as it came to its zero: the error since is taken away.
+    place = source.middle_mm[None]
+    place[0, 0] = ROWS[-1][0]
+    reference = source.middle_mm[None]
+    reference[0, 0] = 0.0
+    error = source.error_mm(place, 1.0) - source.error_mm(reference, 1.0)
+    assert (motor - commanded)[-1, 0] == pytest.approx(-error[0, 0], abs=2e-4)

@@ -1,0 +1,694 @@
+"""The Modbus controller's driver against a CNC whose bytes are written by hand."""
+
+import struct
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from register_peers import ABORT, COMMIT, HOLD, MOVE_TO, PUT_ROWS, START
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import Arc, Identity, MotionState, Path
+from truepath_simulators.bench.bench import Bench
+
+
+@pytest.fixture
+def controller(peer):
+    with ModbusController(**peer.options) as controller:
+        yield controller
+
+
+@pytest.fixture
+def tcp_controller(tcp_peer):
+    with ModbusController(**tcp_peer.options) as controller:
+        yield controller
+
+
+def path_of(position, feed_mm_min=3000.0, dwell_s=0.0, axes=("X", "Y", "Z")) -> Path:
+    position = np.asarray(position, np.float64)
+    n = len(position)
+    return Path(axes, position, np.full(n, feed_mm_min), np.full(n, dwell_s))
+
+
+def zigzag(rows: int) -> Path:
+    along = np.linspace(0, 100, rows)
+    return path_of(np.stack([along, along % 7, -along], axis=1), dwell_s=0.25)
+
+
+def popped(items: list) -> bool:
+    return bool(items and items.pop())
+
+
+def test_connect_reads_identity_axes_and_travel_and_sets_the_watchdog(peer):
+    controller = ModbusController(**peer.options, watchdog_s=0.5)
+    assert (controller.axes, controller.travel) == ((), ())
+    with pytest.raises(ConnectionLost, match="connect first"):
+        controller.send_heartbeat()
+    with controller:
+        assert controller.connect() == Identity(
+            "Truepath", "loopback", "CNC-1", "0.2", has_watchdog=True
+        )
+        assert controller.axes == ("X", "Y", "Z")
+        assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+        status = controller.status()
+    assert (status.state, status.position) == (MotionState.IDLE, (0.0, 0.0, 0.0))
+    assert peer.model.words[181] == 500
+
+
+@pytest.mark.fault_row(17)
+def test_a_device_that_keeps_another_watchdog_time_has_none(peer):
+    with ModbusController(**peer.options, watchdog_s=0.5) as controller:
+        controller.close()
+        peer.model.keeps_watchdog_ms = 0
+        assert not controller.connect().has_watchdog
+
+
+def test_a_move_is_one_command_of_these_bytes_and_ends_where_it_was_sent(
+    peer, controller
+):
+    controller.move_to([12.34565, 0.0, -0.0001], 1500)
+    row = struct.pack(">6i2I", 123_456, 0, -1, 0, 0, 0, 1_500_000, 0)
+    request = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, MOVE_TO, 0, 1, 0, 0) + row
+    assert request in peer.requests
+    status = controller.wait(2.0)
+    assert status.state is MotionState.FINISHED
+    assert status.position == pytest.approx((12.3456, 0.0, -0.0001), abs=1e-9)
+    controller.move_to([500.0, 400.0, -300.0], 1000)  # the ends of the travel
+    assert peer.model.executed == [MOVE_TO, MOVE_TO]
+
+
+@pytest.mark.parametrize("rows", [1, 7, 8, 50])
+def test_a_path_is_loaded_row_by_row_and_runs_whatever_the_order_of_its_columns(
+    peer, controller, rows
+):
+    path = zigzag(rows)
+    controller.load(
+        replace(path, axes=("Z", "X", "Y"), position=path.position[:, [2, 0, 1]])
+    )
+    assert controller.status().state is MotionState.READY
+    assert peer.model.words[104] == rows
+    for i in range(rows):
+        x, y, z = np.rint(path.position[i] * 1e4).astype(int)
+        expected = struct.pack(">6i2I", x, y, z, 0, 0, 0, 3_000_000, 250)
+        assert peer.model.rows[i] == expected
+    controller.start()
+    assert controller.wait(2.0).state is MotionState.FINISHED
+    blocks = -(-rows // 7)
+    assert peer.model.executed == [PUT_ROWS] * blocks + [COMMIT, START]
+
+
+def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
+    sent = len(peer.requests)
+    for position, text in (
+        ([500.001, 0, 0], r"X = 500\.0010 is outside -10\.0000 to 500\.0000"),
+        ([0, -0.001, 0], r"Y = -0\.0010 is outside"),
+        ([0, 0, float("nan")], "Z = nan is outside"),
+        ([0, float("inf"), 0], "Y = inf is outside"),
+    ):
+        with pytest.raises(OutOfTravel, match=text):
+            controller.move_to(position, 1000)
+        path = path_of([[0, 0, 0], [1, 1, -1], position])
+        with pytest.raises(OutOfTravel, match="row 3: " + text):
+            controller.load(path)
+    assert len(peer.requests) == sent
+
+
+def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
+    tcp_peer, tcp_controller
+):
+    sent = len(tcp_peer.requests)
+    for path, text in (
+        (path_of([[0, 0, 0]], feed_mm_min=0.0), "row 1: a feed of 0 mm/min"),
+        (path_of([[0, 0, 0]], feed_mm_min=30_001.0), "up to 30000 are"),
+        (path_of([[0, 0, 0]], feed_mm_min=float("nan")), "feed of nan"),
+        (path_of([[0, 0, 0]], dwell_s=-1.0), "dwell of -1 s"),
+        (path_of([[0, 0, 0]], dwell_s=float("inf")), "dwell of inf"),
+        (path_of([[0, 0]], axes=("X", "Y")), "the machine X Y Z"),
+        (path_of(np.empty((0, 3))), "0 rows, 1 to 4096 fit"),
+        (zigzag(4097), "4097 rows, 1 to 4096 fit"),
+    ):
+        with pytest.raises(Refused, match=text):
+            tcp_controller.load(path)
+    with pytest.raises(Refused, match="positions have 2 values"):
+        tcp_controller.move_to([1.0, 2.0], 1000)
+    assert len(tcp_peer.requests) == sent
+
+
+def test_wait_feeds_the_watchdog_and_without_beats_it_holds(peer, controller, until):
+    peer.model.words[181] = 200
+    peer.model.motion_s = 0.6
+    controller.move_to([1, 1, -1], 1000)
+    controller.send_heartbeat()
+    first = peer.model.words[180]
+    controller.send_heartbeat()
+    assert peer.model.words[180] != first
+    assert controller.wait(3.0).state is MotionState.FINISHED
+    peer.model.motion_s = 5.0
+    controller.move_to([1, 1, -1], 1000)
+    with pytest.raises(DeviceTimeout, match=r"still in motion after 0\.05 s"):
+        controller.wait(0.05)
+    until(lambda: controller.status().state is MotionState.HELD)
+    assert controller.status().hold_reason == "watchdog"
+
+
+def test_an_alarm_is_a_fault_with_its_text_or_number(peer, controller):
+    peer.model.raise_alarm(27, "X servo overload")
+    status = controller.status()
+    assert status.state is MotionState.ALARM
+    assert status.alarm == "X servo overload"
+    with pytest.raises(MotionFault, match="X servo overload"):
+        controller.wait(1.0)
+    with pytest.raises(MotionFault, match="refuses MOVE_TO: X servo overload"):
+        controller.move_to([1, 1, -1], 1000)
+    controller.hold()
+    controller.abort()
+    peer.model.raise_alarm(27, "")
+    assert controller.status().alarm == "alarm 27"
+
+
+def test_results_of_the_device_are_told_in_words(tcp_peer, tcp_controller):
+    for result, family, text in (
+        (1, Refused, "refuses START in state idle: not in this"),
+        (2, OutOfTravel, "beyond the travel"),
+        (3, Refused, "no path is loaded"),
+        (4, Refused, "arrived damaged"),
+        (5, Refused, "an argument"),
+        (6, Refused, "does not know this command"),
+        (8, Refused, "drives on, door closed"),
+        (77, Refused, "result 77"),
+    ):
+        tcp_peer.model.answers_with = result
+        with pytest.raises(family, match=text) as refusal:
+            tcp_controller.start()
+        assert family is not Refused or refusal.value.code == result
+
+
+@pytest.mark.fault_row(17)
+def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
+    sent = peer.model.written
+
+    def damaged(first, count):
+        if peer.model.words[201] == PUT_ROWS:
+            peer.model.words[207] ^= 1
+        sent(first, count)
+
+    peer.model.written = damaged
+    with pytest.raises(Refused, match="arrived damaged"):
+        controller.load(zigzag(3))
+
+
+@pytest.mark.fault_row(17)
+def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
+    peer.model.loses_rows = True
+    with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
+        controller.load(zigzag(3))
+
+
+@pytest.mark.fault_row(17)
+def test_a_command_that_is_never_taken_is_a_fault(tcp_peer, measured):
+    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
+        tcp_peer.model.takes_commands = False
+        begun_s = time.monotonic()
+        with pytest.raises(MotionFault, match=r"START was not taken in 0\.1 s"):
+            controller.start()
+        measured(f"told after {time.monotonic() - begun_s:.2f} s")
+        in_vain = tcp_peer.model.words[200]
+        tcp_peer.model.takes_commands = True
+        controller.abort()
+        assert tcp_peer.model.words[105] == in_vain + 1  # it is not used again
+
+
+@pytest.mark.fault_row(14)
+def test_a_lost_reply_runs_the_command_once(peer, controller):
+    lose = [True]
+
+    def mangle(reply):
+        is_write = reply[-8:-4] == b"\0\xc8\0\2" or b"\x10\0\xc8" in reply
+        return b"" if is_write and popped(lose) else reply
+
+    peer.mangle = mangle
+    peer.model.words[104] = 1
+    controller.start()
+    assert lose == []
+    assert peer.model.executed == [START]
+
+
+@pytest.mark.fault_row(14)
+def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_controller):
+    model = tcp_peer.model
+    model.words[104] = 1
+    run = model.written
+    to_lose, replies_to_lose = [1, 2], []
+
+    def forgets(first, count):
+        if first == 200 and to_lose:
+            replies_to_lose.append(to_lose.pop())
+            model.words[200] = model.words[105]
+        else:
+            run(first, count)
+
+    model.written = forgets
+    tcp_peer.mangle = lambda reply: b"" if popped(replies_to_lose) else reply
+    tcp_controller.start()
+    assert model.executed == [START]
+
+
+def test_numbers_go_on_where_the_device_is_and_skip_zero_and_those_of_other_masters(
+    peer,
+):
+    words = peer.model.words
+    words[105] = words[200] = 0xFFFF
+    with ModbusController(**peer.options) as controller:
+        for number in (1, 2):
+            controller.hold()
+            assert words[105] == number
+        words[105] = words[200] = 3
+        controller.abort()
+    assert peer.model.executed == [HOLD, HOLD, ABORT]
+
+
+def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_controller):
+    tcp_peer.mangle = lambda reply: reply if reply[7] == 16 else b""
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.hold()
+    assert tcp_peer.model.executed == [HOLD]
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.start()
+    assert tcp_peer.model.executed == [HOLD]
+
+
+@pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
+@pytest.mark.fault_row(14)
+def test_bad_replies_are_a_timeout_within_half_a_second(
+    peer, controller, mangled, measured
+):
+    noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
+    peer.mangle = {
+        "nothing": lambda reply: b"",
+        "half": lambda reply: reply[: len(reply) // 2],
+        "noise": lambda reply: noise,
+        "cut": lambda reply: reply[:-1],
+    }[mangled]
+    took_s = []
+    for _ in range(3):  # on a busy computer one of them may take longer
+        begin = time.monotonic()
+        with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.2 s"):
+            controller.status()
+        took_s.append(time.monotonic() - begin)
+        if took_s[-1] < 0.5:
+            break
+    assert min(took_s) < 0.5
+    measured(f"{mangled}: told after {min(took_s):.2f} s")
+    peer.mangle = lambda reply: reply
+    assert controller.status().state is MotionState.IDLE
+
+
+@pytest.mark.fault_row(14)
+def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
+    with ModbusController(**rtu_peer.options) as controller:
+        rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
+        with pytest.raises(DeviceTimeout):
+            controller.status()
+        rtu_peer.mangle = lambda reply: reply
+        assert controller.status().position == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.fault_row(15)
+def test_a_reply_to_an_older_transaction_is_not_taken(
+    tcp_peer, tcp_controller, measured
+):
+    tcp_peer.mangle = lambda reply: b"\x7f\xff" + reply[2:]
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.status()
+    stale = []
+
+    def late(reply):
+        stale.append(reply)
+        return b"".join(stale[-2:])
+
+    tcp_peer.mangle = late
+    for _ in range(3):
+        assert tcp_controller.status().state is MotionState.IDLE
+    measured(f"{len(stale) - 1} late replies before the right one, none taken")
+
+
+@pytest.mark.parametrize(
+    ("code", "family", "text"),
+    [
+        (1, Refused, "does not know this function"),
+        (2, Refused, "does not have these registers"),
+        (3, Refused, "does not take this value"),
+        (4, MotionFault, "the device has failed"),
+        (7, MotionFault, "the device has failed"),
+        (8, MotionFault, "the device has failed"),
+        (10, ConnectionLost, "the gateway does not reach"),
+        (11, ConnectionLost, "the gateway does not reach"),
+    ],
+)
+@pytest.mark.fault_row(13)
+def test_exceptions_of_modbus_have_their_families(peer, controller, code, family, text):
+    for verb in (controller.status, controller.send_heartbeat):
+        peer.exceptions = [code]
+        with pytest.raises(family, match=text + rf".*\(exception {code}\)"):
+            verb()
+    assert controller.status().state is MotionState.IDLE
+
+
+@pytest.mark.parametrize("code", [5, 6])
+@pytest.mark.fault_row(13)
+def test_a_busy_device_is_asked_again(peer, controller, code):
+    peer.exceptions = [code, code]
+    assert controller.status().state is MotionState.IDLE
+    peer.exceptions = [code, 0, code]
+    controller.hold()
+    assert peer.model.executed == [HOLD]
+
+
+@pytest.mark.fault_row(13)
+def test_a_device_that_stays_busy_is_a_timeout(tcp_peer, measured):
+    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
+        tcp_peer.exceptions = [6] * 1000
+        begun_s = time.monotonic()
+        with pytest.raises(DeviceTimeout, match="busy"):
+            controller.status()
+        measured(f"busy for good: told after {time.monotonic() - begun_s:.2f} s")
+        tcp_peer.exceptions = []
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ({0: 0, 1: 0}, "this is not the register map"),
+        ({2: 0x0304, 3: 0x0102, 0: 0x4331, 1: 0x5450}, "low word first"),
+        ({2: 0x0201, 3: 0x0403, 0: 0x5054, 1: 0x3143}, "low byte first"),
+        ({2: 0x0403, 3: 0x0201, 0: 0x3143, 1: 0x5054}, "words and bytes swapped"),
+        ({4: 1}, "register map 1, this driver knows 2"),
+        ({5: 0}, "0 axes"),
+        ({5: 7}, "7 axes"),
+    ],
+)
+@pytest.mark.fault_row(18)
+def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text, measured):
+    for address, word in words.items():
+        peer.model.words[address] = word
+    with pytest.raises(WrongDevice, match=text):
+        ModbusController(**peer.options).connect()
+    measured(f"“{text}”")
+
+
+def test_a_device_without_the_map_is_the_wrong_one(peer):
+    for code in (1, 2, 3):
+        peer.exceptions = [code]
+        with pytest.raises(WrongDevice, match="check unit number and register map"):
+            ModbusController(**peer.options).connect()
+
+
+@pytest.mark.fault_row(7)
+def test_another_serial_number_is_the_wrong_device(tcp_peer):
+    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
+        ModbusController(serial_number="CNC-2", **tcp_peer.options).connect()
+    with ModbusController(serial_number="CNC-1", **tcp_peer.options) as controller:
+        assert controller.axes
+
+
+@pytest.mark.fault_row(15)
+def test_another_unit_does_not_answer(peer):
+    peer.unit = 2
+    with pytest.raises(DeviceTimeout, match="check power, unit number"):
+        ModbusController(unit=9, **peer.options).connect()
+
+
+@pytest.mark.fault_row(16)
+def test_one_close_costs_nothing(tcp_peer, tcp_controller):
+    tcp_peer.model.words[104] = 1
+    for _ in range(3):
+        tcp_peer.drop()
+        tcp_controller.send_heartbeat()
+        tcp_peer.drop()
+        assert tcp_controller.status().state is MotionState.IDLE
+        tcp_peer.drop()
+        tcp_controller.hold()
+    tcp_peer.drop()
+    tcp_controller.start()
+    assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
+
+
+@pytest.mark.fault_row(14)
+def test_a_command_whose_link_breaks_under_way_runs_once(tcp_peer, tcp_controller):
+    model = tcp_peer.model
+    model.words[104] = 1
+    run, breaks = model.written, [True]
+
+    def written(first, count):
+        run(first, count)
+        if first == 200 and popped(breaks):
+            tcp_peer.hangs_up = True
+
+    model.written = written
+    tcp_peer.mangle = lambda reply: reply if not tcp_peer.hangs_up else b""
+    opening = threading.Timer(0.3, setattr, (tcp_peer, "hangs_up", False))
+    opening.start()
+    tcp_controller.start()
+    opening.join()
+    assert model.executed == [START]
+
+
+def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_controller):
+    tcp_peer.model.put(36, b"CNC-2".ljust(16, b"\0"))
+    tcp_peer.drop()
+    with pytest.raises(WrongDevice, match="CNC-2"):
+        tcp_controller.status()
+    with pytest.raises(DeviceError):
+        tcp_controller.start()
+    assert tcp_peer.model.executed == []
+
+
+@pytest.mark.parametrize("is_busy", [False, True])
+@pytest.mark.fault_row(16)
+def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
+    tcp_peer, tcp_controller, is_busy, measured
+):
+    tcp_peer.mangle = lambda reply: b""
+    with ThreadPoolExecutor() as pool:
+        if is_busy:
+            pool.submit(tcp_controller.status)
+            time.sleep(0.02)
+        begin_s = time.monotonic()
+        with pytest.raises(DeviceTimeout):
+            tcp_controller.hold()
+        took_s = time.monotonic() - begin_s
+    assert took_s < 0.5
+    measured(f"a hold without an answer: told after {took_s:.2f} s")
+
+
+def test_close_lets_a_held_machine_stand_and_does_without_an_answer(peer, caplog):
+    peer.model.motion_s = 10.0
+    with ModbusController(**peer.options) as controller:
+        controller.move_to([1, 1, -1], 1000)
+        controller.hold()
+    assert peer.model.executed == [MOVE_TO, HOLD]
+    with ModbusController(**peer.options):
+        peer.mangle = lambda reply: b""
+    assert "closed without an answer" in caplog.text
+
+
+def test_one_way_to_the_device_has_to_be_given_and_one_that_leads_nowhere_is_told(
+    free_port,
+):
+    nowhere = {"host": "127.0.0.1", "port": free_port}, {"serial_port": "/dev/none"}
+    for options in nowhere:
+        with pytest.raises(ConnectionLost, match="check address, cable and power"):
+            ModbusController(**options).connect()
+    for options in ({}, {"host": "a", "serial_port": "/dev/b"}):
+        with pytest.raises(ValueError, match="either host"):
+            ModbusController(**options)
+
+
+def test_4096_rows_fit_and_an_abort_overtakes_their_upload(
+    tcp_peer, tcp_controller, until
+):
+    tcp_controller.load(zigzag(4096))
+    assert tcp_peer.model.words[104] == 4096
+    tcp_peer.model.executed.clear()
+    with ThreadPoolExecutor() as pool:
+        loading = pool.submit(tcp_controller.load, zigzag(4096))
+        until(lambda: len(tcp_peer.model.executed) > 5)
+        tcp_controller.abort()
+        with pytest.raises(Refused, match="aborted while the path was being loaded"):
+            loading.result()
+    assert tcp_peer.model.executed.count(PUT_ROWS) < 4096 / 7
+    assert tcp_peer.model.executed[-2] == ABORT or tcp_peer.model.executed[-1] == ABORT
+
+
+def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
+    verbs = [
+        tcp_controller.status,
+        tcp_controller.send_heartbeat,
+        tcp_controller.hold,
+        lambda: tcp_controller.load(zigzag(3)),
+    ]
+    with ThreadPoolExecutor() as pool:
+        asked = [pool.submit(lambda verb=v: [verb() for _ in range(30)]) for v in verbs]
+    assert [done.exception() for done in asked] == [None] * 4
+    assert tcp_peer.model.executed.count(HOLD) == 30
+    assert tcp_peer.model.executed.count(COMMIT) == 30
+
+
+def test_a_reply_with_too_few_registers_is_not_taken(tcp_peer, tcp_controller):
+    def shortened(reply):
+        fewer = bytes([3, 2, 0, 6])
+        return reply[:4] + struct.pack(">HB", len(fewer) + 1, 1) + fewer
+
+    tcp_peer.mangle = shortened
+    with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
+        tcp_controller.status()
+
+
+@pytest.fixture(scope="module")
+def bench():
+    with Bench(speed=4.0) as bench:
+        yield bench
+
+
+@pytest.fixture
+def bench_controller(bench):
+    with ModbusController(**bench.motion_options) as controller:
+        yield controller
+
+
+@pytest.mark.parametrize(
+    ("fault", "state", "remedy"),
+    [
+        ("estop", MotionState.ESTOP, "release it"),
+        ("drives-off", MotionState.NOT_READY, "switch the machine on"),
+        ("unhomed", MotionState.UNHOMED, "home it"),
+        ("door+6s", MotionState.DOOR, "close it"),
+    ],
+)
+def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
+    bench, bench_controller, until, fault, state, remedy
+):
+    controller = bench_controller
+    assert controller.status().referenced is True
+    assert controller.status().compensation is False
+    bench.inject(f"cnc:{fault}")
+    until(lambda: controller.status().state is state)
+    for verb in (
+        lambda: controller.move_to((1.0, 1.0, 1.0), 3000.0),
+        lambda: controller.wait(1.0),
+    ):
+        with pytest.raises(MotionFault, match=remedy):
+            verb()
+    if state is MotionState.UNHOMED:
+        controller.home(5.0)
+    elif state is not MotionState.DOOR:
+        controller.reset()
+    until(lambda: controller.status().state is MotionState.IDLE)
+    controller.move_to((1.0, 1.0, 1.0), 3000.0)
+    assert controller.wait(5.0).state is MotionState.FINISHED
+
+
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_one_where_the_device_tells_it(
+    bench, bench_controller, tcp_peer, until
+):
+    assert bench_controller.status().override == 1.0
+    bench.inject("cnc:override+6s*0")
+    until(lambda: bench_controller.status().override == 0.0)
+    until(lambda: bench_controller.status().override == 1.0)
+    with ModbusController(**tcp_peer.options) as controller:
+        tcp_peer.model.words[107] = 0
+        assert controller.status().override is None
+        tcp_peer.model.words[107] = 500
+        assert controller.status().override == 0.5
+
+
+@pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
+def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
+    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
+        tcp_peer.model.words[107] = 1200
+        tcp_peer.exceptions = exceptions
+        with pytest.raises(Refused, match="at the machine only"):
+            controller.limit_override(1.0)
+        tcp_peer.model.words[107] = 800
+        controller.limit_override(1.0)
+
+
+def two_turns() -> Path:
+    """From beside a circle a little more than twice round it, and back."""
+    end = np.radians(12.0)
+    places = [[110.0, 60.0, 0.0], [0.0, 0.0, 0.0], [110.0, 60.0, 0.0]]
+    places[1][:2] = 60.0 + 50.0 * np.cos(end), 60.0 + 50.0 * np.sin(end)
+    arcs = Arc("XY", (60.0, 60.0), 732.0), Arc("XY", (60.0, 60.0), -732.0)
+    path = path_of(np.round(places, 4), feed_mm_min=6000.0)
+    return replace(path, arc=(None, *arcs))
+
+
+def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
+    controller = bench_controller
+    assert controller.connect().drives_arcs
+    controller.move_to((110.0, 60.0, 0.0), 20_000.0)
+    controller.wait(30.0)
+    controller.load(two_turns())
+    controller.start()
+    out_mm = []
+
+    def turns_on(row: int) -> bool:
+        controller.send_heartbeat()
+        status = controller.status()
+        x, y, _ = status.position
+        out_mm.append(np.hypot(x - 60.0, y - 60.0))
+        return status.line == row and x < 40.0
+
+    until(lambda: turns_on(1))
+    controller.hold()
+    held = controller.wait(10.0)
+    assert held.state is MotionState.HELD
+    x, y, _ = held.position
+    assert np.hypot(x - 60.0, y - 60.0) == pytest.approx(50.0, abs=1e-3)
+    controller.resume()
+    until(lambda: turns_on(2))
+    assert controller.wait(60.0).position == (110.0, 60.0, 0.0)
+    assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
+
+
+def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(
+    bench_controller,
+):
+    low, high = bench_controller.travel[1]
+    path = two_turns()
+    shift = np.array([0.0, low - 15.0, 0.0])
+    arcs = [arc and replace(arc, centre_mm=(60.0, 45.0 + low)) for arc in path.arc]
+    moved = replace(path, position=path.position + shift, arc=tuple(arcs))
+    assert high > 100.0
+    with pytest.raises(OutOfTravel, match="row 2: on its arc Y comes to"):
+        bench_controller.load(moved)
+    wrong = replace(path.arc[1], turn_deg=700.0)
+    with pytest.raises(Refused, match="from where its arc leads to"):
+        bench_controller.load(replace(path, arc=(None, wrong, path.arc[2])))
+
+
+def test_a_device_that_does_not_offer_arcs_is_sent_none(controller, peer):
+    assert not controller.connect().drives_arcs
+    with pytest.raises(Refused, match="arcs, which this control does not offer"):
+        controller.load(two_turns())
+
+
+def test_an_override_is_lowered_and_never_raised(bench, bench_controller, until):
+    bench.inject("cnc:override*1.2")
+    until(lambda: bench_controller.status().override == 1.2)
+    for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):
+        bench_controller.limit_override(largest)
+        assert bench_controller.status().override == left

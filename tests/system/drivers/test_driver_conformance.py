@@ -1,0 +1,131 @@
+"""Every registered driver keeps what the interfaces promise."""
+
+import time
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance.checking import on_terms
+from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
+from truepath_drivers.tracker.t2sa.driver import T2saTracker
+from truepath_simulators.bench.bench import Bench
+
+TRACKERS = {point.name: point for point in entry_points(group="truepath.trackers")}
+CONTROLLERS = {
+    point.name: point for point in entry_points(group="truepath.motion_controllers")
+}
+# Where a driver of that name finds a device, on a running bench. A new driver of ours
+# needs a line here.
+TRACKER_PEERS = {"streaming": ["tracker_options"]}
+POLLED = {"geocom": "pty", "t2sa": "tcp"}  # each has simulated instruments of its own
+ELSEWHERE = {"text-line"}  # behind a relay, in tracker/test_text_line.py
+CONTROLLER_PEERS = {
+    "modbus": ["motion_options", "motion_options_rtu"],
+    "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
+}
+ABSENT = {
+    "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
+    "streaming": {"port": "/dev/truepath-no-such-port"},
+    "geocom": {"port": "/dev/truepath-no-such-port"},
+    "t2sa": {"host": "127.0.0.1", "port": 9},
+    "modbus": {"serial_port": "/dev/truepath-no-such-port"},
+    "linuxcnc": {"host": "127.0.0.1", "port": 9},
+}
+
+
+@pytest.fixture(
+    scope="module", params=["pty", pytest.param("tcp", marks=pytest.mark.long)]
+)
+def tracker_bench(request):
+    with Bench(tracker=request.param, rtu=False) as bench:
+        yield bench
+
+
+@pytest.fixture(scope="module")
+def motion_bench():
+    # Ten times faster, so that motions are over soon; watchdogs stay in wall seconds.
+    with Bench(speed=5.0) as bench:
+        yield bench
+
+
+def test_every_registered_driver_of_ours_has_a_peer():
+    ours = {
+        point.name
+        for point in (*TRACKERS.values(), *CONTROLLERS.values())
+        if point.module.startswith("truepath_drivers.")
+    }
+    peers = ELSEWHERE | set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
+    assert ours == peers == set(ABSENT)
+
+
+@pytest.mark.parametrize("name", TRACKER_PEERS)
+@pytest.mark.parametrize("check", tracker.TRACKER_CHECKS)
+def test_trackers_conform(tracker_bench, name, check):
+    factory = TRACKERS[name].load()
+    for peer in TRACKER_PEERS[name]:
+        options = getattr(tracker_bench, peer)
+        check(lambda options=options: factory(**options))
+
+
+@pytest.fixture(scope="module", params=POLLED)
+def polled_bench(request):
+    name = request.param
+    with Bench(protocol=name, speed=20.0, rtu=False, tracker=POLLED[name]) as bench:
+        yield name, bench
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("check", POLLED_CHECKS)
+def test_polled_trackers_conform(polled_bench, check):
+    name, bench = polled_bench
+    factory = TRACKERS[name].load()
+    check(lambda: factory(**bench.tracker_options))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("polled_bench", ["t2sa"], indirect=True)
+def test_a_plan_gives_the_place_of_the_points_beside_it(polled_bench):
+    _, bench = polled_bench
+    with T2saTracker(**bench.tracker_options) as tracker:
+        point = tracker.measure(0.2)
+    with T2saTracker(**bench.tracker_options, plan="cell") as tracker:
+        plan = tracker.measure(0.0)
+    assert point.count > 1
+    assert np.linalg.norm(point.position_mm - plan.position_mm) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "peer"),
+    [(name, peer) for name, peers in CONTROLLER_PEERS.items() for peer in peers],
+)
+@pytest.mark.parametrize("check", motion.MOTION_CHECKS)
+def test_motion_controllers_conform(motion_bench, name, peer, check):
+    factory = CONTROLLERS[name].load()
+    options = getattr(motion_bench, peer)
+    check(lambda: factory(**options))
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_absent_devices_are_device_errors(name):
+    factory = {**TRACKERS, **CONTROLLERS}[name].load()
+    device.a_device_that_is_not_there_is_a_device_error(lambda: factory(**ABSENT[name]))
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 5000.0])
+def test_the_rate_is_a_term_of_the_checks_and_none_of_5_khz_is_lost(
+    tracker_bench, rate_hz
+):
+    factory = TRACKERS["streaming"].load()
+    with on_terms(rate_hz=rate_hz, patience_s=2.0):
+        tracker.times_are_those_of_the_samples(
+            lambda: factory(**tracker_bench.tracker_options)
+        )
+    with factory(**tracker_bench.tracker_options) as connected:
+        connected.start(rate_hz)
+        assert len(connected.read(2.0)) > 0
+        time.sleep(0.5)
+        samples = connected.read(2.0)
+        assert len(samples) == pytest.approx(0.5 * rate_hz, rel=0.5)
+        assert connected.health.lost_samples == 0

@@ -1,0 +1,182 @@
+"""A driver of somebody else: installed, found, conforming, measured with."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measuring import Measuring
+from truepath.alignment.align import align
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import CellConfig, MeasurementOrder
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.time_limits import StreamTimeouts
+from truepath.plugins import find_plugins, load
+from truepath.settings import load_settings
+from truepath_drivers.conformance import device
+from truepath_drivers.conformance.checking import on_terms
+from truepath_drivers.conformance.tracker import TRACKER_CHECKS
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Path as MotionPath
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.replay.recorded_run import read_recorded_run
+from truepath_simulators.scenario import load_machine
+
+pytestmark = pytest.mark.long
+HERE = Path(__file__).parent
+NAME = "othermake-lt50"
+Options = dict[str, str | int]
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+CORNERS = MotionPath(
+    ("X", "Y", "Z"),
+    np.array(
+        [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]],
+        float,
+    ),
+    np.full(5, 12_000.0),
+    np.full(5, 1.0),
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder into which the distribution is installed, as anybody installs it."""
+    folder = tmp_path_factory.mktemp("site")
+    source = shutil.copytree(HERE / "third_party", folder / "source")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
+    command += ["--no-index", "--no-build-isolation", "--target", str(folder / "site")]
+    subprocess.run([*command, str(source)], check=True, capture_output=True)
+    return folder / "site"
+
+
+@pytest.fixture(autouse=True)
+def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(site)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    with running_rig({"seed": 6, "speed": 10.0}) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def imitate(rig: Rig) -> Iterator[Callable[[float], Options]]:
+    """Start an instrument that looks at the rig's machine; return where it listens."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(share: float) -> Options:
+        script, control = str(HERE / "imitate_othermake.py"), str(rig.control)
+        process = subprocess.Popen(
+            [sys.executable, script, control, str(share)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        return {"host": "127.0.0.1", "port": int(process.stdout.readline())}
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def options(imitate: Callable[[float], Options]) -> Options:
+    return imitate(0.0)
+
+
+@pytest.mark.parametrize("check", TRACKER_CHECKS)
+def test_it_conforms(options: Options, check: Callable[..., None]) -> None:
+    make = load("truepath.trackers", NAME)
+    with on_terms(rate_hz=50.0):
+        check(lambda: make(**options))
+
+
+def test_it_says_when_it_is_not_there(free_port: int) -> None:
+    make = load("truepath.trackers", NAME)
+    device.a_device_that_is_not_there_is_a_device_error(
+        lambda: make("127.0.0.1", free_port)
+    )
+
+
+def test_a_rate_that_it_has_not_tells_where_to_give_another(options: Options) -> None:
+    with (
+        load("truepath.trackers", NAME)(**options) as tracker,
+        pytest.raises(Refused, match="rate_hz in machine"),
+    ):
+        tracker.start(500.0)
+
+
+def test_damaged_lines_are_counted_and_never_samples(
+    imitate: Callable[[float], Options],
+) -> None:
+    with load("truepath.trackers", NAME)(**imitate(0.2)) as tracker:
+        tracker.start(50.0)
+        blocks = []
+        while sum(map(len, blocks)) < 300:
+            blocks.append(tracker.read(2.0))
+        tracker.stop()
+        rest = len(tracker.read(0.0))
+        health = tracker.health
+    read = TrackerSamples.join(blocks)
+    assert health.crc_errors > 20
+    assert health.lost_samples >= read.sequence[-1] + 1 - len(read) - rest
+    assert np.ptp(read.position_mm, axis=0).max() < 0.1
+
+
+def test_a_driver_that_is_not_installed_is_named() -> None:
+    with pytest.raises(BadInput, match=NAME):  # among those that are
+        load("truepath.trackers", "nobody")
+    assert NAME in find_plugins("truepath.trackers")
+
+
+def test_it_measures_by_the_settings_alone(
+    rig: Rig, options: Options, tmp_path: Path
+) -> None:
+    file = tmp_path / "truepath.toml"
+    file.write_text(
+        f'tracker_driver = "{NAME}"\n'
+        "[tracker_options]\n"
+        f'host = "{options["host"]}"\n'
+        f"port = {options['port']}\n"
+        "reply_timeout_s = 2.0\n"
+        "[motion_options]\n"
+        f'host = "{rig.motion_options["host"]}"\n'
+        f"port = {rig.motion_options['port']}\n"
+    )
+    run_file = tmp_path / "run.sqlite"
+    settings, content = load_settings(file), load_machine("demo")
+    content["tracker"]["rate_hz"] = 50.0
+    config = CellConfig(
+        settings.tracker_driver,
+        settings.tracker_options,
+        settings.motion_driver,
+        settings.motion_options,
+        CALM,
+    )
+    machine = machine_from_json(content)
+    order = MeasurementOrder("theirs", str(run_file), machine, CORNERS, rate_hz=50.0)
+    with Measuring(config, order) as measuring:
+        closed = measuring.until_closed()
+    assert measuring.faults == set()
+    run = open_run(run_file)
+    assert closed.lost_samples == 0
+    assert "Othermake LT-50 4711" in run.provenance["tracker"]
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert np.median(np.diff(run.tracker.device_time_s)) == pytest.approx(0.02)
+    # Right-handed, in mm and s: the lines are found, and each is as long as it was.
+    passes = align(run).passes
+    assert [p.row for p in passes] == [1, 2, 3, 4]
+    with pytest.raises(SimulatorError, match="GST/1"):  # it is another protocol
+        read_recorded_run(run_file)

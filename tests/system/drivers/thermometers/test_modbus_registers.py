@@ -1,0 +1,152 @@
+"""Sensors by a register list: every type, TCP and RTU, and what goes wrong."""
+
+import math
+import threading
+import time
+from importlib.metadata import entry_points
+
+import pytest
+
+from truepath_drivers.conformance.device import (
+    a_device_that_is_not_there_is_a_device_error,
+)
+from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
+from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
+from truepath_drivers.thermometers.modbus_registers.driver import (
+    ModbusRegisters,
+)
+from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
+from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
+
+PERIOD_S = 0.05
+
+
+class ServedGateway:
+    """A simulated gateway in a thread of this process; `at_s` is its clock."""
+
+    def __init__(self, port):
+        self.faults, self.at_s, self.asked = Schedule(()), 0.0, 0
+        machine = parse_machine(load_machine("demo"))
+        self.gateway = ThermometerGateway(machine, (), 1, self.faults)
+        self._port, self._ending = port, threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ending.set()
+        self._thread.join()
+        self._port.close()
+
+    @property
+    def options(self):
+        rows = [{**row, "period_s": PERIOD_S} for row in self.gateway.describe()]
+        return {**self._port.address, "registers": rows}
+
+    def inject(self, text):
+        self.faults.add(parse_fault(text), self.at_s)
+
+    def _serve(self):
+        while not self._ending.wait(0.002):
+            if self.faults.strikes("disconnect", self.at_s):
+                self._port.disconnect()
+            self._port.serve(self._answer)
+
+    def _answer(self, unit, pdu):
+        self.asked += 1
+        return self.gateway.answer(unit, pdu, self.at_s)
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def either_gateway(request):
+    is_tcp = request.param == "tcp"
+    port = (
+        ModbusTcpPort("127.0.0.1", 0, UNITS) if is_tcp else ModbusRtuPort(None, UNITS)
+    )
+    with ServedGateway(port) as served:
+        yield served
+
+
+@pytest.fixture
+def gateway():
+    with ServedGateway(ModbusTcpPort("127.0.0.1", 0, UNITS)) as served:
+        yield served
+
+
+def read_once(group):
+    time.sleep(PERIOD_S)
+    return {reading.channel: reading for reading in group.read()}
+
+
+@pytest.mark.parametrize("check", THERMOMETER_CHECKS)
+def test_it_conforms(either_gateway, check):
+    (point,) = entry_points(group="truepath.thermometers")  # all of ours
+    check(lambda: point.load()(**either_gateway.options))
+
+
+def test_a_gateway_that_is_not_there_is_a_device_error(free_port):
+    rows = [{"name": "X_degC", "address": 0}]
+    a_device_that_is_not_there_is_a_device_error(
+        lambda: ModbusRegisters(host="127.0.0.1", port=free_port, registers=rows)
+    )
+
+
+def test_registers_that_the_gateway_does_not_have_are_refused_by_name(gateway):
+    rows = [{"name": "oil_degC", "address": 50}]
+    with pytest.raises(Refused, match=r"oil_degC.*does not have these registers"):
+        ModbusRegisters(**{**gateway.options, "registers": rows}).connect()
+
+
+def test_a_silent_sensor_and_a_broken_wire_leave_the_others(gateway):
+    gateway.inject("thermometers:silence*2")
+    gateway.inject("thermometers:broken-wire*5")
+    with ModbusRegisters(**gateway.options) as group:
+        shown = read_once(group)
+    assert {n for n, r in shown.items() if "no valid reply" in r.fault} >= {"Y_degC"}
+    assert shown["air_degC"].fault == "the register holds no number"  # of another unit
+    assert not shown["pressure_hPa"].fault
+    assert all(math.isnan(r.value) == bool(r.fault) for r in shown.values())
+
+
+@pytest.mark.fault_row(14)
+def test_a_silent_unit_is_asked_once_in_a_call(gateway):
+    with ModbusRegisters(**gateway.options) as group:
+        gateway.inject("thermometers:silence")
+        begin_s, before = time.monotonic(), gateway.asked
+        shown = read_once(group)
+    assert all(reading.fault for reading in shown.values())
+    assert gateway.asked - before == len(UNITS)
+    assert time.monotonic() - begin_s < 1.5
+    with pytest.raises(DeviceTimeout):
+        ModbusRegisters(**gateway.options).connect()
+
+
+@pytest.mark.fault_row(13)
+def test_a_gateway_that_refuses_costs_its_readings_only(gateway):
+    with ModbusRegisters(**gateway.options) as group:
+        gateway.inject("thermometers:exception+10s*4")
+        assert all(r.fault and math.isnan(r.value) for r in read_once(group).values())
+        gateway.at_s = 20.0
+        assert not any(reading.fault for reading in read_once(group).values())
+
+
+@pytest.mark.fault_row(16)
+def test_a_lost_connection_comes_back_by_itself(gateway):
+    with ModbusRegisters(**gateway.options) as group:
+        gateway.inject("thermometers:disconnect")
+        time.sleep(0.05)
+        faults = [r.fault for r in read_once(group).values()]
+        assert all(faults) or not any(faults)  # it may have come back already
+        assert not any(reading.fault for reading in read_once(group).values())
+
+
+def test_nothing_is_asked_before_it_is_due(gateway):
+    rows = [{**row, "period_s": 60.0} for row in gateway.gateway.describe()]
+    with ModbusRegisters(**{**gateway.options, "registers": rows}) as group:
+        assert len(group.read()) == len(group.channels)
+        assert group.read() == ()

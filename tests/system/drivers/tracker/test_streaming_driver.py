@@ -1,0 +1,376 @@
+"""The streaming tracker's driver against peers on a pseudo-terminal and over TCP."""
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tracker_peers import AnsweringPeer, ScriptedPeer
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from truepath_drivers.tracker.streaming import driver, receiver
+from truepath_drivers.tracker.streaming import messages as gst
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+
+TABLE = [
+    # HELLO 1: version 1, 5000 Hz, Truepath, GST simulator, SIM-0001, 1.0
+    (
+        "00 09 01 20 01 01 4e ff a9 cf 00",
+        "00 09 01 30 01 20 01 40 4b 4c 29 08 54 72 75 65 70 61 74 68 0d 47 53 54 20 73"
+        "69 6d 75 6c 61 74 6f 72 08 53 49 4d 2d 30 30 30 31 03 31 2e 30 7a 5a 1f 07 00",
+    ),
+    ("00 08 01 22 02 29 94 3f b7 00", "00 09 01 30 02 22 8f 7e c5 5a 00"),  # STOP 2
+]
+START_3 = "00 07 01 21 03 20 a1 07 01 05 90 d8 8f 77 00"
+STARTED_3 = "00 08 01 30 03 21 20 a1 07 06 02 01 40 42 0f 01 01 01 01 05 89 75 e2 c6 00"
+REFUSED_3 = "00 12 01 31 03 21 05 07 6e 6f 20 62 65 61 6d a6 73 7d 57 00"
+# Sample 258 at 1.002 s: 2.5 m, 0.5 rad, -0.25 rad
+SAMPLE = (
+    "00 08 01 14 02 01 10 4a 0f 01 01 01 01 01 01 01 01 01 01 03 04 40 01 01 01 01 01"
+    "03 e0 3f 01 01 01 01 01 03 d0 bf 01 02 c8 05 85 5f 8b 5b 00"
+)
+STOP_4 = ("00 08 01 22 04 1c 31 5c 5e 00", "00 09 01 30 04 22 09 d9 9f 0c 00")
+STOP_5 = ("00 08 01 22 05 8a 01 5b 29 00", "00 09 01 30 05 22 48 e8 84 15 00")
+
+
+@pytest.fixture
+def running(peer):
+    with StreamingTracker(**peer.options) as tracker:
+        tracker.start(500.0)
+        yield tracker
+
+
+def read_for(tracker: StreamingTracker, count: int) -> TrackerSamples:
+    blocks: list[TrackerSamples] = []
+    deadline = time.monotonic() + 10
+    while sum(map(len, blocks)) < count:
+        assert time.monotonic() < deadline
+        blocks.append(tracker.read(0.5))
+    return TrackerSamples.join(blocks)
+
+
+def failing(text: str, error: type[DeviceError] = ConnectionLost):
+    def fail(*_):
+        raise error(text)
+
+    return fail
+
+
+def test_connect_start_read_stop_in_bytes(wire):
+    with ScriptedPeer(wire, [*TABLE, (START_3, STARTED_3 + SAMPLE), STOP_4, STOP_5]):
+        tracker = StreamingTracker(**wire.options)
+        assert (tracker.take_link_bytes(), tracker.health) == (b"", LinkHealth())
+        assert tracker.connect() == Identity(
+            "Truepath", "GST simulator", "SIM-0001", "1.0"
+        )
+        tracker.start(500.0)
+        samples = read_for(tracker, 1)
+        tracker.stop()
+        tracker.close()
+    level = 2500 * np.cos(0.25)
+    expected = [level * np.cos(0.5), level * np.sin(0.5), -2500 * np.sin(0.25)]
+    np.testing.assert_allclose(samples.position_mm, [expected], atol=1e-9)
+    assert samples.device_time_s.tolist() == [1.002]
+
+
+def test_a_refusal_carries_the_reason_of_the_device(wire):
+    with (
+        ScriptedPeer(wire, [*TABLE, (START_3, REFUSED_3), STOP_4]),
+        StreamingTracker(**wire.options) as tracker,
+    ):
+        with pytest.raises(Refused, match=r"no beam \(code 5\)") as refusal:
+            tracker.start(500.0)
+        assert refusal.value.code == gst.NakCode.NOT_READY
+
+
+def test_every_sample_arrives_as_it_was_sent_and_the_bytes_decode_to_the_same(
+    peer, running
+):
+    samples = read_for(running, 300)
+    running.stop()
+    samples = TrackerSamples.join([samples, running.read(0.0)])
+    expected = peer.position_mm(samples.sequence)
+    np.testing.assert_allclose(samples.position_mm, expected, atol=1e-9)
+    assert samples.sequence.tolist() == list(range(len(samples)))
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 2e-3, atol=1e-9)
+    again = StreamDecoder().feed(running.take_link_bytes()).samples
+    np.testing.assert_array_equal(again.sequence, samples.sequence)
+    np.testing.assert_array_equal(again.position_mm, samples.position_mm)
+    assert running.take_link_bytes() == b""
+    running.close()
+    health = running.health
+    assert health.frames >= 300
+    assert (health.lost_samples, health.crc_errors) == (0, 0)
+
+
+def test_short_frames_are_asked_for_and_read(peer):
+    with StreamingTracker(compact=True, **peer.options) as tracker:
+        tracker.start(500.0)
+        samples = read_for(tracker, 50)
+    expected = peer.position_mm(samples.sequence)
+    np.testing.assert_allclose(samples.position_mm, expected, atol=2e-5)
+
+
+@pytest.mark.fault_row(1)
+def test_damaged_frames_are_lost_and_never_wrong(peer, running, measured):
+    rng = np.random.default_rng(1)
+
+    def damage(frames: bytes) -> bytes:
+        data = bytearray(frames)
+        data[int(rng.integers(len(data)))] ^= 0x10
+        return bytes(data)
+
+    peer.damage = damage
+    samples = read_for(running, 60)
+    expected = peer.position_mm(samples.sequence)
+    np.testing.assert_allclose(samples.position_mm, expected, atol=1e-9)
+    assert running.health.lost_samples > 0
+    assert running.health.crc_errors > 0
+    measured(f"{running.health.crc_errors} bad frames refused, {len(samples)} right")
+
+
+def test_samples_and_bytes_that_nobody_takes_are_bounded_and_counted(
+    peer, monkeypatch, until
+):
+    monkeypatch.setattr(receiver, "QUEUED_FRAMES", 50)
+    monkeypatch.setattr(receiver, "KEPT_BYTES", 1000)
+    with StreamingTracker(**peer.options) as tracker:
+        tracker.start(2000.0)
+        until(lambda: peer.sent > 300)
+        tracker.stop()
+        samples = tracker.read(0.1)
+        assert 48 <= len(samples) <= 50
+        assert 0 < len(tracker.take_link_bytes()) <= 1000
+        tracker.start(2000.0)
+        after = read_for(tracker, 1).sequence[0]
+        assert tracker.health.lost_samples == after - samples.sequence[-1] - 1 > 200
+
+
+def test_a_read_waits_no_longer_than_it_may(peer, running):
+    read_for(running, 10)
+    begin = time.monotonic()
+    running.read(0.0)
+    assert time.monotonic() - begin < 0.1
+    peer.silent = True
+    running.read(0.1)
+    begin = time.monotonic()
+    assert len(running.read(0.2)) == 0
+    assert 0.15 < time.monotonic() - begin < 1.0
+
+
+def test_start_twice_is_one_start_and_another_rate_stops_first(peer, running):
+    read_for(running, 20)
+    running.start(500.0)
+    samples = read_for(running, 50)
+    assert (np.diff(samples.sequence) == 1).all()
+    assert running.health.lost_samples == 0
+    running.start(250.0)
+    kinds = [type(c) for c in peer.commands if not isinstance(c, gst.Ping)]
+    assert kinds[-4:] == [gst.Start, gst.Start, gst.Stop, gst.Start]
+    assert peer.rate_hz == 250.0
+
+
+def test_a_stream_left_behind_by_another_host_is_not_read(peer):
+    first = StreamingTracker(**peer.options)
+    first.connect()
+    first.start(500.0)
+    peer.deaf_to = {gst.Stop}
+    first.close()
+    peer.deaf_to = set()
+    with StreamingTracker(**peer.options) as tracker:
+        assert peer.rate_hz is None
+        assert len(tracker.read(0.05)) == 0
+        assert tracker.take_link_bytes() == b""
+
+
+def test_rates_beyond_the_instrument_or_not_asked_for_are_refused(peer):
+    peer.answered_rate_hz = 400.0
+    with StreamingTracker(**peer.options) as tracker:
+        for rate_hz in (0.0, -1.0, 5000.5, float("nan")):
+            with pytest.raises(Refused, match="up to 5000 Hz"):
+                tracker.start(rate_hz)
+        assert not any(isinstance(c, gst.Start) for c in peer.commands)
+        with pytest.raises(Refused, match="streams at 400 Hz, not at 500 Hz"):
+            tracker.start(500.0)
+        assert peer.rate_hz is None
+
+
+def test_a_line_too_slow_for_the_rate_is_warned_of(peer, caplog):
+    options = {"baudrate": 115_200, **peer.options}
+    with StreamingTracker(**options) as tracker:
+        tracker.start(500.0)
+    warned = "the line has 115200" in caplog.text
+    assert warned == ("host" not in options)
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "said"),
+    [
+        (lambda data: b"", DeviceTimeout, r"no reply to HELLO in 0\.5 s"),
+        (lambda data: b"$GPGGA,0.0*00\r\n", WrongDevice, "this is the tracker's port"),
+        (lambda data: data, WrongDevice, "own bytes come back"),
+    ],
+    ids=["silence", "another device", "loop-back plug"],
+)
+def test_what_is_no_tracker_is_told_within_half_a_second(wire, answer, error, said):
+    with AnsweringPeer(wire, answer):
+        begin = time.monotonic()
+        with pytest.raises(error, match=said):
+            StreamingTracker(**wire.options).connect()
+        assert time.monotonic() - begin < 0.9
+
+
+@pytest.mark.fault_row(7)
+def test_another_version_of_the_protocol_is_refused(peer):
+    peer.info = replace(peer.info, version=2)
+    with pytest.raises(WrongDevice, match="does not speak GST/1"):
+        StreamingTracker(**peer.options).connect()
+    peer.nak = gst.NakCode.VERSION_NOT_SPOKEN
+    with pytest.raises(WrongDevice, match="another version"):
+        StreamingTracker(**peer.options).connect()
+
+
+@pytest.mark.fault_row(7)
+def test_another_serial_number_is_the_wrong_device(peer):
+    tracker = StreamingTracker(serial_number="LB-2", **peer.options)
+    with pytest.raises(WrongDevice, match="instrument LB-1 answers, LB-2"):
+        tracker.connect()
+    right = StreamingTracker(serial_number="LB-1", **peer.options)
+    assert right.connect().serial_number == "LB-1"
+    right.close()
+
+
+def test_a_lost_reply_is_asked_for_again_with_the_same_number(peer, until):
+    with StreamingTracker(**peer.options) as tracker:
+        peer.deaf_to = {gst.Start}
+        starter = threading.Thread(target=tracker.start, args=(500.0,))
+        starter.start()
+        until(lambda: isinstance(peer.commands[-1], gst.Start))
+        peer.deaf_to = set()
+        starter.join()
+        starts = [c for c in peer.commands if isinstance(c, gst.Start)]
+        assert len(starts) == 2
+        assert starts[0] == starts[1]
+        assert len(read_for(tracker, 10)) >= 10
+
+
+def test_replies_to_other_transactions_are_ignored(peer):
+    with StreamingTracker(**peer.options) as tracker:
+        peer.deaf_to = {gst.Stop}
+        for transaction in range(20, 25):
+            peer.send(gst.Ack(transaction, gst.Type.STOP))
+        with pytest.raises(DeviceTimeout, match="no reply to STOP"):
+            tracker.stop()
+        peer.deaf_to = set()
+
+
+def test_pings_keep_coming_while_nothing_else_happens(peer, monkeypatch, until):
+    monkeypatch.setattr(receiver, "PING_PERIOD_S", 0.05)
+    with StreamingTracker(**peer.options):
+        until(lambda: sum(isinstance(c, gst.Ping) for c in peer.commands) > 3)
+
+
+def test_events_and_status_are_no_samples(peer, caplog):
+    caplog.set_level("INFO")
+    with StreamingTracker(**peer.options) as tracker:
+        peer.send(gst.Status(1, 0, peer.sent, 0, 0))
+        peer.send(gst.Event(gst.EventCode.BEAM_BROKEN, 5))
+        peer.send(gst.Event(gst.EventCode.STREAM_STOPPED_NO_PING, 6))
+        assert len(tracker.read(0.1)) == 0
+    assert "event 1 at 5 µs" in caplog.text
+    assert "event 3 at 6 µs" in caplog.text
+
+
+@pytest.mark.fault_row(6)
+def test_an_unplugged_port_is_a_lost_connection(peer, running, measured):
+    read_for(running, 10)
+    peer.unplug()
+    begin = time.monotonic()
+    with pytest.raises(ConnectionLost, match="check cable and power, then connect"):
+        read_for(running, 10_000)
+    took_s = time.monotonic() - begin
+    assert took_s < 1.0
+    measured(f"told after {took_s:.2f} s")
+    with pytest.raises(ConnectionLost):
+        running.start(500.0)
+    running.stop()
+    running.close()
+    with pytest.raises(ConnectionLost):
+        running.connect()
+
+
+def test_samples_before_the_loss_of_the_port_are_still_read(peer, running, until):
+    until(lambda: peer.sent > 30)
+    peer.halt()
+    replies = 3  # to HELLO, STOP and START
+    until(lambda: running.health.frames >= peer.sent + replies)
+    peer.unplug()
+    until(lambda: running._receiver.error is not None)
+    assert len(running.read(0.1)) == peer.sent
+    with pytest.raises(ConnectionLost):
+        running.read(0.1)
+
+
+def test_a_port_that_is_none_says_what_to_do(free_port):
+    with pytest.raises(ConnectionLost, match="plug the cable in"):
+        StreamingTracker("/dev/tty-that-is-not-there").connect()
+    with pytest.raises(ConnectionLost, match="check address, port number"):
+        StreamingTracker(host="127.0.0.1", port=free_port).connect()
+    with pytest.raises(ValueError, match="give its host"):
+        StreamingTracker(4711)
+
+
+def test_the_driver_connects_again_after_a_loss(peer, wire, monkeypatch):
+    with StreamingTracker(**peer.options) as tracker:
+        tracker.start(500.0)
+        read_for(tracker, 10)
+        with monkeypatch.context() as patch:
+            patch.setattr(type(tracker._port), "read", failing("pulled"))
+            with pytest.raises(ConnectionLost, match="pulled"):
+                read_for(tracker, 10_000)
+        tracker.connect()
+        assert tracker.health.lost_samples == 0
+        tracker.start(500.0)
+        assert read_for(tracker, 10).sequence[0] == 0
+
+
+def test_a_keep_alive_that_cannot_be_sent_does_not_end_the_reading(
+    peer, running, monkeypatch, caplog, until
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(receiver, "PING_PERIOD_S", 0.02)
+        stuck = failing("takes no bytes", DeviceTimeout)
+        patch.setattr(running._port, "write", stuck)
+        until(lambda: "keep-alive not sent" in caplog.text)
+        assert len(read_for(running, 20)) >= 20
+    running.stop()
+
+
+def test_stop_on_a_lost_port_and_close_of_a_silent_device_are_warnings(
+    peer, running, monkeypatch, caplog
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(running._port, "write", failing("it hung up"))
+        running.stop()
+    assert "stop not sent: it hung up" in caplog.text
+    peer.silent = True
+    running.close()
+    assert "no reply to STOP" in caplog.text
+
+
+def test_a_clock_that_falls_back_is_named_and_no_silence(peer, running, monkeypatch):
+    read_for(running, 50)
+    monkeypatch.setattr(driver, "_STALE_S", 0.2)
+    monkeypatch.setattr(peer, "_clock_us", lambda number: np.asarray(number) * 2000)
+    with pytest.raises(ConnectionLost, match="clock has fallen back"):
+        read_for(running, 1000)
+    running.stop()

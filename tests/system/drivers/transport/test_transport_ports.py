@@ -1,0 +1,157 @@
+"""Serial ports and TCP connections: bounded waits, and texts that say what to do."""
+
+import os
+import socket
+import termios
+import time
+
+import pytest
+import serial
+
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.transport.serial_port import SerialPort
+from truepath_drivers.transport.tcp_port import TcpPort
+from wires import PtyWire, TcpWire
+
+
+@pytest.fixture
+def pty_port():
+    wire = PtyWire(is_raw=False)
+    port = SerialPort(wire.options["port"], 921_600)
+    yield wire, port
+    port.close()
+    wire.unplug()
+
+
+@pytest.fixture
+def tcp_port():
+    wire = TcpWire()
+    port = TcpPort(**wire.options)
+    yield wire, port
+    port.close()
+    wire.unplug()
+
+
+@pytest.fixture(params=["pty_port", "tcp_port"])
+def either_port(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_every_byte_goes_through_in_both_directions_a_cooked_terminal_too(either_port):
+    wire, port = either_port
+    every_byte, heard = bytes(range(256)), b""
+    port.open()
+    port.write(every_byte)
+    while len(heard) < 256:
+        heard += wire.read(1.0)
+    assert heard == every_byte
+    wire.write(every_byte)
+    assert _read(port, 256) == every_byte
+
+
+def test_a_serial_port_takes_its_baud_rate_and_a_tcp_port_waits_for_no_more_bytes(
+    pty_port, tcp_port
+):
+    for _, port in (pty_port, tcp_port):
+        port.open()
+    assert termios.tcgetattr(pty_port[0].slave)[4] == termios.B921600
+    link = tcp_port[1]._socket
+    assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_a_read_waits_no_longer_than_it_may(either_port):
+    port = either_port[1]
+    port.open()
+    begin = time.monotonic()
+    assert port.read(0.05) == b""
+    assert 0.04 < time.monotonic() - begin < 0.5
+
+
+def test_close_twice_is_one_close_and_open_opens_anew(either_port):
+    port = either_port[1]
+    port.close()
+    port.open()
+    port.open()
+    port.close()
+    port.close()
+    for use in (lambda: port.read(0.0), lambda: port.write(b"x")):
+        with pytest.raises(ConnectionLost, match="not open; connect first"):
+            use()
+
+
+def test_a_serial_port_whose_other_end_goes_is_lost(pty_port):
+    wire, port = pty_port
+    port.open()
+    wire.write(b"last")
+    wire.unplug()
+    # Bytes that were on their way may come first.
+    with pytest.raises(ConnectionLost, match=r"gone .* check cable and power"):
+        _read(port, 100)
+    with pytest.raises(ConnectionLost, match="gone"):
+        port.write(b"x")
+
+
+def test_a_tcp_peer_that_closes_is_lost(tcp_port):
+    wire, port = tcp_port
+    port.open()
+    wire.read(1.0)
+    wire.drop()
+    with pytest.raises(ConnectionLost, match="closed by the device"):
+        port.read(0.5)
+
+
+@pytest.mark.fault_row(16)
+def test_a_tcp_peer_that_resets_is_lost(tcp_port):
+    wire, port = tcp_port
+    port.open()
+    wire.read(1.0)
+    wire.drop(reset=True)
+    with pytest.raises(ConnectionLost, match="gone"):
+        port.read(0.5)
+    with pytest.raises(ConnectionLost, match="gone"):
+        port.write(b"x")
+
+
+def test_a_peer_that_takes_no_bytes_is_a_timeout(either_port):
+    port = either_port[1]
+    port.open()
+    begin = time.monotonic()
+    with pytest.raises(DeviceTimeout, match="takes no bytes"):
+        port.write(bytes(1 << 26))
+    assert time.monotonic() - begin < 2.0
+
+
+def test_a_serial_port_is_for_one_program(pty_port):
+    port = pty_port[1]
+    port.open()
+    other = SerialPort(port.name, 921_600)
+    with pytest.raises(ConnectionLost, match="another program uses it"):
+        other.open()
+    port.close()
+    other.open()
+    other.close()
+
+
+def test_a_path_that_is_no_tty_is_named_and_one_without_permission_names_the_group(
+    tmp_path, monkeypatch
+):
+    def refuse(*_, **__):
+        raise serial.SerialException("could not open port")
+
+    path = tmp_path / "file"
+    path.touch()
+    port = SerialPort(str(path), 921_600)
+    with pytest.raises(ConnectionLost, match="cannot be opened at 921600 baud"):
+        port.open()
+    monkeypatch.setattr(serial, "Serial", refuse)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(ConnectionLost, match="dialout"):
+        port.open()
+
+
+def _read(port, count):
+    data = b""
+    deadline = time.monotonic() + 2
+    while len(data) < count and time.monotonic() < deadline:
+        data += port.read(0.1)
+    return data

@@ -1,0 +1,1 @@
+"""Lets the tests of faults use what is beside them."""

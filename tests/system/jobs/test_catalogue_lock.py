@@ -1,0 +1,93 @@
+"""A catalogue in PostgreSQL: two services on it, or no server."""
+
+from __future__ import annotations
+
+import pytest
+from sqlalchemy import text
+
+from scripted_cell import wait_until
+from truepath.catalogue.catalogue_lock import hold_catalogue
+from truepath.catalogue.errors import InUse, StorageUnavailable
+from truepath.catalogue.store.database import Database
+
+
+@pytest.fixture
+def make_database(postgres_server):
+    """Make connections to a database of the test's own, or to a further one."""
+    opened, names = [], []
+
+    def make(name=None):
+        if name is None:
+            name = postgres_server.make_database()
+            names.append(name)
+        opened.append(Database(postgres_server.url(name)))
+        return name, opened[-1]
+
+    yield make
+    for database in opened:
+        database.close()
+    for name in names:
+        postgres_server.drop_database(name)
+
+
+def is_free(database):
+    try:
+        with hold_catalogue(database, patience_s=0.0):
+            return True
+    except InUse:
+        return False
+
+
+def end_sessions(database):
+    """End every other session of the database, as a server that restarts does."""
+    others = "datname = current_database() AND pid <> pg_backend_pid()"
+    with database.engine.connect() as connection:
+        connection.execute(
+            text(
+                f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
+            )
+        )
+
+
+@pytest.mark.long
+def test_a_second_service_is_refused_until_the_first_has_ended(make_database):
+    name, first = make_database()
+    _, second = make_database(name)
+    _, elsewhere = make_database()
+    with hold_catalogue(first):
+        with pytest.raises(InUse, match=r"another instance .* database_url"):
+            hold_catalogue(second, patience_s=0.0).__enter__()
+        assert is_free(elsewhere), "another catalogue of the same server"
+    wait_until(lambda: is_free(second), "the lock is free")
+
+
+@pytest.mark.long
+def test_a_lock_that_a_restart_has_lost_is_taken_again(make_database):
+    name, first = make_database()
+    _, second = make_database(name)
+    with hold_catalogue(first, look_every_s=0.1):
+        before = find_holder(second)
+        end_sessions(second)
+        wait_until(
+            lambda: find_holder(second) not in (None, before), "it is taken again"
+        )
+        assert not is_free(second)
+
+
+def find_holder(database):
+    query = (
+        "SELECT pid FROM pg_locks JOIN pg_database d ON d.oid = database "
+        "WHERE locktype = 'advisory' AND granted AND datname = current_database()"
+    )
+    with database.engine.connect() as connection:
+        return connection.execute(text(query)).scalar()
+
+
+def test_a_server_that_is_away_is_unavailable(tmp_path):
+    database = Database(
+        f"postgresql+psycopg://truepath@/postgres?host={tmp_path}", patience_s=0.1
+    )
+    assert not database.ready()
+    with pytest.raises(StorageUnavailable, match="does not answer"):
+        database.migrate()
+    database.close()

@@ -1,0 +1,220 @@
+"""Blocks of a sum on processes and on Dask: the same answer on either."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import psutil
+import pytest
+
+import truepath
+from job_builders import has_ended
+from scripted_cell import wait_until
+from truepath.catalogue.errors import WorkersAway
+from truepath.errors import BadInput, WorkerDied
+from truepath.jobs.workers.workers import (
+    Workers,
+    map_in_order,
+    open_workers,
+)
+
+TASKS = """
+import os, time
+import numpy as np
+from truepath.numerics.adaptive_trials import BLOCK, summarise
+
+def block(widths, number):
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(number,)))
+    drawn = widths[:, None] * rng.uniform(-1.0, 1.0, (len(widths), BLOCK))
+    return summarise(np.cumsum(drawn, axis=0), "symmetric")
+
+def about(number):
+    return number, os.getpid(), os.environ.get("OPENBLAS_NUM_THREADS")
+
+def pid(*, on_progress):
+    return os.getpid()
+
+def fail(number):
+    raise ValueError(f"no block {number}")
+
+def crash(number):
+    os._exit(9)
+
+def sleep(file, number):
+    with open(f"{file}{number}", "w") as mark:
+        mark.write(str(os.getpid()))
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def tasks(import_code):
+    return import_code("block_tasks", TASKS)
+
+
+@pytest.fixture
+def settled(tasks):
+    """Return what adaptive trials make of blocks that somebody else computes."""
+    import numpy as np
+
+    from truepath.numerics.adaptive_trials import TrialPlan, propagate
+
+    draw = partial(tasks.block, np.array([0.9, 0.5, 3.0]))
+    plan = TrialPlan(seed=3, digits=2, most_blocks=9)
+
+    def run(mapper):
+        told = propagate(draw, plan, mapper)
+        columns = told.mean, told.sigma, told.low
+        return told.trials, [column.tobytes() for column in columns]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def pair(tasks):
+    """Maps over two processes that are up."""
+    with open_workers(Workers(count=2)) as mapper:
+        list(mapper(tasks.about, range(2)))
+        yield mapper
+
+
+def test_the_answer_is_the_same_whoever_computes_and_however_many(
+    settled, pair, scheduler
+):
+    alone = settled(map)
+    assert settled(pair) == alone
+    for count in (0, 5):
+        with open_workers(Workers("dask", count, scheduler)) as mapper:
+            assert settled(mapper) == alone, count
+
+
+def test_blocks_come_in_order_from_processes_with_one_thread_each(tasks, pair):
+    told = list(pair(tasks.about, range(6)))
+    assert [number for number, _, _ in told] == list(range(6))
+    assert os.getpid() not in {pid for _, pid, _ in told}
+    assert {threads for _, _, threads in told} == {"1"}
+
+
+def test_no_more_is_under_way_than_there_are_workers():
+    class Counting(Executor):
+        asked = 0
+
+        def submit(self, fn, /, *args, **kwargs):
+            self.asked += 1
+            done = Future()
+            done.set_result(fn(*args, **kwargs))
+            return done
+
+    pool = Counting()
+    blocks = map_in_order(pool, 2)(str, range(100))
+    assert next(iter(blocks)) == "0"
+    assert pool.asked == 2
+
+
+def test_what_a_block_raises_comes_back(tasks, pair, scheduler):
+    with open_workers(Workers("dask", count=1, scheduler=scheduler)) as cluster:
+        for mapper in (pair, cluster):
+            with pytest.raises(ValueError, match="no block 0"):
+                list(mapper(tasks.fail, range(3)))
+
+
+@pytest.mark.fault_row(38)
+def test_a_worker_that_dies_is_told_not_waited_for(tasks):
+    with (
+        open_workers(Workers(count=1)) as mapper,
+        pytest.raises(WorkerDied, match="ended without an answer"),
+    ):
+        list(mapper(tasks.crash, range(3)))
+
+
+def test_what_is_under_way_is_dropped_at_the_end(tasks, tmp_path):
+    mark = str(tmp_path / "mark")
+    with ThreadPoolExecutor() as pool:
+        with open_workers(Workers(count=2)) as mapper:
+            asking = pool.submit(list, mapper(partial(tasks.sleep, mark), range(2)))
+            wait_until(lambda: len(list(tmp_path.iterdir())) == 2, "both")
+            wait_until(lambda: all(f.read_text() for f in tmp_path.iterdir()))
+            workers = [int(f.read_text()) for f in tmp_path.iterdir()]
+        assert isinstance(asking.exception(10), WorkerDied)
+    assert not any(psutil.pid_exists(pid) for pid in workers)
+
+
+def test_workers_and_lanes_end_with_whoever_asked_even_if_it_is_killed(tasks, tmp_path):
+    program = textwrap.dedent(
+        f"""
+        import sys, time
+        sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
+        import block_tasks
+        from truepath.jobs.workers.executor import ProcessExecutor
+        from truepath.jobs.workers.workers import Workers, open_workers
+        from truepath.progress import ignore_progress
+
+        if __name__ == "__main__":
+            task = ProcessExecutor(1).submit(
+                block_tasks.pid, on_progress=ignore_progress, started=lambda: None
+            )
+            with open_workers(Workers(count=1)) as mapper:
+                worker = next(iter(mapper(block_tasks.about, range(2))))[1]
+                print(worker, task.result(), flush=True)
+                time.sleep(60)
+        """
+    )
+    file = tmp_path / "program.py"
+    file.write_text(program)
+    with subprocess.Popen(
+        [sys.executable, file],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as parent:
+        assert parent.stdout is not None
+        children = [int(pid) for pid in parent.stdout.readline().split()]
+        assert len(children) == 2
+        parent.kill()
+        _, said = parent.communicate(timeout=10)
+    wait_until(lambda: all(map(has_ended, children)), "the end of both")
+    assert "leaked" not in said
+
+
+def test_a_scheduler_that_is_not_there_is_named(free_tcp_port):
+    address = f"tcp://127.0.0.1:{free_tcp_port}"
+    with (
+        pytest.raises(WorkersAway, match=f"no Dask scheduler answers at {address}"),
+        open_workers(Workers("dask", scheduler=address, patience_s=0.5)),
+    ):
+        pass
+
+
+def test_a_scheduler_without_workers_is_named():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=0,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        workers = Workers("dask", scheduler=cluster.scheduler_address)
+        with pytest.raises(WorkersAway, match="has no workers"), open_workers(workers):
+            pass
+
+
+def test_dask_without_an_address_or_its_package_is_bad_input(monkeypatch):
+    with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
+        Workers("dask").check()
+    monkeypatch.setattr("truepath.jobs.workers.workers.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"install truepath\[dask\]"):
+        Workers("dask", scheduler="tcp://127.0.0.1:8786").check()
+
+
+def test_dask_is_imported_only_where_it_is_chosen():
+    at_once = re.compile(r"^(from|import) \S*(dask|distributed)", re.MULTILINE)
+    files = Path(truepath.__file__).parent.rglob("*.py")
+    found = [file.name for file in files if at_once.search(file.read_text())]
+    assert found == ["dask_workers.py"]

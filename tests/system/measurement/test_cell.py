@@ -1,0 +1,677 @@
+"""Cell processes on simulated devices, over a pseudo-terminal and Modbus.
+
+What the engine alone proves as quickly (`test_measurement.py`) is long here.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from multiprocessing import Pipe
+
+import numpy as np
+import psutil
+import pytest
+
+from driven_cell import Driven, config_of, measured_by_another
+from measurement_fixtures import standing_at
+from truepath.alignment.align import align
+from truepath.errors import MeasurementFailed, OutOfTravel, TruepathError
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.measurement.messages import (
+    CellConfig,
+    CellVerb,
+    Connected,
+    ControllerRead,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+    TemperaturesRead,
+    TrackerTrial,
+)
+from truepath.measurement.process import cell as cell_module
+from truepath.measurement.process.cell import Cell
+from truepath.measurement.process.cell_process import serve
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_repair import repair_run
+from truepath.measurement.time_limits import StreamTimeouts
+from truepath.planning.lines.default_path import default_path
+from truepath.plugins import load
+from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice
+from truepath_drivers.interfaces.records import MotionStatus
+from truepath_simulators.bench.bench import Bench
+
+SPEED = 10.0
+RATE_HZ = 100.0  # a fifth of the usual one: less work for the same motion
+HELD_S = 3.0  # by then a watchdog of one second holds, on a busy computer too
+# A computer that is busy with other things is no silent tracker.
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+PATIENT = StreamTimeouts(search_s=0.0)
+"""The patience of the service, which asks for no search."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Iterator[Bench]:
+    """One bench for all: every fault that is injected ends by itself."""
+    folder = tmp_path_factory.mktemp("bench")
+    with Bench(seed=3, speed=SPEED, workdir=folder) as started:
+        yield started
+
+
+@pytest.fixture
+def start(bench) -> Iterator[Callable[..., Driven]]:
+    """Start cells; all are closed at the end."""
+    with ExitStack() as stack:
+
+        def start(*, connects=True, spawns=False, **given) -> Driven:
+            config = config_of(bench, **{"timeouts": CALM, **given})
+            driven = stack.enter_context(Driven(config, spawns=spawns))
+            if connects:
+                driven.cell.connect()
+            return driven
+
+        yield start
+
+
+@pytest.fixture
+def driven(start) -> Driven:
+    return start(connects=False)
+
+
+@pytest.fixture
+def connected(start) -> Driven:
+    return start()
+
+
+@pytest.fixture
+def watchful(start) -> Driven:
+    return start(timeouts=PATIENT)
+
+
+@pytest.fixture(scope="module")
+def orders(bench) -> dict[int, MeasurementOrder]:
+    """Orders of paths by their number of lines: planning takes longer than starting."""
+    machine = machine_from_json(bench.machine)
+    return {
+        lines: MeasurementOrder(
+            "bench", "", machine, default_path(machine, lines=lines), RATE_HZ
+        )
+        for lines in (4, 7)
+    }
+
+
+@pytest.fixture
+def order(orders, tmp_path) -> MeasurementOrder:
+    return replace(orders[4], run_file=str(tmp_path / "bench.sqlite"))
+
+
+@pytest.fixture
+def long_order(orders, tmp_path) -> MeasurementOrder:
+    """Some four seconds of motion: time to do something to it."""
+    return replace(orders[7], run_file=str(tmp_path / "bench.sqlite"))
+
+
+@pytest.fixture
+def machine_state(bench) -> Iterator[Callable[[], MotionStatus]]:
+    """Looks at the CNC as somebody else would."""
+    factory = load("truepath.motion_controllers", "modbus")
+    with factory(**bench.motion_options) as controller:
+        yield controller.status
+
+
+def moves(run) -> int:
+    """Count the motions in a stream by speed."""
+    position, time_s = run.tracker.position_mm, run.tracker.device_time_s
+    n = round(0.05 / float(np.median(np.diff(time_s))))
+    speed = np.linalg.norm(position[n:] - position[:-n], axis=1) / 0.05
+    return int((np.diff((speed > 2.0).astype(int)) == 1).sum())
+
+
+def test_over_modbus_rtu_a_cell_reads_thermometers_hears_the_tracker_and_measures(
+    bench, start, order
+):
+    driven = start(
+        motion_options=bench.motion_options_rtu,
+        thermometer_driver="modbus-registers",
+        thermometer_options=bench.thermometer_options,
+    )
+    driven.until(lambda: bool(driven.of(TemperaturesRead)))
+    readings = driven.of(TemperaturesRead)[0].readings
+    assert readings
+    assert all(10.0 < value < 40.0 for value in readings.values()), readings
+    driven.until(lambda: bool(driven.of(ControllerRead)))
+    read = driven.of(ControllerRead)[0]
+    assert len(read.status.position) == len(read.axes)
+    assert read.axes == ("X", "Y", "Z")
+    tried = driven.cell.try_tracker(TrackerTrial(500.0, 0.2, streams_only=True))
+    assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
+    assert tried.usable == tried.samples
+    driven.cell.begin(order)
+    assert driven.until_closed().outcome == "finished"
+
+
+def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
+    connected, order, tmp_path, read_link_bytes
+):
+    from truepath_drivers.tracker.streaming.codec import SampleDecoder
+    from truepath_drivers.tracker.streaming.framing import FrameReader
+
+    connected.cell.begin(replace(order, rate_hz=500.0))
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    assert connected.states == ["connecting", "ready", "running", "finished"]
+    run = open_run(order.run_file)
+    samples = run.tracker
+    assert (np.diff(samples.sequence) == 1).all()
+    assert (samples.status == 0).all()
+    assert moves(run) == 4
+    write_bundle(run, tmp_path / "bundle")
+    copy = read_bundle(tmp_path / "bundle")
+    np.testing.assert_array_equal(copy.tracker.position_mm, samples.position_mm)
+    np.testing.assert_array_equal(copy.tracker.device_time_s, samples.device_time_s)
+    np.testing.assert_array_equal(copy.tracker.status, samples.status)
+    np.testing.assert_array_equal(copy.commanded.position, order.commanded.position)
+    counted = samples.sequence - samples.sequence[0]
+    np.testing.assert_array_equal(copy.tracker.sequence, counted)
+    # The bytes of the link, which are kept, decode to the samples again.
+    link = read_link_bytes(order.run_file)
+    assert len(link) > 44 * len(samples)
+    again = SampleDecoder().decode(FrameReader().feed(link)).samples
+    at = np.searchsorted(again.device_time_s, samples.device_time_s[0] - 1e-4)
+    decoded = again.position_mm[at : at + len(samples)]
+    np.testing.assert_array_equal(decoded, samples.position_mm)
+
+
+def test_one_cell_steps_through_points_again_and_again_until_enough_is_known(
+    connected, order, tmp_path
+):
+    quick = replace(order, feed_mm_min=9000.0)
+    corners = order.commanded.position
+    connected.cell.begin(standing_at(quick, corners[:3], 2.0))
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    run = open_run(order.run_file)
+    assert run.mode == "standstill"
+    assert moves(run) == 2
+    assert connected.of(MeasurementProgress)[-1].done == 3
+    connected.events.clear()
+    points = standing_at(quick, corners[:4], 8.0)
+    second = replace(points, run_file=str(tmp_path / "second.sqlite"))
+    connected.begin(second, line=1)
+    connected.cell.send(CellVerb.CONCLUDE)
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    run = open_run(second.run_file)
+    done = sum(event.kind == "point" for event in run.events)
+    assert 1 <= done < 4
+    assert [e.kind for e in run.events].count("concluded") == 1
+    assert moves(run) == done - 1
+
+
+def test_a_cell_says_who_answers_and_takes_no_order_that_cannot_be_driven(start, order):
+    driven = start(connects=False, spawns=True)
+    environment = psutil.Process(driven.cell.process_id).environ()
+    assert environment["OMP_NUM_THREADS"] == "1"
+    assert environment["OPENBLAS_NUM_THREADS"] == "1"
+    driven.cell.begin(order)
+    closed = driven.until_closed()
+    assert (closed.outcome, closed.run_file) == ("failed", "")
+    assert driven.faults == ["not-connected"]
+    devices = driven.cell.connect()
+    assert devices["tracker"].model == "Simulated tracker"
+    assert devices["motion"].model == "Simulated CNC"
+    assert driven.cell.connect() == devices
+    far = replace(order.commanded, position=order.commanded.position + 9000.0)
+    with pytest.raises(OutOfTravel, match="row 1: X"):
+        driven.cell.begin(replace(order, commanded=far))
+
+
+def test_pause_resume_and_abort_reach_the_machine_and_a_second_order_does_not(
+    connected, long_order, machine_state, tmp_path
+):
+    connected.begin(long_order, line=1)
+    connected.cell.begin(replace(long_order, run_file=str(tmp_path / "other.sqlite")))
+    connected.until_fault("busy")
+    assert connected.states[-1] == "running"
+    assert connected.cell.connect()["motion"].model == "Simulated CNC"
+    connected.cell.send(CellVerb.PAUSE)
+    connected.until_state("paused")
+    held = machine_state()
+    assert (held.state, held.hold_reason) == ("held", "command")
+    assert machine_state().position == held.position
+    connected.cell.send(CellVerb.RESUME)
+    connected.until_state("running")
+    connected.cell.send(CellVerb.ABORT)
+    assert connected.until_closed().outcome == "aborted"
+    assert machine_state().state == "aborted"
+    run = open_run(long_order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert run.provenance["outcome"] == "aborted"
+    assert connected.faults == ["busy"]
+    assert not (tmp_path / "other.sqlite").exists()
+
+
+@pytest.mark.fault_row(23)
+def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
+    start, connected, order, long_order, machine_state, tmp_path
+):
+    connected.begin(long_order, line=2)
+    recorded = connected.of(MeasurementProgress)[-1].samples
+    os.kill(connected.cell.process_id, signal.SIGKILL)
+    killed_s = time.monotonic()
+    while (status := machine_state()).state == "running":
+        assert time.monotonic() < killed_s + HELD_S
+        time.sleep(0.02)
+    assert (status.state, status.hold_reason) == ("held", "watchdog")
+    connected.until_state("faulted")
+    assert connected.faults == ["cell-died"]
+    assert not connected.cell.alive
+    assert connected.cell.poll(0.0) == []
+    with pytest.raises(MeasurementFailed, match="not alive"):
+        connected.cell.send(CellVerb.PAUSE)
+    run = open_run(long_order.run_file)
+    # What was on its way to the disk, at ten times the usual rate, may be missing.
+    assert len(run.tracker) > recorded - 0.5 * RATE_HZ * SPEED
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert run.provenance["outcome"] == "torn"
+    assert moves(run) >= 2
+    assert repair_run(long_order.run_file).samples == len(run.tracker)
+    second = start()
+    second.cell.begin(replace(order, run_file=str(tmp_path / "second.sqlite")))
+    assert second.until_closed().outcome == "finished", "another one takes over"
+
+
+def assert_held(status: MotionStatus) -> None:
+    """By the cell on its way out; on a busy computer the watchdog may be faster."""
+    assert status.state == "held"
+    assert status.hold_reason in ("command", "watchdog")
+
+
+def test_a_cell_ends_with_its_parent_and_holds_the_feed(
+    bench, long_order, tmp_path, machine_state
+):
+    given = tmp_path, config_of(bench), long_order
+    with measured_by_another(*given) as (parent, cell, told):
+        while next(told) < 1:
+            pass
+        parent.kill()
+        cell.wait(25.0)
+    assert_held(machine_state())
+    run = open_run(long_order.run_file)
+    assert run.provenance["outcome"] == "aborted"
+    assert moves(run) >= 1
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_a_cell_that_is_terminated_or_closed_holds_the_feed_and_ends_the_run(
+    connected, long_order, machine_state, is_closed
+):
+    connected.begin(long_order, line=1)
+    if is_closed:
+        connected.cell.close()
+        connected.cell.close()
+        assert not connected.cell.alive
+    else:
+        os.kill(connected.cell.process_id, signal.SIGTERM)
+        connected.until_closed()
+    assert_held(machine_state())
+    assert open_run(long_order.run_file).provenance["outcome"] == "aborted"
+
+
+@pytest.mark.fault_row(5)
+def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
+    bench, watchful, long_order, machine_state
+):
+    watchful.begin(long_order, line=1)
+    bench.inject(f"tracker:silence+{5.6 * SPEED}s")
+    watchful.until_state("paused")
+    assert machine_state().hold_reason == "command"
+    assert watchful.until_closed().outcome == "faulted"
+    assert len(watchful.faults) >= 2
+    assert set(watchful.faults) == {"tracker-silent"}
+    assert machine_state().state == "held"
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(5)
+def test_a_short_silence_is_lived_through(bench, watchful, long_order, measured):
+    watchful.begin(long_order, line=1)
+    bench.inject(f"tracker:silence+{1.2 * SPEED}s")
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert set(watchful.faults) == {"tracker-silent"}
+    assert closed.lost_samples > 0.5 * SPEED * RATE_HZ
+    measured(f"{closed.lost_samples} samples lost and counted, Run finished")
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(16)
+def test_a_closed_connection_of_the_controller_costs_nothing(bench, watchful, order):
+    watchful.begin(order, line=1)
+    for _ in range(2):
+        bench.inject("cnc:disconnect")
+        time.sleep(0.3)
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert watchful.faults == []
+    assert closed.lost_samples == 0
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(1)
+def test_a_stream_of_bad_frames_is_held_and_named(bench, watchful, order):
+    watchful.begin(order, line=1)
+    bench.inject(f"tracker:bit-flip+{0.5 * SPEED}s*0.95")
+    watchful.until_state("paused")
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert watchful.of(MeasurementProgress)[-1].crc_errors > 0
+    assert set(watchful.faults) == {"stream-damaged"}
+    run = open_run(closed.run_file)
+    assert len(run.commanded) > len(order.commanded)
+    assert "bad or lost" in run.provenance["stream"]
+
+
+@pytest.mark.fault_row(30)
+def test_a_service_that_falls_silent_is_a_hold_that_a_person_ends(connected, order):
+    """Whoever has told the cell once that it can be reached has to go on."""
+    connected.cell.send(CellVerb.BEAT)
+    connected.cell.begin(order)
+    connected.until_state("paused")
+    assert set(connected.faults) == {"service-silent"}
+    connected.cell.send(CellVerb.RESUME)
+    connected.until(lambda: "resuming" in connected.states)
+
+    def beat() -> bool:
+        connected.cell.send(CellVerb.BEAT)
+        return bool(connected.of(RunClosed))
+
+    connected.until(beat, 45.0)
+    assert connected.of(RunClosed)[-1].outcome == "finished"
+
+
+@contextmanager
+def suspended(*process_ids: int) -> Iterator[None]:
+    """Let processes not run meanwhile."""
+    for process_id in process_ids:
+        os.kill(process_id, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for process_id in process_ids:
+            os.kill(process_id, signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("who", "for_s"),
+    [
+        ("tracker cnc cell", 1.4),
+        pytest.param("tracker", 0.6, marks=pytest.mark.long),
+        pytest.param("cnc", 1.4, marks=pytest.mark.long),
+        pytest.param("tracker", 2.0, marks=pytest.mark.long),
+        pytest.param("cnc", 0.6, marks=pytest.mark.long),
+        pytest.param("tracker cnc", 0.6, marks=pytest.mark.long),
+        pytest.param("tracker cnc", 1.4, marks=pytest.mark.long),
+        pytest.param("cell", 0.7, marks=pytest.mark.long),
+    ],
+)
+@pytest.mark.fault_row(30)
+def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
+    bench, watchful, long_order, who, for_s, measured
+):
+    ids = bench.process_ids | {"cell": watchful.cell.process_id}
+    watchful.begin(long_order, line=1)
+    with suspended(*(ids[name] for name in who.split())):
+        time.sleep(for_s)  # what is tested is that time passes
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert closed.lost_samples == 0
+    assert set(watchful.faults) <= {"tracker-silent", "control-late"}
+    run = open_run(long_order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert moves(run) >= len(long_order.commanded) - 1
+    measured(f"{who} for {for_s} s: {closed.lost_samples} samples lost")
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(30)
+@pytest.mark.parametrize(
+    ("who", "told"),
+    [
+        ("tracker", {"tracker-silent"}),
+        ("cnc", {"no-answer", "link-lost"}),
+        ("cell", {"held-at-machine"}),
+    ],
+)
+def test_a_process_that_stands_for_ten_seconds_ends_in_a_machine_that_stands(
+    bench, watchful, long_order, machine_state, who, told
+):
+    ids = bench.process_ids | {"cell": watchful.cell.process_id}
+    watchful.begin(long_order, line=1)
+    with suspended(ids[who]):
+        time.sleep(10.0)  # what is tested is that time passes
+    watchful.until(lambda: bool(told & set(watchful.faults)), 30.0)
+    assert machine_state().state != "running"
+    if who == "cell":
+        watchful.cell.send(CellVerb.RESUME)
+    closed = watchful.until_closed()
+    assert closed.outcome in ("finished", "faulted")
+    run = open_run(long_order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+
+
+@pytest.mark.fault_row(23)
+def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
+    bench, watchful, long_order, machine_state, measured
+):
+    watchful.begin(long_order, line=1)
+    with suspended(watchful.cell.process_id):
+        begun_s = time.monotonic()
+        held_by_s = begun_s + HELD_S
+        while (status := machine_state()).state != "held":
+            assert time.monotonic() < held_by_s
+            time.sleep(0.01)
+        assert status.hold_reason == "watchdog"
+        measured(f"held {time.monotonic() - begun_s:.2f} s after the cell stood")
+    watchful.until_state("paused")
+    watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
+    assert "watchdog" in watchful.of(FaultReported)[-1].text
+    assert machine_state().state == "held"
+    watchful.cell.send(CellVerb.RESUME)
+    closed = watchful.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(9)
+def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
+    watchful.begin(long_order, line=1)
+    bench.inject(f"tracker:beam-break+{SPEED}s")
+    watchful.until_fault("beam-lost")
+    watchful.until_state("paused")
+    assert watchful.faults[-1] == "beam-lost"
+    seen = len(watchful.of(LivePoints))
+    watchful.until(lambda: len(watchful.of(LivePoints)) > seen + 2)
+    watchful.cell.send(CellVerb.RESUME)
+    assert watchful.until_closed().outcome == "finished"
+    assert (open_run(long_order.run_file).tracker.status != 0).any()
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(9)
+def test_a_target_that_only_a_search_finds_needs_nobody(bench, start, order):
+    searching = start(timeouts=StreamTimeouts())
+    searching.begin(order, line=2)
+    bench.inject("tracker:beam-lost")
+    assert searching.until_closed().outcome == "finished"
+    assert searching.faults == ["beam-lost"]
+    run = open_run(order.run_file)
+    kinds = [event.kind for event in run.events]
+    assert kinds.count("found") == 1
+    assert "again" in kinds
+    assert (run.tracker.status != 0).any()
+    assert len(run.commanded) > len(order.commanded)
+    seen = align(run)
+    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+    assert np.abs(off).max() < 0.4
+    missing = set(range(1, len(run.commanded))) - set(seen.row.tolist())
+    assert len(missing) <= 1  # the line that the beam was lost on
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(19)
+def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order, measured):
+    faults = ["cnc:alarm@row2"]
+    with (
+        Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench,
+        Driven(config_of(bench, timeouts=CALM)) as driven,
+    ):
+        driven.cell.connect()
+        driven.cell.begin(order)
+        closed = driven.until_closed()
+        assert (closed.outcome, closed.lost_samples) == ("faulted", 0)
+        measured(f"{closed.samples} samples kept, none lost")
+        assert driven.faults == ["motion-alarm"]
+        (told,) = driven.of(FaultReported)
+        assert "Servo alarm: following error of an axis" in told.text
+        driven.cell.begin(replace(order, run_file=str(tmp_path / "again.sqlite")))
+        driven.until(lambda: len(driven.of(RunClosed)) == 2)
+        assert driven.of(RunClosed)[-1].outcome == "failed"
+        assert driven.faults == ["motion-alarm"] * 2
+    run = open_run(order.run_file)
+    assert run.provenance["outcome"] == "faulted"
+    assert moves(run) >= 1
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(20)
+def test_a_hold_at_the_panel_is_a_pause_that_ends_there(
+    bench, connected, long_order, measured
+):
+    connected.begin(long_order, line=1)
+    bench.inject(f"cnc:feed-hold+{SPEED}s")
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    measured(f"{closed.samples} samples, none lost")
+    assert connected.states[2:] == ["running", "paused", "running", "finished"]
+    assert connected.faults == ["held-at-machine"]
+    assert "operator" in connected.of(FaultReported)[0].text
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_named_and_ends_where_it_is_turned_up(
+    bench, connected, long_order, machine_state
+):
+    connected.begin(long_order, line=1)
+    bench.inject(f"cnc:override+{13 * SPEED}s*0")
+    connected.until(lambda: bool(connected.faults))
+    (told,) = connected.of(FaultReported)
+    assert told.code == "feed-override"
+    assert "the feed override is 0 %" in told.text
+    standing = machine_state()
+    assert (standing.state, standing.override) == ("running", 0.0)
+    closed = connected.until_closed()
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
+    assert connected.faults == ["feed-override"]
+    assert moves(open_run(closed.run_file)) >= len(long_order.commanded) - 1
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(7)
+def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path, measured):
+    faults = ["tracker:wrong-identity"]
+    with (
+        Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench,
+        Driven(config_of(bench)) as driven,
+    ):
+        begun_s = time.monotonic()
+        with pytest.raises(WrongDevice):
+            driven.cell.connect()
+        measured(f"refused after {time.monotonic() - begun_s:.2f} s")
+
+
+def test_a_cell_that_hangs_is_ended_by_force(driven, monkeypatch):
+    monkeypatch.setattr(cell_module, "CLOSE_S", 0.2)
+    monkeypatch.setattr(cell_module, "FORCE_S", 0.2)
+    monkeypatch.setattr(cell_module, "CONNECT_S", 0.2)
+    process = psutil.Process(driven.cell.process_id)
+    process.suspend()
+    with pytest.raises(MeasurementFailed, match=r"did not answer in 0\.2 s"):
+        driven.cell.connect()
+    driven.cell.close()
+    assert not process.is_running()
+
+
+def test_a_killed_cell_ends_at_once_and_its_death_is_reported(driven):
+    driven.cell.kill()
+    driven.until_state("faulted")
+    assert driven.faults == ["cell-died"]
+
+
+def test_a_cell_that_dies_while_it_connects_says_so(driven):
+    process = psutil.Process(driven.cell.process_id)
+    process.suspend()
+    killer = threading.Timer(0.3, process.kill)
+    killer.start()
+    with pytest.raises(MeasurementFailed, match="died"):
+        driven.cell.connect()
+    killer.join()
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"tracker_driver": "none"}, TruepathError, "no trackers called 'none'"),
+        ({"tracker_options": {"prot": "x"}}, TruepathError, "prot"),
+        ({"tracker_options": {"port": "/dev/gone"}}, ConnectionLost, "/dev/gone"),
+    ],
+)
+def test_an_unknown_driver_option_or_port_is_named(start, given, error, said):
+    driven = start(connects=False, **given)
+    with pytest.raises(error, match=said):
+        driven.cell.connect()
+
+
+def test_a_cell_that_was_never_started_can_be_closed():
+    cell = Cell(CellConfig("streaming", {}, "modbus", {}))
+    assert not cell.alive
+    assert cell.poll(0.0) == []
+    with pytest.raises(MeasurementFailed, match="not alive"):
+        cell.connect()
+    cell.close()
+
+
+def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
+    """For debugging; it also ends when its life line is ready."""
+    ours, theirs = Pipe()
+    reading, writing = os.pipe()
+    thread = threading.Thread(target=serve, args=(theirs, config_of(bench), (reading,)))
+    thread.start()
+    try:
+        ours.send(CellVerb.CONNECT)
+        kinds = []
+        while Connected not in kinds:
+            assert ours.poll(10.0)
+            kinds.append(type(ours.recv()))
+        ours.send(CellVerb.PAUSE)
+        ours.send(order)
+        while not isinstance(ours.recv(), MeasurementProgress):
+            pass
+    finally:
+        os.write(writing, b"x")
+        thread.join(10.0)
+        os.close(reading)
+        os.close(writing)
+        ours.close()
+        theirs.close()
+    assert not thread.is_alive()
+    assert open_run(order.run_file).provenance["outcome"] == "aborted"

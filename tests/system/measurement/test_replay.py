@@ -1,0 +1,160 @@
+"""Runs repeated by simulated devices: the same samples, the same tables."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from driven_cell import Driven, config_of
+from truepath.alignment.align import align
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.measurement.messages import (
+    FaultReported,
+    MeasurementOrder,
+    RunClosed,
+)
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.time_limits import StreamTimeouts
+from truepath.motion.configurations import Commanded, Configurations
+from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.records import Path
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.bench.command import main
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.processes import DeviceProcesses
+from truepath_simulators.replay.recorded_run import read_recorded_run
+from truepath_simulators.replay.replay import Replay
+from truepath_simulators.scenario import load_machine
+
+AXES = ("X", "Y", "Z")
+CORNERS = np.array(
+    [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]], float
+)
+PATH = Path(AXES, CORNERS, np.full(5, 12_000.0), np.full(5, 1.0))
+POINTS = Configurations(AXES, CORNERS[:4], np.full(4, 2.0))
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+SPEED = 10.0
+FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@2500n"]
+
+
+def record(devices: DeviceProcesses, file: FilePath, commanded: Commanded) -> Run:
+    """Measure through a cell; return the Run."""
+    machine = machine_from_json(load_machine("demo"))
+    with Driven(config_of(devices, timeouts=CALM)) as driven:
+        driven.cell.connect()
+        driven.cell.begin(MeasurementOrder("run", str(file), machine, commanded))
+        driven.until(lambda: bool(driven.of(RunClosed) or driven.faults), 50.0)
+        assert not driven.of(FaultReported)
+    return open_run(file)
+
+
+@pytest.fixture(scope="module")
+def make_run(make_once) -> Callable[[Commanded], FilePath]:
+    """Record a Run with damaged and lost frames, once for each order."""
+
+    def make(commanded: Commanded) -> FilePath:
+        def fill(folder: FilePath) -> None:
+            with Bench(seed=8, speed=SPEED, faults=FAULTS, rtu=False) as bench:
+                record(bench, folder / "run.sqlite", commanded)
+
+        name = f"replayed-{type(commanded).__name__.lower()}"
+        return make_once(name, fill) / "run.sqlite"
+
+    return make
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("commanded", "speed"),
+    [
+        (PATH, 1.0),
+        (POINTS, 3.0),
+    ],
+    ids=["path-1", "points-3"],
+)
+def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded, speed):
+    recorded = make_run(commanded)
+    first = open_run(recorded)
+    with Replay(recorded, speed) as replay:
+        second = record(replay, tmp_path / "again.sqlite", first.commanded)
+    n = len(first.tracker)
+    assert len(second.tracker) >= n
+    for name in ("sequence", "device_time_s", "position_mm", "status"):
+        once, again = (getattr(run.tracker, name) for run in (first, second))
+        np.testing.assert_array_equal(again[:n], once)
+    # Where the host has gone on for longer than the recording: nothing that counts.
+    assert (second.tracker.status[n:] != 0).all()
+    assert second.provenance["tracker"] == first.provenance["tracker"]
+    aligned = [align(run) for run in (first, second)]
+    for field in ("tracker_mm", "count", "row"):
+        once, again = (getattr(a, field) for a in aligned)
+        np.testing.assert_array_equal(again, once)
+
+
+def test_what_the_bytes_hold_is_what_the_run_holds(make_run):
+    run = read_recorded_run(make_run(PATH))
+    assert run.is_exact
+    assert run.samples == len(open_run(make_run(PATH)).tracker)
+    assert len(run.moves) == 1
+    assert run.moves[0].goal == pytest.approx(CORNERS[-1])
+
+
+def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(
+    make_run,
+):
+    with (
+        Replay(make_run(PATH), tracker="tcp") as replay,
+        StreamingTracker(**replay.tracker_options) as tracker,
+    ):
+        assert tracker.connect().serial_number == "SIM-000008"
+        with pytest.raises(Refused, match="recorded at 500"):
+            tracker.start(100.0)
+        assert replay.describe()["replay"]["is_exact"]
+        assert not replay.read_state()["replay"]["streaming"]
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ("DELETE FROM batch WHERE stream = 'tracker.link'", "holds no bytes"),
+        ("DELETE FROM manifest WHERE key = 'closed'", "is not closed"),
+        ("UPDATE batch SET payload = X'00' WHERE stream = 'tracker.link'", "no bytes"),
+        ("DROP TABLE batch", "is not a Run"),
+    ],
+)
+def test_a_run_that_cannot_be_repeated_is_a_clear_line(
+    make_run, tmp_path, order, said, capsys
+):
+    file = tmp_path / "run.sqlite"
+    file.write_bytes(make_run(PATH).read_bytes())
+    with sqlite3.connect(file) as database:
+        database.execute(order)
+    database.close()
+    with pytest.raises(SimulatorError, match=said):
+        read_recorded_run(file)
+    assert main(["--replay", str(file)]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_replay_takes_no_faults(capsys):
+    assert main(["--replay", "run.sqlite", "--fault", "tracker:silence"]) == 2
+    assert "only repeats" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
+    make_run, tmp_path
+):
+    position = np.vstack([CORNERS, [[400.0, 300.0, 200.0]]])
+    longer = Path(AXES, position, np.full(6, 12_000.0), np.full(6, 1.0))
+    with (
+        Replay(make_run(PATH)) as replay,
+        pytest.raises(AssertionError, match="ended-early"),
+    ):
+        record(replay, tmp_path / "again.sqlite", longer)

@@ -1,0 +1,181 @@
+"""Every view by axe-core: each size, light and dark, in the states that matter."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page, expect
+from tests.system.page.test_trend import trend_of
+
+from page_steps import DESK, PHONE, go
+from scripted_data import (
+    certificate,
+    circles_in_motion,
+    compensation,
+    machine_history,
+    verification,
+    volumetric_error,
+)
+
+pytestmark = pytest.mark.timeout(120)
+
+LEAST_TOUCH_PX = {DESK: 56, PHONE: 48}
+LONG_DESK = [pytest.param(DESK, marks=pytest.mark.long), PHONE]
+JOBS = re.compile(r"/api/v1/jobs[/?]")
+STATED_BOX = """() => localStorage.setItem("truepath.keep_out", JSON.stringify(
+    {default: [{name: "vice", min_mm: [1, 1, 1], max_mm: [9, 9, null]}]}))"""
+
+HINDRANCES = ("moderate", "serious", "critical")
+AXE = Axe()
+FOUND = "(options) => axe.run(document, options).then((all) => all.violations)"
+ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
+    .filter((one) => one instanceof CSSTransition).map((one) => one.finished))"""
+ALL = {"resultTypes": ["violations"]}
+# Light or dark only changes colours: the other rules read the same document again.
+CONTRAST = {**ALL, "runOnly": ["color-contrast"]}
+
+
+@pytest.mark.parametrize("size", LONG_DESK)
+def test_no_view_hinders_anybody_before_and_after_a_calibration(
+    panel, service, witness, size
+):
+    witness.expect("status of 404")  # nothing stands of the machine before
+    page = panel.open("#/records", size=size)
+    bad = hindrances(page, "records", "main h1")
+    views = views_of_a_calibration(service)
+    page.evaluate(STATED_BOX)
+    page.reload()
+    for view, shown in views.items():
+        go(page, f"#/{view}")
+        bad += hindrances(page, view, shown)
+        bad += small_targets(page, view, LEAST_TOUCH_PX[size])
+    assert bad == []
+
+
+@pytest.mark.parametrize("size", LONG_DESK)
+def test_no_state_of_a_run_hinders_anybody(panel, service, witness, size):
+    witness.expect("net::ERR_FAILED")
+    job = service.ready()
+    page = panel.open(f"#/check/{job}", size=size)
+    bad = hindrances(page, "ready", ".path-view[data-drawn]")
+    service.change(job, state="running", stage="measuring")
+    page.wait_for_url(f"**/#/run/{job}")
+    service.advance(job, 11.0)
+    service.estimate(job, 11)
+    expect(page.locator(".big-progress strong")).to_have_text("50%")
+    bad += hindrances(page, "running", ".big-progress strong")
+    error = {"title": "Feed held", "detail": "At the panel", "action": "Cycle start."}
+    service.change(job, state="paused", error=error)
+    bad += hindrances(page, "held", "main .notice.is-held")
+    page.route(JOBS, lambda route: route.abort())
+    service.silent = True
+    bad += hindrances(page, "stale", "#stamp:has-text('STALE')")
+    service.silent = False
+    page.unroute(JOBS)
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
+    service.change(job, state="faulted", error=error)
+    bad += hindrances(page, "fault", "main .notice:has-text('Clear the sight.')")
+    page.locator("#open-settings").click()
+    bad += hindrances(page, "settings", "#settings")
+    page.keyboard.press("Escape")
+    page.locator("#abort").click()
+    bad += hindrances(page, "abort", "#abort-close")
+    assert bad == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("size", "dark"), [(DESK, False), (PHONE, False), (PHONE, True)]
+)
+def test_nothing_that_is_opened_hinders_anybody(panel, service, witness, size, dark):
+    witness.expect("status of 404", "status of 409")
+    views = list(views_of_a_calibration(service))
+    page = panel.open("#/plan", size=size, dark=dark)
+    bad = []
+    for view, touched in (
+        ("result/", "[data-symbol=EXX] button"),
+        ("result/", ".map-table summary"),
+        ("discover/", "details.graded summary"),
+        ("discover/", ".strips-table summary"),
+        ("export/", "[data-format]"),
+        ("plan", "[data-place]:last-child"),
+        ("machine", "details summary"),
+    ):
+        (address,) = [one for one in views if one.startswith(view)]
+        go(page, f"#/{address}")
+        page.locator(touched).first.click()
+        bad += violations(page, f"{address}, {touched}", CONTRAST if dark else ALL)
+        bad += small_targets(page, address, LEAST_TOUCH_PX[size])
+        page.keyboard.press("Escape")
+    assert bad == []
+
+
+def views_of_a_calibration(service) -> dict[str, str]:
+    """Fill the service with one of everything; each view and what it shows then."""
+    service.result["volumetric_error"] = volumetric_error()
+    job = service.measured()
+    proof = service.verified(verification(job) | circles_in_motion())
+    found = service.done("discover", run_id="run-1")
+    service.trend = trend_of("due", expected_h=8.25, exceeded=0.9, grade="likely")
+    trend = service.done("trend", run_id="run-1")
+    dates = "2026-03-13T08:00:00Z", "2026-03-14T08:00:00Z"
+    service.histories["default"] = machine_history("default", *dates)
+    service.compensations[job] = [compensation(job, "linuxcnc", "hold")]
+    service.certificates[job] = [certificate(job, 1, "en")]
+    return {
+        "machine": "[data-machine]",
+        "connect": "[data-connected]",
+        "plan": "#feed",
+        f"run/{job}": "main .card",
+        f"result/{job}": ".chart canvas",
+        f"discover/{found}": "[data-effect]",
+        f"export/{job}": "[data-card=export]",
+        f"verify/{job}": "#verify-tolerance",
+        f"verify/{proof}": ".circle-plot",
+        f"certificate/{job}": "iframe.preview",
+        "records": "tbody tr",
+        f"trend/{trend}": "main .card",
+    }
+
+
+def hindrances(page: Page, where: str, shown: str) -> list[str]:
+    """What hinders somebody in a view once something is shown, light and dark."""
+    found = []
+    for theme, options in (("dark", CONTRAST), ("light", ALL)):
+        page.emulate_media(color_scheme=theme)
+        expect(page.locator(shown).first).to_be_visible()
+        found += violations(page, f"{where}, {theme}", options)
+    return found
+
+
+def violations(page: Page, where: str, options: dict[str, Any]) -> list[str]:
+    """What axe-core calls moderate or worse, with the elements it means.
+
+    Colours are judged where they end: on their way they are neither of both.
+    """
+    page.evaluate(ENDED_TRANSITIONS)
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(AXE.axe_script)
+    found = page.evaluate(FOUND, options)
+    return [
+        f"{where}: {rule['id']} ({rule['impact']}) {node['target']} {node['html']}"
+        for rule in found
+        if rule["impact"] in HINDRANCES
+        for node in rule["nodes"]
+    ]
+
+
+def small_targets(page: Page, where: str, least_px: int) -> list[str]:
+    """Controls that are lower than a gloved finger needs."""
+    found = page.evaluate(
+        """([selector, least]) => [...document.querySelectorAll(selector)]
+            .map((e) => [e.getBoundingClientRect().height, e])
+            .filter(([height, e]) => e.checkVisibility() && height < least - 0.5)
+            .map(([height, e]) => `${height} px ${e.outerHTML.slice(0, 120)}`)""",
+        ["button, main a, select, summary, input:not([type=file])", least_px],
+    )
+    return [f"{where}: {one}" for one in found]

@@ -1,0 +1,181 @@
+"""The files for the controller: seen for what they leave before they are taken."""
+
+from __future__ import annotations
+
+import json
+import re
+
+from playwright.sync_api import Locator, Page, expect
+
+from page_steps import DESK, PHONE, assert_fits, choose, go
+from scripted_data import rotary_account, volumetric_error
+from scripted_service import ScriptedService
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+
+FILES = "/api/v1/jobs/job-1/compensations/{}/archive"
+
+
+def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
+    page = panel.open(f"#/export/{service.measured()}", **more)
+    return page, page.locator("[data-card=export]")
+
+
+def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
+    service.result["volumetric_error"] = volumetric_error()
+    page, card = show(panel, service)
+    expect(card.get_by_role("radio")).to_have_count(2)
+    expect(card.get_by_role("link")).to_have_count(0)
+    card.get_by_text("LinuxCNC").click()
+    expect(card).to_contain_text("15.32 µm")
+    expect(card).to_contain_text("3.21 µm ± 0.09 µm (k = 2)")
+    expect(card).to_contain_text("The 15.3 µm of the result is the mean over a regular")
+    expect(card).to_contain_text("straightness, angular errors, squareness")
+    expect(card).not_to_contain_text("sign is not settled")
+    with page.expect_download() as taken:
+        card.get_by_role("link", name="Files (ZIP)").click()
+    assert taken.value.suggested_filename == "linuxcnc-10-hold.zip"
+    # Files of a machine of straight axes say nothing of rotary ones.
+    expect(card.locator("[data-rotary]")).to_have_count(0)
+
+
+def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
+    panel, service
+):
+    service.rotary_account = rotary_account()
+    page, card = show(panel, service)
+    rows = {
+        "English": (
+            "Correct the machine",
+            "48.3 → 1.6 µrad ± 0.7 µrad (k = 2)",
+            "Not in the result",
+            "Nothing",
+        ),
+        "Deutsch": (
+            "Maschine korrigieren",
+            "48,3 → 1,6 µrad ± 0,7 µrad (k = 2)",
+            "Nicht im Ergebnis",
+            "Nichts",
+        ),
+    }
+    account = card.locator("[data-rotary]")
+    for (width, height), (language, (title, *texts)) in zip(
+        (DESK, PHONE), rows.items(), strict=True
+    ):
+        choose(page, language)
+        expect(page.get_by_role("heading", name=title)).to_be_visible()
+        page.set_viewport_size({"width": width, "height": height})
+        card.get_by_text("LinuxCNC").click()
+        for text, count in zip(texts, (1, 2, 1), strict=True):
+            expect(account.locator("dd", has_text=text)).to_have_count(count)
+        for number in ("21.40 µm ± 0.52 µm", "6.32 µm ± 0.41 µm", "24.0 → 0.9 µrad"):
+            comma = "," if language == "Deutsch" else "."
+            expect(account).to_contain_text(number.replace(".", comma))
+        expect(account).to_contain_text("EXC, EYC, EZC, EAC, EBC, AOC, BOC")
+        assert_fits(page)
+        for value in account.locator("dd").all():
+            assert value.evaluate("e => e.scrollWidth <= e.clientWidth + 1")
+
+
+def test_an_unsettled_sign_and_ranges_without_measurement_are_said(
+    panel, service, witness
+):
+    witness.expect("status of 422")
+    _, card = show(panel, service)
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card.locator(".notice")).to_contain_text("sign is not settled")
+    expect(card).to_contain_text("X not measured from 450 to 500 mm")
+    expect(card).to_contain_text("2.90 µm ± 0.09 µm (k = 2)")
+    card.get_by_role("button", name="Fade to 0").click()
+    expect(card.get_by_role("link")).to_have_attribute(
+        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
+    )
+    card.get_by_role("button", name="Refuse").click()
+    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
+    expect(card.get_by_role("link")).to_have_count(0)
+
+
+def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
+    page, card = show(panel, service)
+    held: list = []
+
+    def is_order(request):
+        return request.method == "POST" and request.url.endswith("/compensations")
+
+    def hold(route):
+        order = json.loads(route.request.post_data or "{}")
+        if order.get("format") == "heidenhain":
+            held.append(route)
+        else:
+            route.continue_()
+
+    page.route("**/compensations", hold)
+    with page.expect_request(is_order):
+        card.get_by_text("Heidenhain TNC").click()
+    card.get_by_text("LinuxCNC").click()
+    link = card.get_by_role("link", name="Files (ZIP)")
+    expect(link).to_be_visible()
+    with page.expect_response("**/compensations"):
+        held[0].continue_()
+    page.evaluate("() => new Promise(requestAnimationFrame)")
+    expect(link).to_have_attribute(
+        "href", re.compile(FILES.format("linuxcnc-10-hold") + "$")
+    )
+
+
+def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
+    reason = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1})
+    service.result["verdict"] = verdict_json(Verdict((reason,)))
+    page, card = show(panel, service)
+    expect(page.locator(".notice.is-fault")).to_contain_text("No files are made")
+    expect(card).to_have_count(0)
+
+
+def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
+    _, card = show(panel, service, language="de")
+    expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
+    card.get_by_text("LinuxCNC").click()
+    expect(card.locator("[data-way]")).to_have_count(0)
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card).to_contain_text("X nicht gemessen von 450 bis 500 mm: Letzten Wert")
+    way = card.get_by_role("group", name="So liest die Steuerung BACKLASH")
+    usual = way.get_by_role("button", name="Wert bei negativer Fahrt")
+    expect(usual).to_have_attribute("aria-pressed", "true")
+    expect(card).to_contain_text("BACKLASH enthält den Wert")
+    way.get_by_role("button", name="Zuschlag bei negativer Fahrt").click()
+    expect(card).to_contain_text("BACKLASH enthält, was bei negativer Fahrt zur")
+    wanted = [body["choices"] for _, path, body in service.requests if "comp" in path]
+    word = "backlash_reading"
+    assert wanted == [{}, {word: "negative-value"}, {word: "difference"}]
+
+
+def test_a_simulated_control_is_given_the_files_and_verified_with_them(panel, service):
+    page, card = show(panel, service)
+    job = page.url.rsplit("/", 1)[1]
+    card.get_by_text("LinuxCNC").click()
+    load = page.locator("[data-load='linuxcnc-10-hold']")
+    load.click()
+    unload = page.locator("[data-unload='linuxcnc-10-hold']")
+    expect(unload).to_be_visible()
+    expect(load).to_have_count(0)
+    files = {"job_id": job, "compensation_id": "linuxcnc-10-hold"}
+    assert service.loaded_tables == files
+    go(page, f"#/verify/{job}")
+    chosen = page.locator("#verify-files")
+    expect(chosen).to_have_value("linuxcnc-10-hold")
+    page.go_back()
+    choose(page, "Deutsch")
+    unload.click()
+    expect(load).to_be_visible()
+    assert service.loaded_tables == {}
+    # Files of another result in the control are said on Verify.
+    service.loaded_tables = {"job_id": "job-9", "compensation_id": "isg-csv-10-hold"}
+    go(page, f"#/verify/{job}")
+    said = page.locator(".notice.is-held")
+    for language, words in (
+        ("Deutsch", "eines anderen Ergebnisses"),
+        ("English", "of another result"),
+    ):
+        choose(page, language)
+        expect(said).to_contain_text(words)
+        expect(said.locator("a")).to_have_attribute("href", "#/export/job-9")
+        expect(chosen).to_have_value("")

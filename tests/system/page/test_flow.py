@@ -1,0 +1,472 @@
+"""The task from Connect to Result, as an operator does it."""
+
+from __future__ import annotations
+
+import json
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from page_steps import DESK, NEXT, PHONE, choose, follow, go, held
+
+REFUSED = ("the server responded with a status of",)
+NO_ANSWER = ("net::ERR_FAILED",)
+JOBS = re.compile(r"/api/v1/jobs[/?]")
+# As in a busy browser: states are drawn between a new address and its view.
+TURNS_SLOWLY = """
+window.visited = [];
+addEventListener("hashchange", (event) => {
+  if (!event.isTrusted) return;
+  event.stopImmediatePropagation();
+  window.visited.push(location.hash);
+  setTimeout(() => dispatchEvent(new HashChangeEvent("hashchange")), 400);
+});
+"""
+
+
+def test_who_comes_soon_after_the_run_finds_its_result(panel, service):
+    job = service.measured()
+    service.change(job, ended="2026-01-01T00:00:00.000Z")
+    page = panel.open()
+    page.wait_for_url("**/#/connect")
+    service.change(job, ended=datetime.now(UTC).isoformat())
+    page.goto(panel.address)
+    page.wait_for_url(f"**/#/result/{job}")
+
+
+def test_motion_starts_only_after_the_button_was_held(panel, service):
+    job = service.ready()
+    page = panel.open()
+    button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    button.click()
+    assert service.jobs[job]["state"] == "ready"
+    with held(page, button):
+        page.wait_for_url(f"**/#/run/{job}")
+    assert ("POST", f"/jobs/{job}/arm", '"1"') in service.requests
+
+
+def test_the_hold_works_from_the_keyboard(panel, service):
+    job = service.ready()
+    page = panel.open()
+    button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    button.focus()
+    page.keyboard.down("Enter")
+    page.wait_for_url(f"**/#/run/{job}")
+    page.keyboard.up("Enter")
+
+
+def test_motion_does_not_start_on_stale_data(panel, service, witness):
+    witness.expect("net::ERR_FAILED")
+    service.ready()
+    page = panel.open()
+    expect(page.locator(NEXT)).to_be_enabled()
+    page.route(re.compile(r"/api/v1/jobs[/?]"), lambda route: route.abort())
+    service.silent = True
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text("No live data")
+
+
+def test_pause_is_a_touch_and_resume_is_held(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    expect(page.locator("#resume")).to_be_disabled()
+    page.locator("#pause").click()
+    expect(page.locator("#state")).to_have_text("Paused")
+    expect(page.locator("#pause")).to_be_disabled()
+    version = service.jobs[job]["version"]
+    page.locator("#resume").click()
+    assert service.jobs[job]["state"] == "paused"
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#state")).to_have_text("Running")
+    assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
+
+
+def test_a_job_begun_elsewhere_comes_onto_the_page(panel, service):
+    page = panel.open()
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    job = service.measuring()
+    page.wait_for_url(f"**/#/run/{job}")
+    expect(page.locator("output")).to_have_count(3)
+    service.advance(job, 3.0)
+    expected = [f"{v:.3f}".replace("-", "−") for v in service.plan["position"][3]]
+    expect(page.locator("output")).to_have_text(expected)
+    service.tell("estimate", {"job_id": job, "volumetric_uncertainty_um": 2.15})
+    expect(page.locator("#uncertainty")).to_have_text("U = 4.3 µm (k = 2)")
+    service.advance(job, 4.5)
+    page.reload()
+    expect(page.locator("#state")).to_have_text("Running")
+    assert page.url.endswith(f"#/run/{job}")
+    expect(page.locator(".path-view[data-drawn]")).to_be_visible()
+    expect(page.locator(".big-progress strong")).to_have_text("18%")
+
+
+def test_a_refused_connect_says_what_to_do_and_stays(panel, service, witness):
+    witness.expect(*REFUSED)
+    page = panel.open()
+    problem = page.locator("#problems")
+    connect = "**/machines/current:connect"
+    cut_short = '{"connected": tr'
+    page.route(connect, lambda route: route.fulfill(status=200, body=cut_short))
+    follow(page, "Connect devices")
+    expect(problem).to_contain_text("The service has not answered")
+    page.unroute(connect)
+    service.refuse_connect = True
+    follow(page, "Connect devices")
+    expect(problem).to_contain_text("Another device answers")
+    expect(problem).to_contain_text("Check the cable, then connect again.")
+    problem.get_by_role("button").click()
+    expect(problem).to_be_empty()
+    expect(page.locator(NEXT)).to_be_enabled()
+    card = page.locator("[data-card='last-error']")
+    expect(card).to_contain_text("Check the cable, then connect again.")
+    service.refuse_connect = False
+    follow(page, "Connect devices")
+    expect(page.locator("main h1")).not_to_have_text("Connect")
+    go(page, "#/connect")
+    expect(page.locator(".device").first).to_contain_text("Connected")
+    expect(card).to_be_hidden()
+
+
+def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
+    panel, service, witness
+):
+    witness.expect(*NO_ANSWER)
+    service.measuring()
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.route(JOBS, lambda route: route.abort())
+    page.locator("#pause").click()
+    problem = page.locator("#problems")
+    expect(problem).to_contain_text("The service has not answered")
+    expect(problem).to_contain_text("The page does not ask a second time.")
+    page.unroute(JOBS)
+    expect(page.locator("#pause")).to_be_enabled()
+    expect(problem).to_contain_text("The service has not answered")
+
+
+def test_a_service_that_answers_again_is_not_said_to_be_silent(panel, service, witness):
+    witness.expect(*NO_ANSWER)
+    page = panel.open("#/records")
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    service.silent = True
+    page.route(JOBS, lambda route: route.abort())
+    expect(page.locator("#stamp")).to_contain_text("STALE")
+    page.evaluate("location.hash = '#/run/job-1'")
+    problem = page.locator("#problems")
+    expect(problem).to_contain_text("The service does not answer")
+    page.unroute(JOBS)
+    service.silent = False
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    expect(problem).to_be_empty()
+
+
+def test_a_fault_says_why_and_stays_until_it_is_taken_away(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
+    service.change(job, state="faulted", error=error)
+    expect(page.locator("#state")).to_have_text("Fault")
+    expect(page.locator("main .notice")).to_contain_text("Clear the sight.")
+    expect(page.locator(NEXT)).to_have_text("Plan a new run")
+    go(page, "#/connect")
+    card = page.locator("[data-card='last-error']")
+    expect(card).to_contain_text("Clear the sight.")
+    card.get_by_role("button").click()
+    expect(card).to_be_hidden()
+
+
+def test_the_page_asks_for_the_tracker_and_motion_goes_on_once_armed(panel, service):
+    rows = {key: service.plan[key] for key in ("position", "feed_mm_min", "dwell_s")}
+    places = ([1200, 300, -80], [-650, 200, 40])
+    service.plan["stations"] = [{"position_mm": p, **rows} for p in places]
+    station = {"number": 1, "total": 2, "position_mm": places[0], "checks": []}
+    job = service.measuring(station=station)
+    page = panel.open()
+    page.wait_for_url(f"**/#/run/{job}")
+    text = "the tracker has not been moved"
+    check = {"station": 2, "problem": "not-moved", "text": text}
+    station = {"number": 2, "total": 2, "position_mm": places[1], "checks": [check]}
+    service.change(job, state="awaiting-move", stage="waiting", station=station)
+    page.wait_for_url(f"**/#/check/{job}")
+    notices = page.locator(".notice")
+    for language, title, label in (
+        ("English", "Station 2 of 2: set up the tracker", "Hold to start motion"),
+        ("Deutsch", "Standort 2 von 2: Tracker aufstellen", "Zum Starten halten"),
+    ):
+        choose(page, language)
+        expect(notices.filter(has_text=title)).to_contain_text("X −650 mm, Y 200 mm")
+        expect(notices.filter(has_text=text)).to_be_visible()
+        expect(page.locator(NEXT)).to_contain_text(label)
+    with held(page, page.locator(NEXT)):
+        page.wait_for_url(f"**/#/run/{job}")
+
+
+def test_stations_that_are_left_can_still_be_measured(panel, service):
+    service.connected = True
+    station = {"number": 2, "total": 2, "position_mm": [1, 2, 3], "checks": []}
+    kind = {"kind": "measure-otf", "station": station}
+    job = service.new_job(**kind, state="interrupted", ended="2026-03-14T08:30:00Z")
+    page = panel.open(f"#/run/{job['id']}")
+    page.locator("#back button", has_text="Measure the stations that are left").click()
+    page.wait_for_url("**/#/check/job-2")
+    assert service.orders() == [{"kind": "measure-otf", "continues": job["id"]}]
+
+
+def test_events_after_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service
+):
+    job = service.ready()
+    page = panel.open(before=TURNS_SLOWLY)
+    discard = page.locator("#back button", has_text="Discard")
+    with service.telling_late():
+        discard.click()
+        expect(page.locator("#state")).to_have_text("Aborting")
+        expect(page.locator("h1")).to_have_text("Plan")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+    assert service.jobs[job]["state"] == "aborted"
+    assert visited(page) == [f"#/check/{job}", "#/plan"]
+
+
+def test_events_before_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service
+):
+    job = service.ready()
+    page = panel.open(before=TURNS_SLOWLY)
+    discard = page.locator("#back button", has_text="Discard")
+    with service.answering_late():
+        discard.click()
+        expect(page.locator("#state")).to_have_text("Aborted")
+    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+    assert visited(page) == [f"#/check/{job}", "#/plan"]
+
+
+def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Path):
+    service.ready()
+    page = panel.open()
+    card = page.locator(".card", has_text="Grade of the set-up")
+    expect(card).to_contain_text("0.86: usable")
+    expect(card).to_contain_text("13.0 µm")
+    expect(card).to_contain_text("add a line along Y at the low end of X")
+    expect(card).to_contain_text("0.34")
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Heidenhain TNC").click()
+    assert download.value.suggested_filename == "heidenhain.h"
+    download.value.save_as(tmp_path / "path.h")
+    assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM")
+    choose(page, "Deutsch")
+    moves = page.locator(".card", has_text="Was sich bewegen wird")
+    expect(moves).to_contain_text("12,5 bis 487,5 mm")
+    expect(moves).to_contain_text("6.000 mm/min")
+    expect(moves).to_contain_text("2:05 min")
+
+
+def test_an_uploaded_bundle_is_analysed(panel, service, tmp_path: Path):
+    bundle = tmp_path / "recorded.zip"
+    bundle.write_bytes(b"PK")
+    page = panel.open()
+    for kind in ("dragover", "drop"):  # one that misses its zone changes nothing
+        opens = page.evaluate(
+            "kind => document.body.dispatchEvent("
+            "new DragEvent(kind, { bubbles: true, cancelable: true }))",
+            kind,
+        )
+        assert not opens, kind
+    page.locator("#bundle").set_input_files(bundle)
+    page.wait_for_url("**/#/run/*")
+    expect(page.locator("h1")).to_have_text("Analysis")
+    (job,) = service.jobs
+    assert ("POST", "/runs", "recorded.zip") in service.requests
+    assert service.jobs[job]["run_id"] == "run-uploaded"
+    service.finish(job)
+    expect(page.locator(".chart canvas")).to_have_count(17)
+
+
+def test_records_lead_to_results_and_bundles(panel, service, tmp_path: Path):
+    job = service.measured()
+    page = panel.open("#/records")
+    bundle = page.get_by_role("link", name="Bundle")
+    expect(bundle).to_have_attribute("href", re.compile(r"/api/v1/runs/run-1/bundle$"))
+    page.get_by_role("button", name="Result").click()
+    page.wait_for_url(f"**/#/result/{job}")
+    drawn = page.locator(".chart canvas")
+    expect(drawn).to_have_count(17)
+    with page.expect_download() as download:
+        page.get_by_role("link", name="JSON").click()
+    download.value.save_as(tmp_path / "result.json")
+    content = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert content["schema"] == "result/1"
+    report = page.get_by_role("link", name="Report")
+    address = re.compile(f"/api/v1/jobs/{job}/result/report.html$")
+    expect(report).to_have_attribute("href", address)
+    # A machine without backlash has one line a table; all of them have one scale.
+    expect(page.locator(".key .is-up")).to_have_count(0)
+    picture = "document.querySelector('[data-symbol=EYX] canvas').toDataURL()"
+    before = page.evaluate(picture)
+    page.get_by_role("button", name="Own scale").click()
+    expect(drawn).to_have_count(17)
+    assert page.evaluate(picture) != before
+    page.locator("[data-symbol=EXX]").get_by_role("button").click()
+    sheet = page.locator("#detail")
+    expect(sheet.locator("canvas")).to_be_visible()
+    expect(sheet.locator("tbody tr")).to_have_count(21)
+    expect(sheet.locator("th", has_text="U (k = 2), µm")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(sheet).to_be_hidden()
+
+
+def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
+    job = service.measured()
+    page = panel.open(f"#/result/{job}")
+    page.get_by_role("button", name="Run trials").click()
+    page.wait_for_url("**/#/run/*")
+    expect(page.locator(".stages li")).to_have_text(
+        ["Aligning", "Estimating", "Trials", "Reporting"]
+    )
+    trying = next(j for j in service.jobs if j != job)
+    order = {"kind": "analyse", "run_id": "run-1", "monte_carlo": {}}
+    assert service.orders()[-1] == order
+    told = {"trials": 470_000, "settled": True, "agrees": False}
+    service.result["monte_carlo"] = {**told, "agreeing": 323, "numbers": 334}
+    service.finish(trying)
+    page.wait_for_url(f"**/#/result/{trying}")
+    card = page.locator(".card", has_text="Uncertainty held against trials")
+    expect(card).to_contain_text("470,000 trials validate")
+    expect(card).to_contain_text("323 of 334")
+    report = card.get_by_role("link", name="Report")
+    expect(report).to_have_attribute(
+        "href", re.compile(f"/api/v1/jobs/{trying}/result/report.html$")
+    )
+
+
+def visited(page: Page) -> list[str]:
+    return page.evaluate("window.visited")
+
+
+def test_the_hold_waits_until_the_safety_text_was_in_sight(panel, service):
+    job = service.ready()
+    page = panel.open(f"#/check/{job}", size=(390, 420))
+    expect(page.locator("#reason")).to_contain_text("Before you start")
+    expect(page.locator(NEXT)).to_be_disabled()
+    for text in page.locator(".before li").all():
+        text.evaluate("item => item.scrollIntoView({ block: 'center' })")
+        page.wait_for_timeout(100)
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
+def test_the_safety_text_is_in_sight_at_once_on_a_panel(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    for language, hold in (("English", "Hold to start"), ("Deutsch", "Zum Starten")):
+        choose(page, language)
+        for width, height in (DESK, PHONE):
+            page.set_viewport_size({"width": width, "height": height})
+            job = service.ready()
+            go(page, f"#/check/{job}")
+            expect(page.locator(NEXT, has_text=hold)).to_be_enabled()
+            service.change(job, state="aborted")
+            page.wait_for_url(f"**/#/run/{job}")
+
+
+def test_who_has_no_control_takes_it_before_the_hold(panel, service, witness):
+    witness.expect("409")
+    service.controller = "berta"
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    moves = page.locator(".card", has_text="What will move")
+    expect(moves).to_contain_text("berta")
+    moves.get_by_role("button", name="Take control").click()
+    expect(moves).to_contain_text("12.5 to 487.5 mm")
+
+
+DOOR = {
+    "type": "controller-able",
+    "level": "false",
+    "reason": "door",
+    "message": "a door is open; close it",
+    "is_required": True,
+    "since": "2026-01-01T10:00:00.000Z",
+}
+SHUT = DOOR | {"level": "true", "reason": "", "message": ""}
+
+
+def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
+    panel, service
+):
+    service.conditions = [DOOR]
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    row = page.locator('[data-type="controller-able"]')
+    for language, words in (
+        ("English", "A door is open"),
+        ("Deutsch", "Eine Tür ist offen"),
+    ):
+        choose(page, language)
+        expect(row).to_have_attribute("data-level", "false")
+        expect(row).to_contain_text(words)
+        expect(page.locator(NEXT)).to_be_disabled()
+        expect(page.locator("#reason")).to_contain_text(words)
+    service.conditions = [SHUT]
+    expect(page.locator(NEXT)).to_be_enabled()
+    expect(row).to_have_attribute("data-level", "true")
+
+
+@pytest.mark.fault_row(43)
+def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service):
+    ways = [
+        {"how": 'address = 12, word_order = "big"', "value": 0.06, "is_set": True},
+        {"how": 'address = 12, word_order = "little"', "value": 20.53},
+        {"how": 'address = 11, word_order = "big"', "value": None},
+    ]
+    sensors = [
+        {"channel": "X_degC", "is_set": False, "is_likely": way["value"] == 20.53} | way
+        for way in ways
+    ]
+    refused = "X_degC: its words are in the other order"
+    told = {"sensors": sensors, "sensors_refused": refused}
+    service.machine = service.machine | told
+    service.connected = True
+    page = panel.open("#/connect")
+    card = page.locator("[data-card=sensors]")
+    for language, set_, likely in (
+        ("English", "0.06 · as set · unlikely", "20.53 · likely"),
+        ("Deutsch", "0,06 · wie eingestellt · unwahrscheinlich", "20,53 · wahrsch"),
+    ):
+        choose(page, language)
+        for words in (refused, 'word_order = "little"', set_, likely):
+            expect(card).to_contain_text(words)
+
+
+OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
+
+
+def test_a_change_of_a_condition_is_shown_by_its_event(panel, service):
+    """What is asked for still says the door is open: only the event tells."""
+    service.conditions = [SHUT, OFF]
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    row = page.locator('[data-type="controller-able"]')
+    expect(row).to_have_attribute("data-level", "true")
+    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
+        "It is off."
+    )
+    page.evaluate(
+        """() => {
+          const row = document.querySelector('[data-type="controller-able"]');
+          window.levels = [row.dataset.level];
+          new MutationObserver(() => {
+            const now = document.querySelector('[data-type="controller-able"]');
+            if (now) window.levels.push(now.dataset.level);
+          }).observe(document.body, { childList: true, subtree: true });
+        }"""
+    )
+    service.tell("condition", {"machine": "another", **DOOR})
+    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
+    service.tell("condition", {"machine": "default", **DOOR})
+    page.wait_for_function("() => window.levels.includes('false')")

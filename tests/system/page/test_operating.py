@@ -1,0 +1,179 @@
+"""What may be asked of a measurement under way, and what is said of it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from playwright.sync_api import Locator, expect
+
+from page_steps import choose, follow, held
+from scripted_data import estimate
+
+
+def failure(code: str, detail: str = "it is so", action: str = "look") -> dict:
+    title = "Machine, tracker or link failed"
+    return {"code": code, "title": title, "detail": detail, "action": action}
+
+
+def test_a_held_button_ends_the_measurement_after_its_line(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    cancel = page.locator("#cancel", has_text="Hold to end after this line")
+    with held(page, cancel):
+        expect(page.locator("#state")).to_have_text("Cancelling")
+    assert ("POST", f"/jobs/{job}/cancel", None) in service.requests
+    expect(page.locator(".notice.is-held")).to_contain_text("finishes the line")
+    service.change(job, state="cancelled", run_id="run-1")
+    said = page.locator(".notice", has_text="ended in order")
+    expect(said).to_contain_text("kept under Records")
+    expect(page.locator(".notice.is-fault")).to_have_count(0)
+
+
+def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
+    ways = {"verbs": {"acknowledge": "/api/v1/jobs/job-1/acknowledge"}}
+    job = service.measuring()
+    page = panel.open(language="de")
+    expect(page.locator("#state")).to_have_text("Läuft")
+    service.change(job, state="faulted", error=failure("cell-died"), links=ways)
+    said = page.locator(".notice.is-held")
+    expect(said).to_contain_text("Diese Messung kann weitergehen")
+    expect(said).to_contain_text("Schlussprüfung")
+    follow(page, "Quittieren")
+    page.wait_for_url(f"**/#/check/{job}")
+    assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
+
+
+def test_who_has_no_control_sees_who_has_it_and_takes_it(panel, service, witness):
+    witness.expect("409")
+    service.controller = "berta"
+    job = service.measuring()
+    service.change(job, state="paused")
+    page = panel.open()
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#problems")).to_contain_text("berta has this job")
+    page.get_by_role("button", name="Take control").click()
+    expect(page.locator("#problems")).to_contain_text("You have control")
+    assert ("POST", f"/jobs/{job}/take-control", None) in service.requests
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#state")).to_have_text("Running")
+
+
+def test_a_feed_hold_is_no_failure_and_says_who_has_to_act(panel, service):
+    fault = failure("held-at-machine", "the feed is held at the machine", "look why")
+    job = service.measuring(error=fault)
+    service.change(job, state="paused")
+    page = panel.open()
+    said = page.locator("main .notice.is-held")
+    for language, title, way_out in (
+        ("English", "Feed hold at the machine", "look why"),
+        ("Deutsch", "Vorschub an der Maschine angehalten", "dort freigeben"),
+    ):
+        choose(page, language)
+        expect(said.locator("strong")).to_have_text(title)
+        expect(said).to_contain_text(way_out)
+        expect(said).not_to_contain_text("failed")
+    # Numbers stay beside the translation.
+    fault = failure("feed-override", "the feed override is 70 %: feeds are not", "turn")
+    service.change(job, error=fault)
+    expect(said.locator("strong")).to_contain_text("Vorschub-Override")
+    expect(said.locator("[lang=en]")).to_contain_text("70 %")
+    # Words of another version stand as they are; once all is well, nothing does.
+    error = {"title": "Feed held", "detail": "At the panel", "action": "Cycle start."}
+    service.change(job, error=error)
+    expect(said).to_contain_text("Cycle start.")
+    service.change(job, state="running", error=None)
+    expect(page.locator("main .notice")).to_have_count(0)
+
+
+def test_the_scope_shows_how_far_points_lie_beside_their_line(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    along = np.linspace(0.0, 300.0, 13)[:, None]
+    line = np.array([1000.0, 200.0, 50.0]) + along * np.array([0.8, 0.6, 0.0])
+    line[6] += [0.0, 0.0, 0.024]  # each other one is drawn aside by some of it
+    tiles = page.locator(".stream .tiles.is-now")
+    distance = f"{np.linalg.norm(line[6]) / 1e3:.3f} m"
+    seen = f"on the target.*{distance}.*line"
+    air = {"X_degC": 21.5}
+    stream_until(
+        tiles, rf"{seen}{distance_um(line[:7])} µm", service, job, line[:7], air
+    )
+    expect(page.locator(".air")).to_have_text("X21.50 °C")
+    stream_until(tiles, rf"{seen}–", service, job, line[6:][[0] * 7])
+
+
+def test_once_the_machine_is_placed_the_scope_tells_from_the_commanded_line(
+    panel, service
+):
+    job = service.measuring()
+    page = panel.open(language="de")
+    means = page.locator(".scope-means")
+    expect(means).to_contain_text("durch die Punkte dieser Fahrt")
+    rows = np.array([[1e3, 2e2, 50.0], [1300.0, 200.0, 50.0], [1300.0, 500.0, 50.0]])
+    points = rows[1] + np.linspace(0.1, 0.9, 7)[:, None] * (rows[2] - rows[1])
+    points += [0.0, 0.0, 0.0173]  # all of them: no fitted line would tell
+    service.advance(job, 5)
+    commanded = {"first_row": 4, "tracker_mm": rows.tolist()}
+    service.estimate(job, {**estimate(5), "commanded": commanded})
+    tiles = page.locator(".stream .tiles.is-now")
+    stream_until(tiles, r"17,3 µm", service, job, points)
+    expect(means).to_contain_text("von der Sollgeraden")
+    elsewhere = points + np.array([40.0, 0.0, 0.0])  # the tracker is set up anew
+    stream_until(tiles, r"0,0 µm", service, job, elsewhere)
+    expect(means).to_contain_text("durch die Punkte dieser Fahrt")
+
+
+def stream_until(
+    tiles: Locator, shown: str, service, job: str, points, environment=None
+) -> None:
+    """Tell points again and again: the page forgets them 1.5 s after the last."""
+    for beat in range(50):
+        service.show_points(job, 5.0 + 2.0 * beat, points, environment=environment)
+        try:
+            expect(tiles).to_contain_text(re.compile(shown), timeout=400)
+        except AssertionError:
+            continue
+        return
+    raise AssertionError(f"never shown: {shown}; last: {tiles.inner_text()}")
+
+
+def distance_um(points: np.ndarray) -> str:
+    """Return the distance of the last point from the line of least squares."""
+    centred = points - points.mean(axis=0)
+    direction = np.linalg.svd(centred)[2][0]
+    across = centred[-1] - (centred[-1] @ direction) * direction
+    return f"{1e3 * np.linalg.norm(across):.1f}"
+
+
+def test_what_the_tracker_has_lost_is_said_and_lines_are_planned_anew(panel, service):
+    job = service.measuring()
+    page = panel.open(language="de")
+    lost = {"samples": 900, "lost_samples": 17, "crc_errors": 3, "gaps": 2}
+    service.change(job, health={**lost, "repeats": 1})
+    counts = page.locator(".stream .is-counts")
+    expect(counts.locator("dd")).to_have_text(["900", "17", "2", "3"])
+    expect(counts.locator("[data-tone=fault]")).to_have_count(3)
+    expect(page.locator(".notice")).to_contain_text("Verlorene Geraden sind neu")
+    expect(page.locator(".notice")).to_contain_text("bis jetzt 1")
+    # So is a lost beam, and that it is back.
+    service.advance(job, 2.5)
+    service.change(job, state="paused", error=failure("beam-lost"))
+    beam = page.locator(".stream .tile", has_text="Strahl")
+    expect(beam).to_contain_text("verloren")
+    expect(beam).to_have_attribute("data-tone", "fault")
+    stream_until(beam, "auf dem Ziel", service, job, [[1000.0, 200.0, 50.0]])
+    expect(page.locator("#state")).to_have_text("Angehalten")
+
+
+def test_an_old_result_is_looked_at_while_the_machine_moves(panel, service):
+    old = service.measured()
+    job = service.measuring()
+    page = panel.open(f"#/result/{old}")
+    expect(page.locator("#state")).to_have_text("Running")
+    assert page.locator("body").get_attribute("data-measuring") == job
+    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible()
+    service.change(job, state="paused")
+    expect(page.locator("#state")).to_have_text("Paused")
+    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible()
+    assert page.url.endswith(f"#/result/{old}")

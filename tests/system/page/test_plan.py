@@ -1,0 +1,171 @@
+"""What is chosen on Plan is what is ordered; what cannot be is not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from page_steps import NEXT, choose, follow, go, prepare
+from scripted_service import ScriptedService
+
+WARM = {
+    "type": "temperature-steady",
+    "level": "false",
+    "reason": "temperature-drifts",
+    "message": "X has changed by 1.4 °C in 10 min; let it warm up",
+    "is_required": False,
+    "since": "2026-01-01T10:00:00.000Z",
+    "temperatures": [
+        {"channel": "X_degC", "value_degC": 22.4, "change_degC": 1.4, "over_s": 600.0}
+    ],
+}
+WISHES = {
+    "English": (None, "Off", "On", "No wish"),
+    "Deutsch": ("Ein",),
+}
+
+
+@contextmanager
+def ordered(page: Page, service: ScriptedService) -> Iterator[tuple[str, Any]]:
+    """Order what is chosen: a job and its order; call it off and come back."""
+    job = prepare(page)
+    yield job, service.orders()[-1]
+    service.change(job, state="aborted")
+    expect(page.locator("#state")).to_have_text(re.compile("Aborted|Abgebrochen"))
+    go(page, "#/plan")
+    again = re.compile("Prepare the run|Lauf vorbereiten")
+    expect(page.locator(NEXT)).to_have_text(again)
+
+
+@pytest.fixture
+def page(panel, service) -> Page:
+    """Plan, with connected devices."""
+    service.connected = True
+    return panel.open("#/plan")
+
+
+def test_the_order_carries_what_was_chosen(page, service):
+    page.get_by_role("radio", name="At standstill").click()
+    expect(page.locator("#feed")).to_be_hidden()
+    page.get_by_role("checkbox").click()
+    with ordered(page, service) as (_, order):
+        assert order == {"kind": "measure-standstill", "perpendicular_only": True}
+        assert service.orders("/plans") == []
+    page.locator("[data-kind=measure-otf]").click()
+    page.locator("#on-notice [data-value=pause]").click()
+    with ordered(page, service) as (_, order):
+        assert order["on_notice"] == "pause"
+    page.locator("[data-kind=measure-adaptive]").click()
+    expect(page.locator("[data-card=curve]")).to_be_hidden()
+    page.get_by_label("Plan lines or points for at most").fill("8")
+    with ordered(page, service) as (_, order):
+        assert order["kind"] == "measure-adaptive"
+        assert order["planning"]["minutes"] == 8
+        assert service.orders("/plans") == []
+
+
+def test_the_order_says_what_is_wanted_and_nothing_without_a_wish(page, service):
+    wanted = []
+    for language, names in WISHES.items():
+        choose(page, language)
+        for name in names:
+            if name:
+                field = page.locator("#control-compensation")
+                field.get_by_role("button", name=name, exact=True).click()
+            with ordered(page, service) as (_, order):
+                wanted.append(order.get("control_compensation"))
+    assert wanted == [None, "off", "on", None, "on"]
+
+
+def test_the_feed_goes_up_and_down_in_steps_within_limits(page, service):
+    feed = page.locator("#feed")
+    expect(feed).to_have_value("")
+    page.get_by_label("Slower").click(click_count=2)
+    with ordered(page, service) as (_, order):
+        assert order["feed_mm_min"] == 5500
+    feed.fill("5")
+    expect(page.locator("#feed-error")).to_contain_text("From 100 to 20,000 mm/min")
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_have_text("The feed is out of limits.")
+    choose(page, "Deutsch")
+    choose(page, "Zoll")
+    feed.fill("100,5")
+    with ordered(page, service) as (_, order):
+        assert order["feed_mm_min"] == pytest.approx(2552.7)
+
+
+def test_a_target_is_sent_as_a_standard_uncertainty(page, service):
+    target = page.locator("#target")
+    expect(target).to_have_value("")
+    for step, values in (
+        ("Finer target", ("5", "2")),
+        ("Coarser target", ("5", "10", "20", "50", "100", "")),
+    ):
+        for value in values:
+            page.get_by_label(step).click()
+            expect(target).to_have_value(value)
+    with ordered(page, service) as (_, order):
+        assert "target_um" not in order
+    for typed in ("0", "0.05", "2000", "much"):
+        target.fill(typed)
+        expect(page.locator("#target-error")).to_have_text("From 0.1 to 1,000 µm.")
+        expect(page.locator(NEXT)).to_be_disabled()
+        expect(page.locator("#reason")).to_contain_text("target uncertainty")
+        target.fill("")
+        expect(page.locator(NEXT)).to_be_enabled()
+    page.get_by_label("End early at uncertainty U (k = 2)").fill("3")
+    with ordered(page, service) as (job, order):
+        assert order["target_um"] == 1.5
+        service.change(job, state="ready")
+        # Not any list: the grade of the set-up comes as one beside it.
+        name = page.get_by_role("heading", name="This run")
+        said = page.locator(".card", has=name).locator(".pairs")
+        expect(said).to_contain_text("at U = 3.0 µm (k = 2)")
+
+
+def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, service):
+    error = {"title": "No", "detail": "the travel is too short", "action": "Slower."}
+    service.planned |= {"state": "failed", "error": error}
+    page.locator("#minutes").fill("1")
+    follow(page, "Prepare the run")
+    expect(page.locator(".notice", has_text="the travel is too short")).to_be_visible()
+    assert not service.jobs
+    service.planned = {"id": "plan-1", "state": "succeeded"}
+    service.plan["predicted_um"] = 1.15
+    page.locator("#minutes").fill("2.5")
+    job = prepare(page)
+    wish = {"perpendicular_only": False}
+    assert [(place, order) for _, place, order in service.requests] == [
+        ("/plans", {"mode": "otf", "minutes": 1, **wish}),
+        ("/plans", {"mode": "otf", "minutes": 2.5, **wish}),
+        ("/jobs", {"kind": "measure-otf", "plan_id": "plan-1", **wish}),
+    ]
+    service.change(job, state="ready")
+    run = page.locator(".card", has_text="This run")
+    expect(run).to_contain_text("U = 2.3 µm (k = 2)")
+
+
+def test_temperatures_are_not_called_steady_before_they_are(page, service):
+    row = page.locator('[data-type="temperature-steady"]')
+    for level, shown, name in (
+        ("false", "told", "Temperatures are steady: not met"),
+        ("unknown", "unknown", "Temperatures are steady: not known"),
+        ("true", "true", "Temperatures are steady"),
+    ):
+        service.conditions = [WARM | {"level": level}]
+        expect(row.locator("b")).to_have_text(name)
+        expect(row).to_have_attribute("data-level", shown)
+        expect(row).to_contain_text("X 22.4 °C, changed by 1.4 °C in 10 min")
+    title = page.get_by_text("Temperatures before the measurement")
+    expect(title).to_be_visible()
+    service.conditions = [WARM | {"level": "unknown", "temperatures": []}]
+    expect(title).to_be_hidden()
+    service.conditions = [WARM]
+    choose(page, "Deutsch")
+    go(page, "#/connect")
+    expect(row).to_contain_text("X 22,4 °C, geändert um 1,4 °C in 10 min")

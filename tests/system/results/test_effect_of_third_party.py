@@ -1,0 +1,115 @@
+"""The effect of docs/write-an-effect.md goes the whole way, its own keys with it."""
+
+import importlib.util
+import json
+import re
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from truepath import plugins
+from truepath.answers.calibration.analysis_files import render_analysis
+from truepath.answers.discovery.discovery import ASK, discover_runs
+from truepath.answers.discovery.discovery_report import render_discovery_report
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.earlier.result_file import result_from_json
+from truepath.kinematics.effects.conformance import CHECKS, example_conditions
+from truepath.planning.plan_making import make_plan
+from truepath.planning.plan_order import PlanOrder
+from truepath.results.analysis import analyse
+from truepath.service.page.pages import catalogue
+from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.worlds.synthetic import Setting
+
+PAGE = Path(__file__).parents[3] / "docs" / "write-an-effect.md"
+KEYS = {"beam": "X", "load": "Y", "toward": "Z"}
+NAME, TITLE = "bending-beam", "Bending beam of X under Y toward Z"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The module that the page shows."""
+    (source, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+    file = tmp_path_factory.mktemp("third-party") / "bending_beam.py"
+    file.write_text(source, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("bending_beam", file)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bending_beam"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["bending_beam"]
+
+
+@pytest.fixture(scope="module")
+def installed(example):
+    """Install the example by entry point, in place of all others."""
+    point = EntryPoint(NAME, "bending_beam:BendingBeamFamily", "truepath.effects")
+    found = plugins.entry_points
+
+    def list_points(group):
+        return [point] if group == "truepath.effects" else found(group=group)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "entry_points", list_points)
+        yield example
+
+
+@pytest.fixture(scope="module")
+def run(record):
+    setting = Setting(hidden=(ElasticSag("X", "Y", "Z", 14.0),))
+    return record(7, rows=40, travel_mm=200.0, setting=setting)[0]
+
+
+@pytest.fixture(scope="module")
+def discovered(installed, run):
+    return discover_runs([run])
+
+
+@pytest.fixture(scope="module")
+def model(discovered):
+    """The model, as it comes back from disk."""
+    content = json.loads(json.dumps(discovered.model.content))
+    return PriorModel(result_from_json(content, file="model.json"), "model.json", "ab")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_the_example_of_the_page_conforms(check, example):
+    check(example.BendingBeamFamily(), example_conditions())
+
+
+def test_it_is_discovered_with_its_own_keys_and_words(discovered):
+    (effect,) = discovered.content["effects"]
+    assert effect["name"] == NAME
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert effect["cause"].startswith("A beam bends")
+    report = render_discovery_report(
+        discovered.found, discovered.model, discovered.asked, ASK
+    )
+    assert TITLE in report
+
+
+def test_an_analysis_by_the_model_file_estimates_it_and_its_report_names_it(run, model):
+    (known,) = model.result.model.catalogue_effects
+    assert (dict(known.keys), known.title) == (KEYS, TITLE)
+    found = render_analysis(analyse(run, model=model))
+    (effect,) = found.result["effects"]
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert TITLE in found.report_html
+
+
+def test_a_plan_tells_it_apart_and_names_it(run, model):
+    plan = make_plan(run.machine, PlanOrder(minutes=1.0, model=model))
+    document = plan_document(plan)
+    (effect,) = document["predicted"]["effects"]
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert TITLE in render_plan_report(document)
+
+
+def test_the_page_has_its_words(installed):
+    german = catalogue("de")
+    assert german[f"effect.{NAME}"] == "Biegung eines Balkens"
+    assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")

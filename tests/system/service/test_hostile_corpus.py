@@ -1,0 +1,268 @@
+"""Corpus of hostile requests, over every route that the interface describes."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import re
+import signal
+import time
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from described_answers import read_document, resolve
+from scripted_cell import wait_until
+
+SEED = 36
+RUNS = "/api/v1/runs"
+PATHS = read_document()["paths"]
+STREAMS = ("/events", "/stop")
+ROUTES = sorted(
+    (method, path)
+    for path, methods in PATHS.items()
+    for method in methods
+    if not path.endswith(STREAMS)
+)
+BODIES = sorted(
+    (method, path)
+    for method, path in ROUTES
+    if "application/json"
+    in PATHS[path][method].get("requestBody", {}).get("content", ())
+)
+ODD = "%00 a%00b %ED%A0%80 %FF%FE %F0%9F%98%80 %0D%0ASet-Cookie:a=b ..%5C..%5Cetc"
+NAMES = (*ODD.split(), "%2e%2e%2f", "'%20OR%201=1--", "%25s%25n", "x" * 4000, "9" * 400)
+TEXTS = (
+    b'"\\ud800"',
+    b'"\\u0000"',
+    b'"\\udc00\\ud800"',
+    b"NaN",
+    b"Infinity",
+    b"-Infinity",
+    b"1e999",
+    b"9" * 400,
+    b"-" + b"9" * 4000,
+    b"9" * 5000,
+    b"[" * 100_000,
+    b'{"a":' * 990 + b"1" + b"}" * 990,
+    b"null",
+    b"[[]]",
+    b'"' + b"x" * 100_000 + b'"',
+    b"\xff\xfe[\x00",
+    b'"\xed\xa0\x80"',
+    b"0.1e-400",
+    b'{"\\ud800": 1}',
+)
+KINDS = (
+    "application/json",
+    "application/json; charset=utf-16",
+    "application/x-www-form-urlencoded",
+    "multipart/form-data",
+    "text/plain",
+    "application/octet-stream; \xff",
+    "",
+)
+
+
+def assert_sound(answer):
+    assert answer.status_code < 500, (answer.request.url, answer.text[:300])
+    if answer.status_code >= 400:
+        assert answer.headers["content-type"] == "application/problem+json"
+        problem = json.loads(answer.content.decode())
+        assert problem["code"]
+        assert problem["detail"]
+        assert problem["action"]
+
+
+def fill(path, name):
+    return re.sub(r"\{\w+\}", lambda _: name, path)
+
+
+def list_queries(path, method):
+    """Return the names that a request may have in its query, by its description."""
+    parameters = PATHS[path][method].get("parameters", ())
+    return [one["name"] for one in parameters if one["in"] == "query"]
+
+
+def list_properties(path, method):
+    """Return the names of the keys of a request's body, by its description."""
+    schema = PATHS[path][method]["requestBody"]["content"]["application/json"]["schema"]
+    return sorted(resolve(schema)["properties"])
+
+
+@pytest.fixture
+def reader(run_reader):
+    """It reads in a process of its own."""
+    return run_reader
+
+
+@pytest.fixture
+def sound(client):
+    yield
+    assert client.get("/api/v1/jobs").status_code == 200
+    client.post("/api/v1/stop")
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize("name", NAMES, ids=lambda name: name[:12])
+def test_hostile_names_and_queries_are_problems(client, sound, name):
+    headers = {"if-match": '"1"', "idempotency-key": "a"}
+    for method, path in ROUTES:
+        if fill(path, name) != path:
+            assert_sound(client.request(method, fill(path, name), headers=headers))
+        if asked := list_queries(path, method):
+            query = "&".join(f"{key}={name}" for key in asked)
+            address = f"{fill(path, 'a')}?{query}"
+            assert_sound(client.request(method, address, headers=headers))
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize(("method", "path"), BODIES)
+def test_hostile_bodies_are_problems(client, sound, method, path, measured):
+    draw = random.Random(SEED)
+    sent = [(KINDS[0], text) for text in TEXTS]
+    sent += [(kind, draw.choice(TEXTS)) for kind in KINDS[1:]]
+    for name in list_properties(path, method):
+        for text in draw.sample(TEXTS, 4):
+            inner = b'{"kind": "measure-otf", "%s": %s}' % (name.encode(), text)
+            outer = b'{"%s": [{"x_mm": %s}, %s]}' % (name.encode(), text, text)
+            sent += [(KINDS[0], inner), (KINDS[0], outer)]
+    for kind, body in sent:
+        headers = {"content-type": kind.encode("latin-1")}
+        answer = client.request(method, fill(path, "a"), content=body, headers=headers)
+        assert_sound(answer)
+    measured(f"{method} {path}: {len(sent)} bodies, no 5xx")
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(35)
+@pytest.mark.parametrize("path", ["/jobs/%00/abort", "/jobs/a%00/pause"])
+def test_no_identifier_with_nul_reaches_the_catalogue(client, is_problem, path):
+    problem = is_problem(client.post(f"/api/v1{path}"), 400, "bad-request")
+    assert "NUL" in problem["detail"]
+
+
+def encode_stream():
+    time_s = np.arange(100) / 500
+    columns = {"t_s": time_s, "x_mm": time_s, "y_mm": time_s, "z_mm": time_s}
+    sink = io.BytesIO()
+    pq.write_table(pa.table(columns), sink, write_page_checksum=True)
+    return sink.getvalue()
+
+
+def pack_again(bundle, method=zipfile.ZIP_DEFLATED, **added):
+    """Return a bundle with members added under any names, or in place of others."""
+    sink = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(bundle)) as old,
+        zipfile.ZipFile(sink, "w", method) as new,
+    ):
+        for name in old.namelist():
+            if name not in added:
+                new.writestr(name, old.read(name))
+        for name, data in added.items():
+            new.writestr(zipfile.ZipInfo(name), data, method)
+    return sink.getvalue()
+
+
+def damage(data, draw):
+    damaged = bytearray(data)
+    for _ in range(draw.choice((1, 1, 3))):
+        at = draw.randrange(len(damaged))
+        match draw.randrange(3):
+            case 0:
+                damaged[at] = draw.randrange(256)
+            case 1:
+                del damaged[at : at + draw.choice((1, 4, 50))]
+            case _:
+                damaged[at:at] = draw.choice((b"\0", b"\xff", b"\r", b'"', b"9" * 400))
+    return bytes(damaged)
+
+
+@pytest.mark.fault_row(36)
+@pytest.mark.parametrize("kind", ["archive", "end of archive", "parquet", "lzma"])
+def test_damaged_bundles_are_problems(client, sound, bundle, kind):
+    draw = random.Random(SEED)
+    whole = bundle()
+    if kind == "lzma":
+        whole = pack_again(whole, zipfile.ZIP_LZMA)
+    for _ in range(40):
+        match kind:
+            case "parquet":
+                stream = damage(encode_stream(), draw)
+                added = {"tracker.parquet": stream}
+                sent = pack_again(bundle(tracker_csv=None), **added)
+            case "end of archive":
+                sent = whole[:-300] + damage(whole[-300:], draw)
+            case _:
+                sent = damage(whole, draw)
+        answer = send(client, sent)
+        assert_sound(answer)
+        if answer.status_code == 422:
+            assert answer.json()["file"]
+
+
+@pytest.mark.fault_row(36)
+def test_hostile_names_in_archives_are_refused(client, is_problem, bundle):
+    for name, text in (
+        ("../machine.json", "points out of the archive"),
+        ("/etc/passwd", "points out of the archive"),
+        ("C:\\machine.json", "points out of the archive"),
+        ("other/machine.json", "is in the archive twice"),
+        ("other/environment.csv", "spreads a bundle over"),
+    ):
+        sent = pack_again(bundle(), **{name: b"{}"})
+        answer = send(client, sent)
+        assert text in is_problem(answer, 422, "bundle")["detail"]
+
+
+@pytest.mark.fault_row(36)
+@pytest.mark.parametrize("name", ["", ".", "./", "a/\ud7ff/../", "x" * 60_000])
+def test_odd_names_in_archives_are_sound(client, sound, bundle, name):
+    sent = pack_again(bundle(), **{name: b"{}"})
+    assert_sound(send(client, sent))
+
+
+@pytest.mark.fault_row(36)
+def test_a_page_of_parquet_that_has_changed_is_refused(client, is_problem, bundle):
+    stream = bytearray(encode_stream())
+    stream[200] ^= 1
+    sent = pack_again(bundle(tracker_csv=None), **{"tracker.parquet": bytes(stream)})
+    answer = send(client, sent)
+    assert is_problem(answer, 422, "bundle")["file"] == "tracker.parquet"
+
+
+def send(client, content):
+    return client.post(RUNS, files={"bundle": ("b.zip", content)})
+
+
+@pytest.mark.fault_row(36)
+def test_the_service_answers_while_what_was_uploaded_is_read(
+    live, service, bundle, run_reader, measured
+):
+    assert send(live, bundle()).status_code == 201  # the reader is up
+    uploads, folder = 45, service.runs._folder  # more than there are request threads
+    process_id = run_reader._process._process.process_id
+    with ThreadPoolExecutor(uploads) as pool:
+        os.kill(process_id, signal.SIGSTOP)
+        try:
+            sent = [pool.submit(send, live, bundle()) for _ in range(uploads)]
+            wait_until(lambda: len(list(folder.glob("*.upload"))) >= 4)
+            begun = time.monotonic()
+            for _ in range(20):
+                assert live.get(RUNS).status_code == 200
+            took_s = time.monotonic() - begun
+            assert took_s < 5
+            measured(f"20 requests beside {uploads} uploads that stand: {took_s:.2f} s")
+            assert not any(one.done() for one in sent)
+        finally:
+            os.kill(process_id, signal.SIGCONT)
+        assert {one.result().status_code for one in sent} == {201}

@@ -1,0 +1,95 @@
+"""PostgreSQL restarts, crashes or freezes while the service moves a machine."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from postgres_server import PostgresServer
+from real_services import process
+from service_process import ROWS, arm, create, moving, wait_for
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+
+FROZEN_S = 10.0
+ENDED = ("succeeded", "paused", "failed", "faulted", "aborted", "interrupted")
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = PostgresServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def service(server, tmp_path_factory):
+    """A client of a real service whose catalogue stands on the server."""
+    folder = tmp_path_factory.mktemp("service")
+    with process(folder, TRUEPATH_DATABASE_URL=server.url()) as (_, client):
+        yield client
+
+
+@pytest.fixture
+def job(service):
+    """The identifier of a job whose machine moves."""
+    job = create(service, path=3 * ROWS)
+    arm(service, job)
+    moving(service, job["id"])
+    return job["id"]
+
+
+@pytest.mark.fault_row(37)
+@pytest.mark.parametrize("mode", ["fast", "immediate"])
+def test_a_measurement_goes_on_over_a_restart_of_the_database(
+    server, service, job, mode
+):
+    before = service.get(f"/api/v1/jobs/{job}").json()
+    server.stop(mode)
+    server.start()
+    ended = _follow(service, job)
+    assert ended["state"] == "succeeded", ended
+    run = service.get(f"/api/v1/runs/{ended['run_id']}").json()
+    assert run["complete"]
+    assert run["samples"] > before["health"]["samples"]
+    assert (
+        service.get(f"/api/v1/jobs/{job}/result/error-tables.json").status_code == 200
+    )
+
+
+@pytest.mark.fault_row(37)
+def test_a_frozen_database_bounds_every_answer_and_stop_works(
+    server, service, job, measured
+):
+    server.freeze()
+    try:
+        end = time.monotonic() + FROZEN_S
+        begun = time.monotonic()
+        assert service.get(f"/api/v1/jobs/{job}").status_code == 503
+        assert time.monotonic() - begun < 9.0
+        begun = time.monotonic()
+        assert service.post("/api/v1/stop").status_code == 202
+        took_s = time.monotonic() - begun
+        assert took_s < 5.0
+        measured(f"database frozen: stop taken after {took_s:.2f} s")
+        while time.monotonic() < end:
+            time.sleep(0.1)  # what is tested is that time passes
+    finally:
+        server.thaw()
+    ended = _follow(service, job)
+    assert ended["state"] == "aborted", ended
+    assert service.get(f"/api/v1/runs/{ended['run_id']}").json()["samples"] > 0
+
+
+def _follow(client, job):
+    """Wait until the job has ended or waits for somebody, the database being back."""
+    last: dict = {}
+
+    def settled():
+        answer = client.get(f"/api/v1/jobs/{job}")
+        last.update(answer.json() if answer.status_code == 200 else {})
+        return last.get("state") in ENDED
+
+    wait_for(settled, "the end of the job")
+    return last

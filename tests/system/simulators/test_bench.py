@@ -1,0 +1,288 @@
+"""Both simulators as processes, with our drivers at the other end of the wire."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processes import runs, until
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.records import (
+    MotionState,
+    MotionStatus,
+    TrackerSamples,
+)
+from truepath_drivers.interfaces.records import Path as MotionPath
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.machine import tracker_head
+from truepath_simulators.machine_file import parse_machine
+
+LINE = MotionPath(
+    ("X", "Y", "Z"),
+    np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]]),
+    np.full(2, 6000.0),
+    np.full(2, 0.2),
+)
+
+PLAY = (Backlash("X", 200.0), Backlash("Y", 100.0))
+READ = bytes.fromhex("0001 0000 0006 01 03 0000 0002")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """A bench whose faults end by themselves."""
+    with Bench(seed=1) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def fast():
+    """A bench at five times the speed, and two masters: over TCP, and serially."""
+    with (
+        Bench(seed=6, speed=5.0, hidden=PLAY) as running,
+        ModbusController(**running.motion_options) as tcp,
+        ModbusController(**running.motion_options_rtu) as rtu,
+    ):
+        yield running, tcp, rtu
+
+
+def read_for(tracker: StreamingTracker, duration_s: float) -> TrackerSamples:
+    blocks, end_s = [], time.monotonic() + duration_s
+    while time.monotonic() < end_s:
+        blocks.append(tracker.read(0.1))
+    return TrackerSamples.join(blocks)
+
+
+def drive(motion: ModbusController) -> MotionStatus:
+    """Run the loaded path, beating, until it stands."""
+    motion.start()
+    return until(lambda: stands(motion), 30.0)
+
+
+def stands(
+    motion: ModbusController, moving: tuple[MotionState, ...] = (MotionState.RUNNING,)
+) -> MotionStatus | None:
+    motion.send_heartbeat()
+    status = motion.status()
+    return None if status.state in moving else status
+
+
+def test_no_sample_is_lost_and_a_fault_costs_what_it_says(plain):
+    with StreamingTracker(**plain.tracker_options) as tracker:
+        tracker.start(500.0)
+        samples = read_for(tracker, 2.0)
+        np.testing.assert_array_equal(np.diff(samples.sequence), 1)
+        span_s = samples.device_time_s[-1] - samples.device_time_s[0]
+        assert span_s > 1.6
+        assert (len(samples) - 1) / span_s == pytest.approx(500.0, rel=1e-3)
+        plain.inject("tracker:beam-break+0.2s")
+        broken = read_for(tracker, 1.0).status
+        assert np.count_nonzero(broken) == pytest.approx(100, abs=12)
+        health = tracker.health
+    assert health.frames > 1000
+    assert (health.lost_samples, health.crc_errors) == (0, 0)
+    assert health.device_overflows == 0
+
+
+def test_the_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
+    running, motion, _ = fast
+    motion.load(LINE)
+    assert drive(motion).state is MotionState.FINISHED
+    with StreamingTracker(**running.tracker_options) as tracker:
+        tracker.start(500.0)
+        seen = read_for(tracker, 0.5).position_mm.mean(axis=0)
+    machine = parse_machine(running.machine)
+    pose = tracker_head.random_pose(machine, 6)
+    q = LINE.position[-1:]
+    error_um = running.truth_at(q)
+    assert np.linalg.norm(error_um) > 5.0
+    stated = (q + machine.reflector().offset_mm + 1e-3 * error_um)[0]
+    off = pose.position_mm + pose.rotation @ seen - stated
+    # Both axes came from below: they stop short by half of their play.
+    # The mean of samples keeps the slow part of the noise.
+    np.testing.assert_allclose(off, [-0.1, -0.05, 0.0], atol=6e-3)
+
+
+def test_a_fast_clock_measures_more_in_a_second(fast):
+    with StreamingTracker(**fast[0].tracker_options) as tracker:
+        tracker.start(500.0)
+        samples = read_for(tracker, 1.0)
+    assert 1900 < len(samples) < 2750
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)
+
+
+def test_tcp_and_serial_masters_see_one_machine(fast):
+    _, tcp, rtu = fast
+    assert tcp.connect() == rtu.connect()
+    tcp.load(LINE)
+    assert rtu.status().state is MotionState.READY
+    with pytest.raises(Refused, match="another"):
+        rtu.start()  # it does not know the path
+    assert drive(tcp).state is MotionState.FINISHED
+    assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
+
+
+@pytest.mark.fault_row(21)
+def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(fast):
+    _, tcp, rtu = fast
+    here = tcp.status().position
+    tcp.load(LINE)
+    rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
+    with pytest.raises(Refused, match="another"):
+        tcp.start()
+    assert tcp.status().state is MotionState.READY
+    assert tcp.status().position == here
+
+
+def test_an_operator_holds_the_feed_and_lets_it_go(fast):
+    running, tcp, _ = fast
+    tcp.load(LINE)
+    tcp.start()
+    running.inject("cnc:feed-hold+4s")
+    assert until(lambda: stands(tcp)).hold_reason == "operator"
+    moving = (MotionState.RUNNING, MotionState.HELD)
+    status = until(lambda: stands(tcp, moving))
+    assert status.state is MotionState.FINISHED
+    assert status.position == pytest.approx(tuple(LINE.position[-1]))
+
+
+def test_an_alarm_strikes_on_its_row(fast):
+    running, motion, _ = fast
+    motion.load(LINE)
+    running.inject("cnc:alarm@row1+0.1s")
+    status = drive(motion)
+    assert status.state is MotionState.ALARM
+    assert "Servo alarm" in status.alarm
+    time.sleep(0.1)  # its cause is over
+    motion.reset()
+
+
+def test_broken_connections_can_be_made_anew(plain):
+    where = plain.motion_options["host"], plain.motion_options["port"]
+    with socket.create_connection(where, 5.0) as connection:
+        connection.sendall(READ)
+        assert connection.recv(100)
+        plain.inject("cnc:disconnect")
+        assert connection.recv(100) == b""
+    with socket.create_connection(where, 5.0) as connection:
+        connection.sendall(READ)
+        assert connection.recv(100)
+
+
+@pytest.mark.parametrize("fault", ["cnc:exception+1s*4", "cnc:silence+1s"])
+def test_a_master_notices_a_bad_link(plain, fault):
+    with ModbusController(**plain.motion_options) as motion:
+        plain.inject(fault)
+        until(lambda: fails(motion))
+        until(lambda: not fails(motion))  # it ends by itself
+    assert plain.alive
+
+
+def test_writes_that_are_not_applied_are_noticed(plain):
+    with ModbusController(**plain.motion_options) as motion:
+        plain.inject("cnc:ignore-writes+10s")
+        with pytest.raises(DeviceError):
+            motion.load(LINE)
+
+
+def fails(motion: ModbusController) -> bool:
+    try:
+        motion.status()
+    except DeviceError:
+        return True
+    return False
+
+
+@pytest.mark.long
+def test_wrong_devices_are_refused():
+    with Bench(
+        seed=1, faults=["cnc:wrong-identity", "tracker:wrong-identity"]
+    ) as wrong:
+        with pytest.raises(WrongDevice), ModbusController(**wrong.motion_options):
+            pass
+        with pytest.raises(WrongDevice), StreamingTracker(**wrong.tracker_options):
+            pass
+
+
+@pytest.mark.fault_row(6)
+def test_a_pulled_cable_is_noticed_and_the_port_comes_back(plain):
+    with StreamingTracker(**plain.tracker_options) as tracker:
+        tracker.start(500.0)
+        plain.inject("tracker:disconnect")
+        with pytest.raises(ConnectionLost):
+            read_for(tracker, 5.0)
+    with StreamingTracker(**plain.tracker_options) as tracker:
+        tracker.start(500.0)
+        assert len(read_for(tracker, 0.3)) > 50
+
+
+def test_what_cannot_be_is_refused_by_name():
+    with pytest.raises(SimulatorError, match="fault"):
+        Bench(faults=["tracker:explode"])
+    with pytest.raises(SimulatorError, match="speed"):
+        Bench(speed=0.0)
+
+
+@pytest.mark.long
+def test_a_port_in_use_is_named():
+    with (
+        socket.create_server(("127.0.0.1", 0)) as taken,
+        pytest.raises(SimulatorError, match="in use"),
+    ):
+        Bench(seed=1, modbus_port=taken.getsockname()[1]).start()
+
+
+def test_closing_ends_both_processes_and_removes_the_links(tmp_path):
+    running = Bench(seed=1, workdir=tmp_path / "rig").start()
+    pids = list(running.process_ids.values())
+    assert {p.name for p in (tmp_path / "rig").iterdir()} == {"tracker", "modbus-rtu"}
+    running.close()
+    running.close()
+    assert not any(runs(pid) for pid in pids)
+    assert not any((tmp_path / "rig").iterdir())
+
+
+ORPHANS = """
+import signal, time
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.bench.rig import running_rig
+# A shell that starts a program in the background lets it ignore SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+bench = Bench().start()
+with running_rig({}) as rig:
+    print(*bench.process_ids.values(), *rig.links["pids"].values(), flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_simulators_and_rigs_do_not_outlive_their_parent(number):
+    with subprocess.Popen(
+        [sys.executable, "-c", ORPHANS],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as parent:
+        assert parent.stdout is not None
+        pids = [int(pid) for pid in parent.stdout.readline().split()]
+        assert all(runs(pid) for pid in pids)
+        os.kill(parent.pid, number)
+    until(lambda: not any(runs(pid) for pid in pids), 5.0)

@@ -1,0 +1,131 @@
+"""The command `truepath simulate` as a process, with our drivers at its links."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from processes import until
+from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.interfaces.errors import DeviceError
+from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.tracker.geocom.driver import GeoComTracker
+from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.command import main
+
+Command = tuple["subprocess.Popen[str]", dict[str, Any]]
+
+
+@contextmanager
+def simulating(*options: str) -> Iterator[Command]:
+    module = "truepath_simulators.bench.command"
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, "--json", *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        yield process, json.loads(process.stdout.readline())
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def by_tcp() -> Iterator[Command]:
+    with simulating("--tracker", "tcp") as command:
+        yield command
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("lines")
+
+
+@pytest.fixture(scope="module")
+def polled(lines) -> Iterator[Command]:
+    """An instrument that is asked point by point, all links of it serial."""
+    options = ["--speed", "20", "--protocol", "geocom", "--rtu", "--links", str(lines)]
+    with simulating(*options) as command:
+        yield command
+
+
+def test_it_serves_by_tcp_and_takes_orders_by_standard_input_until_ctrl_c(by_tcp):
+    process, where = by_tcp
+    with ModbusController(**where["modbus_tcp"]) as motion:
+        assert motion.status().state is MotionState.IDLE
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        with pytest.raises(DeviceError):  # a second host does not take it over
+            StreamingTracker(**where["tracker"]).connect()
+        before_mm = measure_range_mm(tracker)
+        order(process, "move here", "move 3000,200,0")
+        until(lambda: abs(measure_range_mm(tracker) - before_mm) > 500.0)
+        assert measure_range_mm(tracker) == pytest.approx(3000.0, abs=400.0)
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        assert len(tracker.read(0.5)) > 0
+        order(process, "tracker:beam-break")
+        until(lambda: bool(tracker.read(0.1).status.any()))
+    leaves_nothing(process, where, signal.SIGINT)
+
+
+def leaves_nothing(
+    process: subprocess.Popen[str], where: dict[str, Any], number: signal.Signals
+) -> None:
+    process.send_signal(number)
+    assert process.wait(10) == 0
+    assert not any(psutil.pid_exists(pid) for pid in where["pids"].values())
+
+
+@pytest.mark.long
+def test_an_instrument_that_is_asked_point_by_point_follows_the_machine(polled):
+    _, where = polled
+    with (
+        GeoComTracker(**where["tracker"]) as tracker,
+        ModbusController(**where["modbus_rtu"]) as motion,
+    ):
+        before_mm = tracker.measure(0.0).position_mm
+        begin = np.array(motion.status().position)
+        motion.move_to((100.0, 200.0, 50.0), 6000.0)
+        assert motion.wait(20.0).state is MotionState.FINISHED
+        way_mm = np.linalg.norm(np.array([100.0, 200.0, 50.0]) - begin)
+        moved_mm = tracker.measure(0.0).position_mm - before_mm
+    assert np.linalg.norm(moved_mm) == pytest.approx(way_mm, abs=0.5)
+
+
+@pytest.mark.long
+def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigterm(
+    polled, lines, capsys
+):
+    process, where = polled
+    assert where["tracker"]["port"] == str(lines / "tracker")
+    assert main(["--rtu", "--links", str(lines)]) == 2
+    assert "another rig" in capsys.readouterr().err
+    with ModbusController(**where["modbus_rtu"]) as motion:
+        assert motion.axes == ("X", "Y", "Z")
+    leaves_nothing(process, where, signal.SIGTERM)
+
+
+def order(process: subprocess.Popen[str], *lines: str) -> None:
+    """Write lines to a command's standard input."""
+    assert process.stdin is not None
+    process.stdin.writelines(f"{line}\n" for line in lines)
+    process.stdin.flush()
+
+
+def measure_range_mm(tracker: StreamingTracker) -> float:
+    """Return the distance of the last sample that has come."""
+    return float(np.linalg.norm(tracker.read(2.0).position_mm[-1]))

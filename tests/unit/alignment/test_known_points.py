@@ -1,0 +1,98 @@
+"""Known points tell whether a station agrees with the one before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recorded import record_run
+from truepath.alignment.known_points import (
+    compare_stations,
+    hold_against_plan,
+    measure_points,
+)
+from truepath.errors import AlignmentError
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath_simulators.machine.tracker_head import TrackerPose, place_anew
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+
+POINTS = np.array(
+    [[10, 10, 10], [490, 390, 10], [490, 10, 290], [10, 390, 290], [250, 200, 150]],
+    float,
+)
+FIRST, SECOND = (1300.0, 100.0, 50.0), (200.0, -900.0, 0.0)
+
+
+def measured(place_mm, seed, *, nudge_mm=0.0, poses=place_anew, **defects):
+    """Return the known points of the demonstration machine from a place."""
+    content = load_machine("demo")
+    n = len(POINTS)
+    program = Program(POINTS, np.full(n, 100.0), np.full(n, 1.8))
+    setting = synthetic.Setting(
+        machine_seed=5,
+        pose=poses(place_mm, seed),
+        defects=synthetic.Defects(**defects),
+        sensors=False,
+    )
+    run, made = record_run(content, program, seed, "standstill", setting)
+    late = made.time_s > made.time_s[0] + 0.7 * np.ptp(made.time_s)
+    tracker_mm = run.tracker.position_mm + np.outer(late, [0.0, 0.0, nudge_mm])
+    run = replace(run, tracker=replace(run.tracker, position_mm=tracker_mm))
+    return measure_points(run, TrackerSpecification())
+
+
+@pytest.fixture(scope="module")
+def before():
+    return measured(FIRST, 1)
+
+
+ASKED_MM = float(np.linalg.norm(np.subtract(FIRST, SECOND)))
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_a_tracker_that_was_moved_agrees_with_its_last_station(before, seed):
+    check = compare_stations(before, measured(SECOND, seed), ASKED_MM)
+    assert check.problem == ""
+    assert check.place_mm == pytest.approx(SECOND, abs=1.0)
+    assert check.moved_mm > 500.0
+    assert check.residual_mm < 0.6 * check.allowed_mm < 0.05
+
+
+def test_a_tracker_that_was_not_moved_is_told(before):
+    there = lambda place, _: TrackerPose(  # noqa: E731
+        np.array(place), place_anew(FIRST, 1).rotation
+    )
+    check = compare_stations(before, measured(FIRST, 9, poses=there), ASKED_MM)
+    assert check.problem == "not-moved"
+    assert "stands 0 mm from its last place" in check.text
+
+
+def test_a_reflector_that_moves_meanwhile_is_told(before):
+    check = compare_stations(before, measured(SECOND, 3, nudge_mm=0.1), ASKED_MM)
+    assert check.problem == "residual"
+    assert check.residual_mm > check.allowed_mm
+
+
+def test_a_point_out_of_sight_is_told():
+    with pytest.raises(AlignmentError):
+        measured(SECOND, 3, beam_breaks=((8.0, 4.0),))
+
+
+def test_a_specification_of_larger_errors_allows_more(before):
+    larger = replace(before, sigma_mm=2.0 * before.sigma_mm)
+    now = measured(SECOND, 4)
+    few = compare_stations(before, now, ASKED_MM).allowed_mm
+    assert compare_stations(larger, now, ASKED_MM).allowed_mm > few
+
+
+@pytest.mark.parametrize(("planned", "problem"), [(FIRST, ""), (SECOND, "not-moved")])
+def test_the_first_station_is_held_against_its_place_in_the_plan(
+    before, planned, problem
+):
+    found = hold_against_plan(before, np.array(planned), ASKED_MM)
+    assert found.problem == problem
+    assert ("of station 1" in found.text) == bool(problem)

@@ -1,0 +1,127 @@
+"""Targets that sit millimetres off where the machine file states them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recorded import load_small, record_run, stream
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.errors import AlignmentError
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import Machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import turning_paths
+
+OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
+
+
+def move_targets(machine: Machine, off: dict[str, tuple[float, ...]]) -> Machine:
+    """Return the machine whose file states targets so far off."""
+    targets = [
+        replace(t, offset_mm=tuple(np.add(t.offset_mm, off.get(t.name, (0.0,) * 3))))
+        for t in machine.targets
+    ]
+    return replace(machine, targets=tuple(targets))
+
+
+def measure(mode: str, shown: dict[str, str] | None = None) -> Run:
+    """Return a Run.
+
+    shown : targets that the tracker is on where others should be measured
+    """
+    content = load_small("head-table")
+    machine = parse_machine(content)
+    if mode == "standstill":
+        program = turning_paths.turning_points(machine, 4, 60, dwell_s=0.4)
+    else:
+        program = turning_paths.turning_path(machine, 4, 30, 6000.0)
+    seen = tuple((shown or {}).get(name, name) for name in program.target)
+    run, _ = record_run(content, replace(program, target=seen), 4, mode)
+    return replace(run, commanded=replace(run.commanded, target=program.target))
+
+
+@pytest.fixture(scope="module", params=["standstill", "otf"])
+def run(request: pytest.FixtureRequest) -> Run:
+    return measure(request.param)
+
+
+@pytest.fixture(scope="module")
+def stated(run: Run) -> Observations:
+    return align(run)
+
+
+def test_no_row_of_a_target_that_sits_three_millimetres_off_is_lost(
+    run: Run, stated: Observations
+) -> None:
+    seen = align(replace(run, machine=move_targets(run.machine, OFF)))
+    assert set(seen.row) == set(stated.row)
+    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+    # Of the first target, which the volumetric error is stated for, nothing is taken.
+    first = np.abs(seen.at.offset_mm - seen.at.machine.targets[0].offset_mm).max(axis=1)
+    assert np.linalg.norm(off[first > 0.0], axis=1).max() < 4.0
+    # Targets where they are stated have no shift.
+    assert stated.at.seat_mm is None
+
+
+def test_a_large_shift_is_known_before_levers_are_taken(run: Run) -> None:
+    seen = align(replace(run, machine=move_targets(run.machine, {"W2": OFF["W2"]})))
+    offset = seen.at.machine.target("W2").offset_mm
+    mine = np.abs(seen.at.offset_mm - np.array(offset)).max(axis=1) < 1e-6
+    assert seen.at.seat_mm is not None
+    assert np.abs(seen.at.seat_mm[mine] + np.array(OFF["W2"])).max() < 0.2
+    assert not seen.at.seat_mm[~mine].any()
+
+
+def test_rows_of_several_targets_are_placed_nowhere_before_their_seats_are_known(
+    run: Run,
+) -> None:
+    live, _ = stream(run, [40])
+    assert live.pose is not None
+    assert live.place_rows() is None
+
+
+def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> None:
+    off = replace(run, machine=move_targets(run.machine, OFF))
+    live, parts = stream(off, [20])
+    assert set(live.observations(parts).row) == set(align(off).row)
+
+
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [
+        ("standstill", {"T1": "T2", "T2": "T1"}),
+        ("otf", {"W3": "W2"}),
+    ],
+)
+def test_a_target_that_the_tracker_was_not_on_is_refused_by_name(
+    mode: str, shown: dict[str, str]
+) -> None:
+    wrong, other = next(iter(shown.items()))
+    with pytest.raises(AlignmentError, match=rf"target {wrong}.*measured {other} ins"):
+        align(measure(mode, shown))
+
+
+def test_rows_of_a_target_that_the_tracker_did_not_see_are_said(
+    run: Run, stated: Observations
+) -> None:
+    names = np.array(run.commanded.target)
+    rows = np.flatnonzero(names == "W2")
+    time_s = stated.at.time_s[np.isin(stated.row, rows)]
+    samples = run.tracker
+    hidden = (samples.device_time_s > time_s[0] - 1.0) & (
+        samples.device_time_s < time_s[-1] + 1.0
+    )
+    status = np.where(hidden, 1, samples.status)
+    seen = align(replace(run, tracker=replace(samples, status=status)))
+    lost = {each.row for each in seen.left_out if each.cause in ("no-pass", "no-stop")}
+    assert lost >= set(rows[1:-1].tolist())
+    assert not lost & set(seen.row.tolist())
+
+
+def test_a_target_at_another_place_than_stated_is_refused_by_name() -> None:
+    run = measure("otf")
+    away = {"W2": (0.0, 0.0, 40.0)}
+    with pytest.raises(AlignmentError, match=r"target W2.* off"):
+        align(replace(run, machine=move_targets(run.machine, away)))

@@ -1,0 +1,346 @@
+"""The report: whole, self-contained, and honest about what it does not know."""
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from truepath.answers.calibration.calibration_report import (
+    render_calibration_report,
+    render_section,
+)
+from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.files.earlier.result_file import result_from_json
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.planning.grade import grade
+from truepath.planning.lines.default_path import default_path
+from truepath.results.error_table_files import error_tables_csv
+from truepath.results.error_tables import build_error_tables
+from truepath.results.findings import group_residuals, state_findings, state_noise
+from truepath.results.grade_json import grade_json, in_words
+from truepath.results.prediction import predict
+from truepath.results.result_json import result_json
+
+VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
+
+
+class Outline(HTMLParser):
+    """Texts and tags of a page; every tag that opens has to close."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open, self.texts, self.tags, self.addresses = [], [], set(), []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.addresses += [v for k, v in attrs if k in ("src", "href") and v]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.add(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+
+def read(page: str) -> Outline:
+    outline = Outline()
+    outline.feed(page)
+    assert outline.open == []
+    return outline
+
+
+@pytest.fixture(scope="module")
+def page(found):
+    return render_calibration_report(found)
+
+
+@pytest.fixture(scope="module")
+def outline(page):
+    return read(page)
+
+
+def test_the_page_needs_nothing_but_itself_and_is_the_same_again(found, page, outline):
+    assert {"script", "link", "img", "iframe"}.isdisjoint(outline.tags)
+    assert outline.addresses == []
+    assert "url(http" not in page
+    assert "@import" not in page
+    named = set(re.findall(r"https?://[^\"' )]+", page))
+    assert named <= {"http://www.w3.org/1999/xlink", "http://www.w3.org/2000/svg"}
+    assert render_calibration_report(found) == page
+
+
+def test_figures_take_their_colours_from_the_page(page):
+    svg = page[page.index("<svg") :]
+    assert "var(--accent)" in svg
+    assert not [one for one in ("#0101", "#000000", "DejaVu") if one in svg]
+    used = set(re.findall(r"var\(--([a-z-]+)\)", page))
+    assert used <= set(re.findall(r"--([a-z-]+):", page))
+
+
+def test_errors_figures_and_provenance_stand_in_it(found, outline):
+    for words in (
+        *("EXX", "EYX", "ECX", "EAY", "EZZ", "C0Y", "B0Z", "A0Z"),
+        *("straightness of X in Y", "roll of X", "squareness of Z to Y"),
+        *("truepath 9.9", "monday.zip", "0" * 64, "2026-03-07", "2,500 to", "k = 2"),
+        "It has not been measured",  # what is expected
+    ):
+        assert words in outline.text
+    for spread in (found.volumetric.before, found.volumetric.after):
+        for figure in (spread.mean, spread.p95, spread.largest):
+            stated = format_expanded(figure.value_um, figure.uncertainty_um)
+            assert stated in outline.text
+
+
+def test_what_cannot_be_told_is_said_in_words(estimate, outline):
+    assert estimate.observability.unobservable
+    for statement in estimate.observability.unobservable:
+        assert statement in outline.text
+    assert "hold for the measured target offset only" in outline.text
+    assert outline.text.count("not observable") >= 2 * 4
+
+
+def test_where_all_is_told_apart_the_report_says_so(
+    construct, three_targets, provenance
+):
+    all_told = state_findings(construct(three_targets), provenance)
+    assert "all error motions were identified" in render_section("limits", all_told)
+    text = read(render_section("error_motions", all_told)).text
+    assert "hold for any tool" in text
+    assert "not observable" not in text
+
+
+@pytest.mark.parametrize(
+    ("rms_um", "said"),
+    [
+        (1.0, ["explains the measurement to its noise"]),
+        (
+            3.0,
+            ["3.0 times the noise. The model lacks an effect", 'class="callout warn"'],
+        ),
+    ],
+)
+def test_residuals_above_the_noise_are_a_warning(
+    estimate, provenance, with_residuals, rms_um, said
+):
+    residuals = replace(estimate.runs[0].residuals, rms_mm=1e-3 * rms_um, floor_mm=1e-3)
+    found = state_findings(with_residuals(estimate, residuals), provenance)
+    section = render_section("residuals", found)
+    assert all(words in section for words in said)
+
+
+def test_a_standstill_run_speaks_of_points(estimate, provenance):
+    run = replace(
+        provenance.runs[0], mode="standstill", feed_mm_min=None, temperature_degc={}
+    )
+    at_rest = state_findings(estimate, replace(provenance, runs=(run,)))
+    assert "measured at standstill" in render_calibration_report(at_rest)
+    text = render_section("machine", at_rest)
+    assert "12 points" in text
+    assert "mm/min" not in text
+    assert "Temperature" not in text
+    residuals = render_section("residuals", at_rest)
+    assert "Residual by point" in residuals
+    assert "travel" not in residuals
+    assert "timing" not in render_section("documentation", at_rest)
+
+
+def test_one_feed_is_one_number_and_what_lies_across_the_travel_alone_is_named(
+    estimate, provenance, across_only
+):
+    run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
+    found = state_findings(estimate, replace(provenance, runs=(run,)))
+    assert "on the fly at 2,500 mm/min" in render_section("machine", found)
+    found = state_findings(across_only, provenance)
+    assert "across the travel only" in render_section("documentation", found)
+    assert "along the travel was not used" in render_section("residuals", found)
+    run = across_only.runs[0]
+    lines = group_residuals(run, across_only=True)
+    square = run.residuals.across_mm.reshape(len(lines.row), -1) ** 2
+    assert lines.rms_um == pytest.approx(1e3 * np.sqrt(square.mean(axis=1) / 3))
+
+
+def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
+    evil = "<script>alert(1)</script>"
+    machine = replace(estimate.model.machine, name=evil)
+    model = replace(estimate.model, machine=machine)
+    run = replace(provenance.runs[0], name=evil, source={evil: evil})
+    page = render_calibration_report(
+        state_findings(replace(estimate, model=model), replace(provenance, runs=(run,)))
+    )
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_an_axis_of_which_nothing_is_known_has_no_values(estimate, provenance):
+    model = estimate.model
+    kept = tuple(
+        e for e in model.effects if not e.name.endswith("Z") or e.name[0] != "E"
+    )
+    rows = np.concatenate([np.r_[model.slices[e.name]] for e in kept])
+    thin = replace(
+        estimate,
+        model=replace(model, effects=kept),
+        theta=estimate.theta[rows],
+        covariance=estimate.covariance[np.ix_(rows, rows)],
+    )
+    text = read(render_section("error_motions", state_findings(thin, provenance))).text
+    assert "Values of axis X" in text
+    assert "Values of axis Z" not in text
+    none = np.zeros_like(estimate.theta), np.zeros_like(estimate.covariance)
+    perfect = replace(estimate, theta=none[0], covariance=none[1])
+    read(render_section("volume", state_findings(perfect, provenance)))
+
+
+def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
+    noise = state_noise(estimate.runs[0])
+    tracker = estimate.model.machine.tracker
+    stated = 1e3 * tracker.sigma_mm(np.array([noise.distance_mm]))[0]
+    assert 500.0 < noise.distance_mm < 2000.0
+    assert noise.white_um == pytest.approx(stated * [1.1, 0.9])
+    assert noise.ou_um == pytest.approx(stated * [0.2, 0.3])
+    assert noise.along_travel_um == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("value", "standard", "text"),
+    [
+        (12.3456, 0.5, "12.3 ± 1.0"),
+        (12.3456, 0.05, "12.35 ± 0.10"),
+        (-0.04, 0.2, "−0.04 ± 0.40"),
+        (1234.5, 60.0, "1234 ± 120"),
+        (0.123456, 1e-9, "0.123 ± 0.000"),
+        (3.0, 0.0, "3.0 ± 0.0"),
+    ],
+)
+def test_an_uncertainty_has_two_digits_and_the_value_as_many_places(
+    value, standard, text
+):
+    assert format_expanded(value, standard) == text
+    assert format_number(-0.0004, 2) == "0.00"
+
+
+LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
+BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
+
+
+def judged(found, *reasons):
+    return render_calibration_report(replace(found, verdict=Verdict(reasons)))
+
+
+def test_a_result_that_is_not_to_be_used_begins_with_that(found, page):
+    judged_page = judged(found, LEFT_OUT, BEYOND)
+    band = judged_page.index('class="verdict not-usable" role="alert"')
+    places = ["<strong>Not to be used</strong>", str(BEYOND), str(LEFT_OUT)]
+    order = [judged_page.index(one) for one in (*places, 'class="tile ')]
+    assert [band, *order] == sorted([band, *order])
+    assert f'class="grave">{BEYOND}' in judged_page
+    quiet = judged(found, LEFT_OUT)
+    assert 'class="verdict usable" role="note"' in quiet
+    assert str(LEFT_OUT) in quiet
+    assert 'class="grave"' not in quiet
+    assert 'class="verdict' not in page  # which has nothing to say
+    evil = "<script>alert(1)</script>"
+    assert evil not in judged(found, Reason("stated", "doubtful", {"text": evil}))
+
+
+STATION_MM = np.array([900.0, 100.0, -200.0])
+MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
+WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
+
+
+@pytest.fixture(scope="module")
+def partly(estimate):
+    """The estimate, had only a part of the travel been measured."""
+    seen = replace(estimate.observability, poorly_observable=(WEAK,))
+    return replace(estimate, measured=MEASURED, observability=seen)
+
+
+@pytest.fixture(scope="module")
+def graded(partly, provenance):
+    machine = partly.model.machine
+    poor = grade(machine, default_path(machine, lines=5), station_mm=STATION_MM)
+    return state_findings(partly, provenance, None, poor)
+
+
+def test_every_extrapolated_value_is_marked_in_the_csv_file(graded):
+    rows = list(
+        csv.DictReader(io.StringIO(error_tables_csv(graded.tables, graded.verdict)))
+    )
+    for row in rows:
+        if row["position_mm"]:
+            low, high = MEASURED[row["error"][2]]
+            beyond = not low <= float(row["position_mm"]) <= high
+            assert row["extrapolated"] == str(int(beyond))
+        else:
+            assert row["extrapolated"] == ""
+    assert {row["extrapolated"] for row in rows} == {"0", "1", ""}
+
+
+def test_the_result_marks_them_and_a_reader_finds_them_again(graded):
+    content = json.loads(json.dumps(result_json(graded)))
+    table = content["error_tables"]["EYX"]
+    beyond = np.array(table["position_mm"]) < -100.0
+    assert table["extrapolated"] == beyond.tolist()
+    assert content["measured_range"]["Z"] == {"from_mm": 20.0, "to_mm": 290.0}
+    loaded = result_from_json(content)
+    assert loaded.measured == MEASURED
+    again = build_error_tables(loaded, loaded.measured).table("EYX")
+    assert again.extrapolated.tolist() == beyond.tolist()
+    del content["measured_range"]
+    loaded = result_from_json(content)
+    assert loaded.measured == {}
+    unmarked = build_error_tables(loaded, loaded.measured).table("EYX")
+    assert not unmarked.extrapolated.any()
+
+
+def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
+    graded, found
+):
+    assert result_json(graded)["observability"]["weak"] == [WEAK]
+    page = render_calibration_report(graded)
+    assert f"Grade of the set-up: <strong>{graded.grade.number:.2f}" in page
+    assert graded.grade.weakest[0].remedy.text in page
+    for words in ("EZZ together with B0Z", "X -200 to -100 mm", "Z 290 to 310 mm"):
+        assert words in page.replace("−", "-")
+    assert result_json(found)["grade"] is None
+    assert "Grade of the set-up" not in render_calibration_report(found)
+
+
+def test_the_grade_says_in_words_what_to_add(graded):
+    said = in_words(graded.grade)
+    assert said.startswith(f"{graded.grade.number:.2f}, {graded.grade.verdict}: ")
+    assert f"which makes it {graded.grade.improved:.2f}." in said
+    content = grade_json(graded.grade)
+    remedy = content["weakest"][0]["remedy"]
+    assert remedy.startswith(("add a line ", "add the diagonal "))
+    assert content["thresholds"] == {"good": 0.25, "usable": 1.0}
+    expanded = 2 * content["expected_uncertainty_um"]
+    assert f"expected are {expanded:.1f} µm (k = 2)" in said
+
+
+def test_prediction_warns_of_points_far_beyond_what_was_measured(partly, load):
+    loaded = replace(load(partly), measured=MEASURED)
+    inside, far = [0.0, 100.0, 100.0], [-190.0, 100.0, 100.0]
+    (said,) = predict(loaded, np.array([inside, far])).warnings
+    assert said.startswith("1 of 2 points lie in the travel but far beyond what was")
+    assert predict(loaded, np.array([inside])).warnings == ()
+    # It is less sure the farther it leaves the travel.
+    x = np.array([300.0, 320.0, 400.0, 600.0])
+    position = np.column_stack([x, np.full(4, 200.0), np.full(4, 100.0)])
+    sigma = np.linalg.norm(predict(loaded, position).uncertainty_um, axis=1)
+    assert (np.diff(sigma) > 0.0).all()

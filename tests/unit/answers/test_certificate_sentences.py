@@ -1,0 +1,295 @@
+"""What a certificate says, in its own language."""
+
+import inspect
+import re
+from datetime import date
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sentences_of_the_service import ENGLISH, list_unobservable
+from truepath.answers.certificate.closing_sections import (
+    describe_driven,
+    describe_verification,
+    say_decision,
+    word_findings,
+)
+from truepath.answers.certificate.issue import Certificate, Source
+from truepath.answers.certificate.language import load_language
+from truepath.answers.certificate.limits import (
+    say_poorly_observable,
+    say_unobservable,
+)
+from truepath.answers.verification.circles import polar_figure
+from truepath.answers.verification.circles.circle_figures import (
+    SECTORS,
+    list_sector_angles,
+)
+from truepath.estimation.problem import observability
+from truepath.estimation.problem.observability import PoorlyObservableShape
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+
+MEASURED = {
+    "conformity": "outside",
+    "length_um": 5.6,
+    "expanded_uncertainty_um": 0.4,
+    "coverage_factor": 3.2,
+    "tolerance_um": 5.0,
+}
+AGREEMENT = {
+    "consistent": False,
+    "chance": 0.001,
+    "share_within_expanded": 0.8,
+    "chance_of_any_machine": 0.03,
+}
+VERIFICATION = {
+    "statements": ["The machine fails."],
+    "compensated": True,
+    "places": {"row": list(range(30))},
+    "conformity": {"measured": MEASURED},
+    "agreement": AGREEMENT,
+    "map_scale": None,
+}
+
+
+GERMAN, BRITISH = load_language("de"), load_language("en")
+WRONG_SIGN = "Die Steuerung addiert die Kompensation mit falschem Vorzeichen"
+
+
+def describe(*more):
+    """What a certificate has of a verification, of which nothing else is asked."""
+    content = dict(VERIFICATION)
+    for one in more:
+        content |= one
+    source = Source("v.json", content, "0" * 64)
+    found = SimpleNamespace(input_sha256="")
+    issued = Certificate(found, date(2026, 11, 24), verification=source)
+    return describe_verification(issued, GERMAN)
+
+
+def german(**more):
+    """The findings of the verification, with other content, in German."""
+    return word_findings(VERIFICATION | more, GERMAN)
+
+
+@pytest.mark.parametrize(
+    ("times", "cause", "words"),
+    [
+        (2.0, "wrong-sign", WRONG_SIGN),
+        (1.0, "not-active", "Die Kompensation ist nicht aktiv"),
+        (0.0, "active", "Eine Kompensation ist aktiv"),
+    ],
+)
+def test_a_german_certificate_words_a_verification_in_german(times, cause, words):
+    scale = {"value": times, "uncertainty": 0.01, "cause": cause}
+    worst, agreement, said = german(map_scale=scale)
+    assert "von 30 Stellen: 5,60 µm ± 0,40 µm" in worst
+    assert "eine veränderte Maschine würde es erklären" in agreement
+    assert words in said
+    assert len(german(map_scale=scale | {"cause": None})) == 2  # as expected
+
+
+def test_a_compensation_that_explains_all_sends_nobody_to_the_tracker():
+    scale = {"value": 0.07, "uncertainty": 0.01, "cause": "active"}
+    hopeless = AGREEMENT | {"chance_of_any_machine": 0.0}
+    _, tracker = german(agreement=hopeless)
+    _, control, _ = german(agreement=hopeless, map_scale=scale)
+    assert "Prüfen Sie zuerst Tracker und Reflektor" in tracker
+    assert "Tracker" not in control
+    assert "Die Kompensation der Steuerung ist anders als angegeben" in control
+
+
+def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
+    across = "three at standstills, the two across the travel on lines"
+    _, said, unseen, _ = german(components=across, unseen_directions=["X"])
+    assert "quer zur Fahrt" in said
+    assert unseen.startswith("Längs X wurde nichts gemessen")
+    air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
+    runs = [{"length_scale_ppm": 270.0}] * 2
+    _, uncorrected, _, scale = german(
+        run_verdict=verdict_json(Verdict((air,))), runs=runs
+    )
+    assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
+    assert "270,00 ppm" in scale
+
+
+def test_a_line_has_one_name_in_german_a_number_a_true_minus_and_a_date_its_hyphens():
+    texts = {**GERMAN.own, **GERMAN.shared}
+    assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
+    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
+
+
+def test_a_file_that_states_less_is_quoted():
+    quoted = ["The machine fails."]
+    assert word_findings(VERIFICATION, BRITISH) == quoted
+    assert german(conformity={"measured": {"k": 2}}) == quoted
+
+
+U = ("", "_uncertainty")
+LENGTHS = [f"{name}{u}" for name in ("mean", "p95", "largest") for u in U]
+NUMBERS = {
+    "agreement": AGREEMENT | {"chi_square": 110.04, "freedom": 84},
+    "volumetric_error_um": {"measured": dict.fromkeys(LENGTHS, 0.5)},
+}
+
+
+def test_numbers_of_a_verification_are_in_words_and_not_in_keys_of_its_file():
+    view = describe(NUMBERS)
+    assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
+    assert view["lengths"][0][1] == "0,5 ± 1,0"
+    rows = dict(view["rows"])
+    assert rows["Toleranz an jeder Stelle"] == "5,00 µm"
+    assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
+
+
+@pytest.mark.parametrize("decision", ["within", "outside", "undecided"])
+def test_a_decision_says_whether_the_compensation_was_active(decision):
+    measured = {"measured": MEASURED | {"conformity": decision}}
+    for language, words in ((BRITISH, "compensation active"), (GERMAN, "aktiver Komp")):
+        for active in (True, False):
+            more = {"conformity": measured, "compensated": active}
+            assert (words in say_decision(VERIFICATION | more, language)) == active
+
+
+FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
+ANGLE = np.radians(list_sector_angles())
+RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
+SENSES = ("counterclockwise", "clockwise")
+CIRCLE = {
+    "plane": "ZX",
+    "diameter_mm": 230.4,
+    "feed_mm_min": 3000.0,
+    "angle_deg": list_sector_angles().tolist(),
+    "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
+    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
+    "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
+    "figures_um": FIGURES_UM,
+    "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
+    "predicted_um": FIGURES_UM,
+    "predicted_uncertainty_um": dict.fromkeys(FIGURES_UM, 0.2),
+}
+CIRCLES = {"circles_in_motion": [CIRCLE], "circles_missing": [9]}
+
+
+def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():
+    view = describe(NUMBERS, CIRCLES)["circles"]
+    heading, h, g, *_ = view["rows"][0]
+    assert heading == "ZX, Durchmesser 230,4 mm, 3000 mm/min"
+    assert (h, g) == ("3,2 ± 1,8", "12,5 ± 1,8")
+    assert view["rows"][1][0] == "vorhergesagt"
+    assert "Zeilen des Plans" in view["missing"]
+    assert view["missing"].endswith(": 10.")
+    for text in ("+Z", "+X", "H 3,2 ± 1,8 µm", "Ringabstand 2 µm", "F min −6,0"):
+        assert text in view["figure"]
+    # Those of an earlier version are stated without a figure.
+    earlier = {key: value for key, value in CIRCLE.items() if key != "centre_um"}
+    view = describe(NUMBERS, {"circles_in_motion": [earlier]})["circles"]
+    assert view["figure"] == ""
+    assert len(view["rows"]) == 2
+
+
+def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers():
+    figure = str(polar_figure.draw_polar_circles([CIRCLE], polar_figure.ENGLISH))
+    curves = re.findall(r'd="M([\d. L]+)Z"', figure)
+    points = np.array([pair.split() for pair in curves[-1].split("L")], float)
+    assert len(points) == SECTORS
+    rings = re.findall(r"M([\d.]+) ([\d.]+)a([\d.]+)", figure)
+    left, level, nominal = map(float, rings[-1])  # drawn last, and darker
+    radii = sorted({float(ring[2]) for ring in rings})
+    per_um = (radii[1] - radii[0]) / 2.0
+    out = np.linalg.norm(points - [left + nominal, level], axis=1)
+    expected = nominal + per_um * 4.0 * np.cos(2 * ANGLE)
+    assert np.allclose(out, expected, atol=0.02)
+
+
+LINE = {
+    "axes": "X",
+    "standard": "iso-230-2",
+    "runs": 5,
+    "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
+    "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
+    "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
+}
+STANDING = {
+    "plane": "YZ",
+    "radius_mm": 153.6,
+    "figures_um": {"G": 12.5, "F_max": 13.2, "F_min": -0.5},
+    "uncertainty_um": {"G": 4.0, "F_max": 2.5, "F_min": 2.5},
+    "predicted_um": {"G": 11.5, "F_max": 10.2, "F_min": -1.3},
+}
+
+
+def test_a_certificate_states_the_figures_that_a_verification_ran_for():
+    driven = describe_driven({"lines": [LINE], "circles": [STANDING]}, GERMAN)
+    measured, predicted = driven["lines"]
+    assert measured[0] == "X (ISO 230-2), 5 Läufe"
+    figures = ("13,4 ± 6,8", "12,9 ± 1,4", "6,8 ± 6,6", "4,2 ± 1,2", "9,0 ± 1,0")
+    assert measured[1:] == figures
+    assert predicted == ("vorhergesagt", "—", "11,9", "—", "2,7", "9,1")
+    assert driven["circles"][0][:2] == ("YZ, Radius 154 mm", "12,5 ± 8,0")
+    scattered = describe_driven({}, BRITISH)  # points of no standard
+    assert scattered["lines"] == scattered["circles"] == []
+
+
+MERGED = (
+    "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a second "
+    "target at least 180 mm to the side, in X or Y, separates them (to 3.4 µrad, "
+    "k = 2, on the same path)"
+)
+
+
+def list_forms():
+    """Yield every form of a shape, as the code that names it has them."""
+    source = inspect.getsource(observability.describe_form)
+    shapes = set(re.findall(r"\ban? (?:slope|bow|wave)\b|\ban S\b", source))
+    assert len(shapes) == 4
+    for shape in shapes:
+        for what in ("error", "turning"):
+            yield f"{shape} of the {what} along X"
+    yield "the angle"
+
+
+def list_poor():
+    for form in list_forms():
+        for symbols in (("EXX",), ("EXX", "C0Y"), ("EXX", "EYX", "EZX", "EAX", "EBX")):
+            yield str(PoorlyObservableShape(symbols, 0.73, 2.4e-3, form))
+
+
+@pytest.mark.parametrize(
+    ("say", "texts"),
+    [
+        (say_unobservable, sorted(set(list_unobservable()))),
+        (say_poorly_observable, sorted(set(list_poor()))),
+    ],
+)
+def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, texts):
+    assert len(texts) > 10
+    for text in texts:
+        said = say(text, GERMAN)
+        left = set(re.findall(r"\w+", said.lower())) & (ENGLISH | {"turning", "along"})
+        assert not left, f"{text!r} is said as {said!r}"
+        assert say(text, BRITISH) == text
+
+
+def test_numbers_of_a_statement_stand_in_its_german_words():
+    said = say_unobservable(MERGED, GERMAN)
+    assert said.startswith(
+        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und"
+    )
+    assert "mindestens 180 mm seitlich" in said
+    assert "auf 3,4 µrad bekannt (k = 2)" in said
+    shape = PoorlyObservableShape(
+        ("EXX", "C0Y"), 0.73, 2.4e-3, "an S of the error along X"
+    )
+    said = say_poorly_observable(str(shape), GERMAN)
+    assert said.startswith(
+        "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung"
+    )
+    assert "73 % dessen" in said
+    assert "2,4 µm (k = 1)" in said
+
+
+@pytest.mark.parametrize("say", [say_unobservable, say_poorly_observable])
+def test_a_statement_of_another_version_stands_as_it_is(say):
+    assert say("EXX is unsure", GERMAN) == "EXX is unsure"

@@ -1,0 +1,77 @@
+"""Charts: round ticks, nothing outside the frame, numbers as a person writes them."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from truepath.answers.shown.chart import Frame, Scale, round_down, round_up
+from truepath.answers.shown.svg import Colour, draw_curve, write_label
+
+FRAME = Frame(40.0, 16.0, 240.0, 136.0)
+
+
+@given(
+    low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e5), spacing=st.floats(10.0, 60.0)
+)
+def test_ticks_are_round_inside_the_scale_and_far_enough_apart(low, span, spacing):
+    scale = Scale(low, low + span, 0.0, 200.0)
+    ticks = scale.find_ticks(spacing)
+    assert ((ticks >= low - 1e-6 * span) & (ticks <= low + 1.000001 * span)).all()
+    if len(ticks) > 1:
+        step = ticks[1] - ticks[0]
+        assert np.diff(scale.place(ticks)).min() > 0.99 * spacing
+        digit = step / 10.0 ** np.floor(np.log10(step * 1.0001))
+        assert min(abs(digit - d) for d in (1.0, 2.0, 5.0)) < 1e-3
+
+
+@given(number=st.floats(1e-9, 1e9))
+def test_rounding_up_and_down_encloses_the_number(number):
+    assert round_down(number) <= 1.001 * number
+    assert round_up(number) >= 0.999 * number
+    assert round_up(number) <= 2.6 * round_down(number)
+
+
+def test_a_scale_ends_with_its_frame_and_its_decades_are_of_one_width():
+    across, up = FRAME.make_x(-3.0, 5.0), FRAME.make_y(0.0, 8.0, margin=0.0)
+    assert across.place(np.array([-3.0, 5.0])) == pytest.approx([40.0, 240.0])
+    assert up.place(np.array([0.0, 8.0])) == pytest.approx([136.0, 16.0])
+    scale = FRAME.make_x(0.01, 100.0, logarithmic=True)
+    places = scale.place(np.array([0.01, 0.1, 1.0, 10.0, 100.0]))
+    assert np.diff(places) == pytest.approx([50.0] * 4)
+    assert scale.name_ticks(scale.find_ticks(30.0)) == ["0.01", "0.1", "1", "10", "100"]
+    few = Scale(0.5, 20.0, 0.0, 100.0, logarithmic=True)
+    assert few.name_ticks(few.find_ticks(30.0)) == ["0.5", "1", "2", "5", "10", "20"]
+
+
+@pytest.mark.parametrize(
+    ("ticks", "text"),
+    [
+        ([-10.0, 0.0, 10.0], ["−10", "0", "10"]),
+        ([-0.5, 0.0, 0.5], ["−0.5", "0.0", "0.5"]),
+        ([0.0, 0.02, 0.04], ["0.00", "0.02", "0.04"]),
+        ([1000.0, 2000.0], ["1,000", "2,000"]),
+    ],
+)
+def test_ticks_have_one_number_of_places_and_a_true_minus(ticks, text):
+    assert Scale(-1.0, 1.0, 0.0, 1.0).name_ticks(np.array(ticks)) == text
+
+
+def test_the_grid_stays_inside_the_frame_and_data_at_one_number_have_one():
+    across = FRAME.make_x(0.0, 800.0)
+    drawn = FRAME.draw_axes(across, FRAME.make_y(0.0, 0.0), "X, mm", "µm")
+    assert "nan" not in drawn
+    assert "inf" not in drawn
+    drawn = FRAME.draw_axes(across, FRAME.make_y(-3.0, 9.0), "X, mm", "µm")
+    grid = next(p for p in re.findall(r'<path d="([^"]*)"', drawn) if "L" in p)
+    x, y = np.array(re.findall(r"[\d.]+", grid), float).reshape(-1, 2).T
+    assert FRAME.left <= x.min() < x.max() <= FRAME.right
+    assert FRAME.top <= y.min() < y.max() <= FRAME.bottom
+
+
+def test_a_curve_goes_through_its_points_and_words_bring_no_markup():
+    drawn = draw_curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
+    assert 'd="M1.00 3.00L2.00 4.50"' in drawn
+    assert "<script" not in write_label(0.0, 0.0, "<script>")

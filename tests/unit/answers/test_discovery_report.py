@@ -1,0 +1,62 @@
+"""The report says where, which, and how much of the gap is closed."""
+
+import html
+import re
+
+import pytest
+
+from truepath.answers.discovery.discovery import ASK, discover_runs
+from truepath.answers.discovery.discovery_report import (
+    render_discovery_report,
+    write_discovery,
+)
+from truepath_simulators.hidden.setup import SetupStep
+from truepath_simulators.worlds.synthetic import Setting
+
+
+@pytest.fixture(scope="module")
+def knocked(record):
+    setting = Setting(hidden=(SetupStep(20.0, (4.0, -3.0, 0.0)),))
+    return discover_runs([record(11, rows=40, travel_mm=150.0, setting=setting)[0]])
+
+
+@pytest.fixture(scope="module")
+def page(knocked):
+    return render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
+
+
+def text_of(page: str) -> str:
+    return html.unescape(re.sub(r"<[^>]+>", " ", page.split("</style>")[1]))
+
+
+def test_a_finding_comes_with_numbers_cause_and_remedy(knocked, page):
+    (finding,) = knocked.found.findings
+    words, step = finding.family.words["en"], finding.parameters["step_um[x]"]
+    gap = knocked.found.gap
+    said = text_of(page)
+    for sentence in (
+        *("Step of the set-up", words.cause, words.looks_like, words.remedy),
+        *(f"step x {step.value:.2f} ±", "no other effect of the catalogue"),
+        *(f"{v:.2f} µm" for v in (gap.before_um, gap.after_um, gap.noise_floor_um)),
+        *("line", "time", "beam", "moving axis", "position of X"),  # where it disagrees
+        *("direction of Y", "region of X and Z"),
+        "X, Y and Z of the workpiece, on which the tracker stands",
+        *("removed from the machine's numbers", "Nothing is asked"),
+    ):
+        assert sentence in said
+    assert knocked.asked is None
+    for figure in ("Gap on held-out lines", "Residual along the run", "by line"):
+        assert f'aria-label="{figure}' in page or figure in page
+    assert not re.search(r'(?:src|href)="', page)  # it needs nothing from elsewhere
+    assert "nan" not in page
+
+
+def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_path):
+    assert knocked.model.extended.added == ()
+    (effect,) = knocked.model.content["effects"]
+    assert effect["part_of"] == "measurement"
+    kinds = {e["effect"] for e in knocked.model.content["model"]["effects"]}
+    assert "catalogued" not in kinds
+    write_discovery(knocked, tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"discovery.json", "model.json", "report.html"}

@@ -1,0 +1,178 @@
+"""The table of bad input: what is wrong, the exit status, and the one line it costs.
+
+Every cell of every file of a bundle is held in tests/unit/files/test_bad_bundles.py, of
+points and of results in tests/results; here stand a few, as a user of the command line
+meets them.
+"""
+
+import shutil
+
+import pytest
+
+
+def path_rows(edit):
+    """Edit the lines of the path; the first is the header."""
+
+    def spoil(folder):
+        file = folder / "path.csv"
+        lines = file.read_text().splitlines()
+        edit(lines)
+        file.write_text("\n".join(lines) + "\n")
+
+    return spoil
+
+
+def cell(row, column, text):
+    def edit(lines):
+        cells = lines[row - 1].split(",")
+        cells["xyz".index(column[0])] = text
+        lines[row - 1] = ",".join(cells)
+
+    return path_rows(edit)
+
+
+def repeat(lines):
+    lines[4] = lines[3]
+
+
+def cut(folder):
+    file = folder / "tracker.parquet"
+    data = file.read_bytes()
+    file.write_bytes(data[: len(data) // 2])
+
+
+def machine(text):
+    return lambda folder: (folder / "machine.json").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (
+            lambda folder: (folder / "tracker.parquet").unlink(),
+            "tracker.parquet: is missing from the bundle",
+        ),
+        (
+            cell(1, "y_mm", "why"),
+            "path.csv, column y_mm: is missing; the file has",
+        ),
+        (
+            cell(3, "z_mm", "NaN"),
+            "path.csv, row 3, column z_mm: is empty or NaN",
+        ),
+        (
+            cell(4, "x_mm", "612.4"),
+            "path.csv, row 4, column x_mm: is out of travel: X = 612.4 mm exceeds 500",
+        ),
+        (cut, "tracker.parquet: is truncated"),
+        (path_rows(repeat), "path.csv, row 5: the line starts where it ends"),
+        (
+            machine('{"schema": "machine/1", "name": "demo"}'),
+            "machine.json: axes is missing",
+        ),
+        (machine("{"), "machine.json, row 1: is not JSON"),
+    ],
+)
+def test_a_bad_bundle_is_one_line(spoil, line, command, bundle, tmp_path):
+    spoil(bundle)
+    said = command.refuse("analyse", bundle, "-o", tmp_path / "out")
+    assert said.startswith(line)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_zip_or_no_bundle_is_one_line(command, bundle, tmp_path):
+    archive = tmp_path / "bundle.zip"
+    shutil.make_archive(str(tmp_path / "bundle"), "zip", bundle)
+    archive.write_bytes(archive.read_bytes()[:-300])
+    for place in (archive, tmp_path / "nowhere"):
+        said = command.refuse("analyse", place, "-o", tmp_path / "out")
+        assert place.name in said
+
+
+def test_an_output_folder_that_is_a_file_is_one_line(command, recorded, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    said = command.refuse("analyse", recorded, "-o", tmp_path / "out")
+    assert said.endswith("out: is a file; name a folder for the results")
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.fixture
+def refuse(command, points, tmp_path):
+    """Ask for a prediction; return the line that says why there is none."""
+
+    def ask(result):
+        out = tmp_path / "out.csv"
+        said = command.refuse("predict", result, "--points", points, "-o", out)
+        assert not out.exists()
+        return said
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (None, "points.csv: cannot be read (No such file or directory)"),
+        ("x_mm,y_mm,z_mm\n1,nan,3\n", "points.csv, row 2, column y_mm: is empty"),
+    ],
+)
+def test_bad_points_are_one_line(content, line, refuse, analysed, points):
+    points.unlink()
+    if content is not None:
+        points.write_text(content)
+    assert line in refuse(analysed / "result.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (None, "result.json: cannot be read (No such file or directory)"),
+        ('{"schema": ', "result.json, row 1: is not JSON"),
+        ('{"schema": "machine/1"}', "result.json: schema is not that of"),
+    ],
+)
+def test_a_bad_result_is_one_line(content, line, refuse, tmp_path):
+    file = tmp_path / "result.json"
+    if content is not None:
+        file.write_text(content)
+    assert line in refuse(file)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "line"),
+    [
+        ("length_scale_ppm", "0.6", 'length_scale_ppm is "0.6"; write a number'),
+        ("length_scale_ppm", -5.0, "length_scale_ppm is -5; it must be"),
+        ("measured_s", float("nan"), "measured_s is not finite; write a finite"),
+        (
+            "temperature_degC",
+            {"X": [float("nan"), 20.0]},
+            "temperature_degC.X[0] is not finite; write a finite number",
+        ),
+        ("temperature_degC", "warm", 'temperature_degC is "warm"; write an'),
+        ("runs", [{"name": "a", "sketch": "123"}], 'runs[0].sketch is "123"'),
+        ("runs", "monday", 'runs is "monday"'),
+    ],
+)
+def test_a_result_of_bad_provenance_is_one_line(key, value, line, refuse, result, keep):
+    result["provenance"][key] = value
+    assert f"result.json: provenance.{line}" in refuse(keep(result))
+
+
+@pytest.mark.parametrize("value", [1e12, -1e308])
+def test_an_error_that_no_machine_has_is_one_line(value, refuse, result, keep):
+    place, effect = next(
+        (number, one)
+        for number, one in enumerate(result["model"]["effects"])
+        if "values_um" in one
+    )
+    effect["values_um"][2] = value
+    line = refuse(keep(result))
+    assert f"result.json: model.effects[{place}].values_um[2] is {value:g}" in line
+
+
+def test_a_result_with_an_unknown_effect_is_one_line(refuse, result, keep):
+    result["model"]["effects"][3]["effect"] = "moon-phase"
+    line = refuse(keep(result))
+    assert "result.json: model.effects" in line
+    assert "moon-phase" in line

@@ -1,0 +1,360 @@
+"""`certificate`: what it states is what the result states, in both languages."""
+
+import copy
+import json
+import math
+import re
+from datetime import date
+from itertools import zip_longest
+from typing import NamedTuple
+
+import pytest
+import tinyhtml5
+
+from truepath.answers.certificate import pdf
+from truepath.answers.certificate.issue import (
+    gather_certificate,
+    read_result_source,
+)
+from truepath.cli.command import run
+from truepath.errors import BundleError
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+
+ISSUED = ("--issued", "2026-11-24")
+
+
+class Page(NamedTuple):
+    """The text of a certificate, and the cells of its tables by their section."""
+
+    text: str
+    tables: dict[str, list[list[list[str]]]]
+
+
+def read_page(file):
+    tree = tinyhtml5.parse(file, namespace_html_elements=False)
+    tables = {
+        section.get("id"): [
+            [["".join(cell.itertext()) for cell in row] for row in table.iter("tr")]
+            for table in section.iter("table")
+        ]
+        for section in tree.iter("section")
+    }
+    return Page("".join(tree.itertext()), tables)
+
+
+def numbers(text):
+    """The numbers of a cell, in either language."""
+    plain = text.replace("−", "-").replace("\u202f", "").replace(",", ".")
+    return [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", plain)]
+
+
+@pytest.fixture(scope="module")
+def account(analysed, few_places, tmp_path_factory):
+    """The account of exported files; not to be changed."""
+    folder = tmp_path_factory.mktemp("account")
+    words = ["export", str(analysed / "result.json"), "--format", "json"]
+    assert run([*words, "-o", str(folder / "c.tables.json")]) == 0
+    return folder / "c.json"
+
+
+@pytest.fixture(scope="module")
+def issued(analysed, tmp_path_factory):
+    """The page of the result in both languages, with a name of its operator."""
+    folder, words = tmp_path_factory.mktemp("issued"), ["certificate"]
+    words += [str(analysed / "result.json"), *ISSUED, "--state", "operator=Jörg Weiß"]
+    for language in ("en", "de"):
+        file = folder / f"{language}.html"
+        assert run([*words, "-o", str(file), "--language", language]) == 0
+    return folder
+
+
+@pytest.fixture
+def words(analysed, tmp_path):
+    """The command line of a certificate."""
+
+    def spell(name, *more, result=analysed / "result.json"):
+        return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
+
+    return spell
+
+
+@pytest.fixture
+def issue(command, words, tmp_path):
+    """Issue a certificate; return its file."""
+
+    def certify(name, *more, **source):
+        command.run(*words(name, *more, **source))
+        return tmp_path / name
+
+    return certify
+
+
+@pytest.fixture
+def refuse(command, words, tmp_path):
+    """Ask for what is refused; return the line that says why."""
+
+    def ask(name, *more, **source):
+        said = command.refuse(*words(name, *more, **source))
+        assert not (tmp_path / name).exists()
+        return said
+
+    return ask
+
+
+def half_a_digit(text):
+    """The rounding of the numbers of a cell."""
+    decimals = re.search(r"[.,](\d+)", text)
+    return 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_number_of_the_tables_is_the_results_and_u_is_twice_u(
+    issued, result, language
+):
+    seen = set()
+    for table in read_page(issued / f"{language}.html").tables["tables"]:
+        head, *rows = table
+        for column, title in enumerate(head[1:], start=1):
+            symbol = title.split(",")[0]
+            stated = result["error_tables"].get(symbol)
+            if stated is None:
+                continue
+            seen.add(symbol)
+            unit = "um" if "value_um" in stated else "urad"
+            rest = (stated["position_mm"], stated[f"value_{unit}"])
+            every = zip_longest(rows, *rest, stated[f"uncertainty_{unit}"])
+            for (row, at, value, sigma), beyond in zip(
+                every, stated["extrapolated"], strict=True
+            ):
+                assert row[0].endswith("*") == beyond
+                assert numbers(row[0])[0] == pytest.approx(at, abs=0.0500001)
+                shown, expanded = numbers(row[column])
+                digit = half_a_digit(row[column])
+                assert shown == pytest.approx(value, abs=digit)
+                assert expanded == pytest.approx(2.0 * sigma, abs=digit)
+    assert seen == set(result["error_tables"])
+
+
+def test_squareness_volume_and_budget_are_those_of_the_result(issued, result):
+    tables = read_page(issued / "en.html").tables
+    for symbol, _, cell in tables["single"][0][1:]:
+        stated = result["squareness_urad"][symbol]
+        both = [stated["value"], 2.0 * stated["uncertainty"]]
+        assert numbers(cell)[:2] == pytest.approx(both, abs=half_a_digit(cell))
+    before = tables["brief"][0][1]
+    mean = result["volumetric_error"]["before"]["mean"]
+    assert numbers(before[1]) == pytest.approx(
+        [mean["value_um"], 2.0 * mean["uncertainty_um"]], abs=half_a_digit(before[1])
+    )
+    *sources, total, expanded = tables["budget"][0][1:]
+    squares = sum(numbers(row[4])[0] ** 2 for row in sources)
+    stated = result["volumetric_uncertainty_um"]
+    assert squares**0.5 == pytest.approx(stated, abs=2e-3)
+    assert numbers(total[4])[0] == pytest.approx(stated, abs=6e-4)
+    assert numbers(expanded[4])[0] == pytest.approx(2.0 * stated, abs=6e-4)
+
+
+def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
+    issue, result, keep
+):
+    position = result["error_tables"]["EYY"]["position_mm"]
+    half = {
+        "position_mm": position,
+        "value_um": [-3.0] * len(position),
+        "uncertainty_um": [0.05] * len(position),
+    }
+    direction = {"model": "constant", "half_difference": {"EYY": half}}
+    file = keep({**result, "direction": direction})
+    page = read_page(issue("c.html", result=file))
+    rows = {row[0][0]: row for row in page.tables["iso"][0][1:]}
+    assert numbers(rows["Y"][3])[0] == pytest.approx(6.0, abs=0.01)
+    wider = numbers(rows["Y"][4])[0] - numbers(rows["Y"][2])[0]
+    assert wider == pytest.approx(6.0, abs=0.11)
+    assert rows["X"][3] == "–"
+    own = result["measured_range"]["Y"]
+    assert rows["Y"][1] == f"{own['from_mm']:.0f}\u00a0… {own['to_mm']:.0f}\u00a0mm"
+
+
+@pytest.mark.parametrize(
+    ("language", "operator", "serial", "unknown"),
+    [
+        ("en", "Operator", "Serial number of the tracker", "not stated"),
+        ("de", "Bediener", "Seriennummer des Trackers", "nicht angegeben"),
+    ],
+)
+def test_what_nobody_has_stated_is_shown_as_not_stated(
+    issued, language, operator, serial, unknown
+):
+    identity = dict(read_page(issued / f"{language}.html").tables["identity"][0])
+    assert identity[operator] == "Jörg Weiß"
+    assert identity[serial] == unknown
+
+
+def test_the_html_fetches_nothing_and_has_no_script(issued):
+    html = (issued / "en.html").read_text(encoding="utf-8")
+    assert not re.search(r"<script|https?://|url\(|@import|<link|<img", html)
+    assert html.splitlines()[0] == "<!DOCTYPE html>"
+
+
+def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
+    issue, refuse, result, keep
+):
+    verdict = {"state": "not-usable", "reasons": ["The table shook."]}
+    file = keep({**result, "verdict": verdict})
+    assert "--accept-verdict" in refuse("c.html", result=file)
+    page = read_page(issue("c.html", "--accept-verdict", result=file))
+    assert "NOT TO BE USED" in page.text
+    assert "The table shook." in page.text
+
+
+def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_remedy(
+    command, words, refuse, monkeypatch
+):
+    def is_missing():
+        raise pdf.PdfUnavailable(f"no PDF can be made here (…): {pdf.REMEDY}")
+
+    monkeypatch.setattr(pdf, "_load_printer", is_missing)
+    assert "pip install 'truepath[pdf]'" in refuse("c.pdf")
+    assert "not stated: machine_maker" in command.run(*words("c.html")).err
+
+
+def test_files_beside_the_result_are_stated_and_held_against_it(
+    issue, account, result, keep, measure_again
+):
+    other = {"result": {"input_sha256": "f" * 64}}
+    check = {"schema": "verification/1", "provenance": other}
+    measured = {"conformity": "outside", "tolerance_um": 3.25}
+    check |= {"conformity": {"measured": measured}, "statements": ["It fails."]}
+    left = ("--as-left", measure_again(result))
+    beside = ("--compensation", account, "--verification", keep(check, "v.json"))
+    page = read_page(issue("c.html", *beside, *left))
+    assert "IT WAS MADE FOR ANOTHER RESULT" in page.text
+    assert "THE FILES WERE MADE FROM ANOTHER" not in page.text
+    assert "does NOT keep the tolerance" in page.text
+    assert "It fails." in page.text
+    assert ["Tolerance at every place", "3.25 µm"] in page.tables["verification"][0]
+    after = json.loads(account.read_text())["volumetric_error_um"]["after"]
+    shown = dict(page.tables["compensation"][0])[
+        "With the files, as the control reads them"
+    ]
+    assert numbers(shown)[:2] == pytest.approx(
+        [after["mean"], 2.0 * after["mean_uncertainty"]], abs=half_a_digit(shown)
+    )
+    assert [row[0] for row in page.tables["brief"][0][1:]][-1] == "As left, measured"
+    assert "the control has not said it" in page.text
+    assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
+
+
+ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            {"compensated": True, "compensation": ACTIVE},
+            "these files of the format json active: c.tables.json (SHA-256 dddddddd",
+        ),
+        ({"compensated": True}, "compensation files active, which it does not name"),
+        ({"compensated": False}, "No account of compensation files was given."),
+    ],
+)
+def test_files_that_a_verification_names_are_named_without_their_account(
+    issue, keep, content, said
+):
+    verification = keep({"schema": "verification/1", **content}, "v.json")
+    assert said in read_page(issue("c.html", "--verification", verification)).text
+
+
+def test_a_verification_with_other_files_than_the_account_states_is_an_alarm(
+    issue, account, keep
+):
+    made = json.loads(account.read_text())["files_sha256"]
+    for digests, is_other in ((made, False), (ACTIVE["files_sha256"], True)):
+        active = {"format": "json", "files_sha256": digests}
+        content = {"schema": "verification/1", "compensated": True}
+        verification = keep({**content, "compensation": active}, "v.json")
+        beside = ("--compensation", account, "--verification", verification)
+        page = read_page(issue("c.html", *beside))
+        assert ("MADE WITH OTHER FILES" in page.text) == is_other
+
+
+def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
+    issue, refuse, result, keep, measure_again
+):
+    for one in result["runs"]:
+        one["source"]["started"] = "2026-03-02T08:00:00+00:00"
+    found = keep(result, "found.json")
+
+    def explain(left):
+        source, at = read_result_source(found), date(2026, 3, 3)
+        with pytest.raises(BundleError) as refused:
+            gather_certificate(source, issued=at, left=left, identity={})
+        return str(refused.value)
+
+    assert "a measurement of the result as found" in explain(found)
+    earlier = measure_again(result, started="2026-03-01T08:00:00+00:00")
+    assert "not after the result as found" in explain(earlier)
+    later = {"started": "2026-03-02T12:00:00+00:00"}
+    off = measure_again(result, **later, control_compensation="off")
+    assert "its compensation is off" in explain(off)
+    said = refuse("c.html", "--as-left", found, result=found)
+    assert "a measurement of the result as found" in said
+    on = measure_again(result, **later, control_compensation="on")
+    page = read_page(issue("c.html", "--as-left", on))
+    assert "The control stated that its compensation was on" in page.text
+
+
+def test_a_result_as_left_that_is_not_to_be_used_states_nothing(
+    issue, refuse, result, measure_again
+):
+    def leave(kind, values):
+        verdict = verdict_json(Verdict((Reason(kind, "not-usable", values),)))
+        started = "2026-11-20T08:00:00+00:00"
+        return measure_again({**result, "verdict": verdict}, started=started)
+
+    astray = leave("fit-beyond-noise", {"ratio": 9.0, "limit_ratio": 4.0})
+    said = refuse("c.html", "--as-left", astray)
+    assert "left.json: the result as left is not to be used" in said
+    # Of a machine that is good there is little to gain.
+    good = leave("little-gained", {"found_um": 0.5, "left_um": 0.6})
+    page = read_page(issue("c.html", "--as-left", good))
+    assert "As left, measured: The result may be used" in page.text
+    assert "Date of measurement as left" in page.text
+
+
+def test_another_tool_or_travel_is_not_the_machine_as_left(
+    refuse, result, measure_again
+):
+    other_tool, other_travel = copy.deepcopy(result), copy.deepcopy(result)
+    other_tool["machine"]["tool_offset_mm"] = [0.0, 0.0, -10.0]
+    other_travel["machine"]["axes"]["X"]["max_mm"] = 300.0
+    for again, said in (
+        (other_tool, "has other targets"),
+        (other_travel, "has other travel"),
+    ):
+        assert said in refuse("c.html", "--as-left", measure_again(again))
+
+
+def test_a_file_of_another_kind_is_refused_by_its_name(refuse, analysed):
+    said = refuse("c.html", "--verification", analysed / "result.json")
+    assert "verification/1" in said
+    assert ".pdf or .html" in refuse("c.txt")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a["volumetric_error_um"]["after"].update(mean=math.nan), "mean"),
+        (lambda a: a.pop("volumetric_error_um"), "volumetric_error_um is missing"),
+        (lambda a: a["left_um"].update(map=math.inf), "left_um.map is not finite"),
+    ],
+)
+def test_an_account_that_cannot_be_stated_is_refused_with_its_place(
+    refuse, account, keep, change, said
+):
+    content = json.loads(account.read_text())
+    change(content)
+    line = refuse("c.html", "--compensation", keep(content, "t.json"))
+    assert "t.json: " in line
+    assert said in line

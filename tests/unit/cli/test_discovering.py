@@ -1,0 +1,56 @@
+"""`discover`: a measurement in, what its model lacks out; bad input in one line."""
+
+import json
+
+import pytest
+
+from truepath.cli.command import run
+
+
+@pytest.fixture(scope="module")
+def discovered(recorded, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("discovered")
+    assert run(["discover", str(recorded), "-o", str(folder)]) == 0
+    return folder
+
+
+def test_the_files_of_the_contract_are_written(discovered):
+    names = {path.name for path in discovered.iterdir() if path.is_file()}
+    assert names == {"discovery.json", "model.json", "report.html"}
+    content = json.loads((discovered / "discovery.json").read_text())
+    assert content["schema"] == "discovery/1"
+    assert content["effects"] == []
+    assert content["unnamed"] == []
+
+
+def test_points_are_predicted_from_the_model(command, discovered, points, tmp_path):
+    out, model = tmp_path / "predicted.csv", discovered / "model.json"
+    command.run("predict", model, "--points", points, "-o", out)
+    header, *rows = out.read_text().splitlines()
+    assert header.endswith("dx_um,dy_um,dz_um,ux_um,uy_um,uz_um")
+    assert len(rows) == 3
+
+
+def test_a_model_that_cannot_be_used_is_refused_in_one_line(
+    command, recorded, discovered, keep, tmp_path
+):
+    content = json.loads((discovered / "model.json").read_text())
+
+    def refuse(file):
+        order = ["discover", recorded, "-o", tmp_path / "out", "--model", file]
+        line = command.refuse(*order)
+        assert file.name in line
+        return line
+
+    assert "cannot be read" in refuse(tmp_path / "missing.json")
+    schema = refuse(keep({**content, "schema": "discovery/1"}))
+    assert "schema is not that of a result or model" in schema
+    assert "version is 1.5" in refuse(keep({**content, "version": 1.5}))
+    content["machine"]["axes"]["X"]["max_mm"] += 100.0
+    assert "machine.axes" in refuse(keep(content))
+
+
+def test_a_bundle_without_a_stream_is_refused(command, bundle, tmp_path):
+    for file in bundle.glob("tracker.*"):
+        file.unlink()
+    assert "tracker" in command.refuse("discover", bundle, "-o", tmp_path / "out")

@@ -1,0 +1,162 @@
+"""`export`: files a controller loads, held against the machine's true errors."""
+
+import json
+
+import numpy as np
+import pytest
+
+from truepath.compensation.formats.isg_csv import IsgCsv
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath_simulators.scenario import load_machine
+
+pytestmark = pytest.mark.usefixtures("few_places")
+
+
+@pytest.fixture
+def words(analysed, tmp_path):
+    """The command line of an export into the folder of the test."""
+
+    def spell(name, output, *more, result=analysed / "result.json"):
+        return ["export", result, "--format", name, "-o", tmp_path / output, *more]
+
+    return spell
+
+
+@pytest.fixture
+def names(tmp_path):
+    """The names in the folder of the test."""
+    return lambda folder=".": {p.name for p in (tmp_path / folder).iterdir()}
+
+
+def test_a_format_of_one_file_is_written_where_it_is_asked(command, words, names):
+    said = command.run(*words("siemens-lec", "axes.ini"))
+    assert names() == {"axes.ini", "axes.json"}
+    assert "carries: positioning of each axis" in said.out
+    assert "µm, with these tables" in said.out
+    assert "sign is not verified" not in said.err
+    command.run(*words("siemens-lec", "other.arc"))
+    assert names() == {"axes.ini", "axes.json", "other.arc", "other.json"}
+
+
+@pytest.mark.parametrize("output", ["c.json", "c"])
+def test_tables_and_their_account_are_two_files_where_both_are_json(
+    command, words, names, tmp_path, output
+):
+    command.run(*words("json", output))
+    assert names() == {"c.tables.json", "c.json"}
+    assert json.loads((tmp_path / "c.json").read_text())["format"] == "json"
+    tables = json.loads((tmp_path / "c.tables.json").read_text())
+    assert tables["schema"] == "compensation-tables/1"
+
+
+def test_formats_are_listed_with_what_each_carries(command):
+    said = command.run("formats").out
+    assert (
+        "siemens-lec: Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
+        in said
+    )
+    assert "isg-csv: ISG kernel, Beckhoff TF5280, 1000 rows; the sign is to be" in said
+    assert "carries      positioning of each axis, forward and reverse" in said
+    listed = [one["name"] for one in command.json("formats")["formats"]]
+    assert listed == sorted(listed)
+
+
+def test_a_format_of_a_file_an_axis_begins_their_names(command, words, names, tmp_path):
+    said = command.json(*words("linuxcnc", "new/comp.tbl"))
+    files = {"comp-X.tbl", "comp-Y.tbl", "comp-Z.tbl"}
+    assert names("new") == files | {"comp.json"}
+    assert {path.rsplit("/", 1)[1] for path in said["files"]} == files
+    assert json.loads((tmp_path / "new" / "comp.json").read_text()) == said
+    assert said["schema"] == "compensation/1"
+    assert said["provenance"]["software"] == "truepath"
+    assert len(said["unobservable"]) == 4
+
+
+def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(command, words):
+    said = command.run(*words("heidenhain", "comp"))
+    assert "try one deliberate value before first use" in said.err
+
+
+def test_volumetric_tables_take_the_true_errors_away(
+    command, words, record, volume, rigid_free, tmp_path
+):
+    command.run(*words("isg-csv", "comp.csv"))
+    machine = machine_from_json(load_machine("demo"))
+    text = (tmp_path / "comp.csv").read_text()
+    correction = IsgCsv().read({"comp.csv": text}, machine)
+    q = volume(machine)
+    true = record(1, rows=24)[1].deviation_mm(q)
+    before, after = (rigid_free(q, e) for e in (true, true + correction(q, 1.0)))
+    assert np.sqrt(np.mean(after**2)) < 0.12 * np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.parametrize(
+    ("name", "output", "more", "said"),
+    [
+        ("vcs", "comp", [], "installed: csv, etalon-exchange, fanuc"),
+        ("fanuc", "comp", ["--spacing", "0"], "spacing"),
+        ("heidenhain", "my part.com", [], "letters A to Z"),
+        ("heidenhain", "Fräse.com", [], "letters A to Z"),
+    ],
+)
+def test_what_cannot_be_written_says_why(
+    command, words, names, name, output, more, said
+):
+    assert said in command.refuse(*words(name, output, *more))
+    assert not names()
+
+
+def test_a_file_that_is_no_result_is_refused(command, words, keep):
+    said = command.refuse(*words("linuxcnc", "comp", result=keep({})))
+    assert "schema" in said
+
+
+def test_lost_motion_that_the_result_states_is_in_both_directions(
+    command, words, result, keep, tmp_path
+):
+    table = {"position_mm": [0.0, 500.0], "value_um": [3.0, 5.0]}
+    result["direction"] = {"half_difference": {"EXX": table}}
+    command.run(*words("linuxcnc", "comp.tbl", result=keep(result)))
+    lost = {}
+    for axis in "XY":
+        text = (tmp_path / f"comp-{axis}.tbl").read_text()
+        rows = np.array([line.split() for line in text.splitlines()], float)
+        lost[axis] = rows[:, 1] - rows[:, 2]
+    ends = list(result["measured_range"]["X"].values())  # held from there on
+    expected = 2e-3 * np.interp(ends, *table.values())
+    np.testing.assert_allclose(lost["X"][[0, -1]], expected, atol=2e-6)
+    np.testing.assert_allclose(lost["Y"], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "output"),
+    [
+        ("siemens", "result.ini"),
+        ("siemens-lec", "result.json"),
+        ("json", "result.json"),
+        ("json", "result"),
+    ],
+)
+def test_the_result_itself_is_never_written_over(
+    command, words, result, keep, names, name, output
+):
+    file = keep(result)
+    before = file.read_bytes()
+    said = command.refuse(*words(name, output, result=file))
+    assert "result.json: would be written over" in said
+    assert names() == {"result.json"}
+    assert file.read_bytes() == before
+
+
+def test_an_account_replaces_an_account_and_no_other_file(
+    command, words, names, tmp_path
+):
+    for _ in range(2):
+        command.run(*words("siemens-lec", "axes.ini"))
+    machine = tmp_path / "machine.json"
+    for text in ('{"schema": "machine/1"}', "not JSON"):
+        machine.write_text(text)
+        said = command.refuse(*words("siemens-lec", "machine.ini"))
+        assert "machine.json: the account of the files would be written over it" in said
+        assert machine.read_text() == text
+    assert "machine.ini" not in names()

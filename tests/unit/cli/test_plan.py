@@ -1,0 +1,253 @@
+"""`truepath plan`: a path or points, NC programs, and what is to be expected."""
+
+import json
+
+import numpy as np
+import pytest
+
+from truepath.cli.command import run
+from truepath.files.bundle.commanded_file import decode_commanded
+from truepath.files.bundle.machine_file import decode_machine
+from truepath.motion.nc_programs.programs import list_dialects, read_program
+from truepath_simulators.scenario import load_machine
+
+LINUXCNC = ("--control", "linuxcnc")
+STAND = {"position_mm": [200.0, -1200.0, 0.0]}
+FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
+
+pytestmark = pytest.mark.usefixtures("little_search")
+
+
+@pytest.fixture(scope="module")
+def machine(machine_file):
+    return decode_machine(machine_file.read_bytes())
+
+
+@pytest.fixture(scope="module")
+def box(machine):
+    """A corner of the travel that nothing may enter."""
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    return 0.7 * low + 0.3 * high, high
+
+
+@pytest.fixture(scope="module")
+def planned(little_search, machine_file, box, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("planned")
+    low, high = (place.tolist() for place in box)
+    workspace = folder / "workspace.json"
+    workspace.write_text(
+        json.dumps({"keep_out": [{"min_mm": low, "max_mm": high}], "tracker": STAND})
+    )
+    options = ["-o", str(folder / "out"), "--minutes", "1", "--seed", "5"]
+    options += ["--workspace", str(workspace)]
+    assert run(["plan", str(machine_file), *options]) == 0
+    return folder / "out"
+
+
+@pytest.fixture
+def plan(command, machine_file, tmp_path, keep):
+    """Plan for a workspace; return the document of the plan and what was said."""
+
+    def make(*options, workspace=None):
+        words = ["plan", machine_file, "-o", tmp_path / "out", *LINUXCNC, *options]
+        if workspace is not None:
+            words += ["--workspace", keep(workspace, "workspace.json")]
+        said = command.run(*words).out
+        return json.loads((tmp_path / "out" / "plan.json").read_text()), said
+
+    return make
+
+
+def read_rows(file, machine):
+    return decode_commanded(
+        file.read_bytes(), machine, file.name, is_path=file.name == "path.csv"
+    )
+
+
+def test_a_plan_is_a_path_that_fits_into_the_minutes_and_says_what_it_leaves(
+    planned, machine
+):
+    document = json.loads((planned / "plan.json").read_text())
+    assert document["schema"] == "plan/1"
+    assert document["mode"] == "otf"
+    assert document["rows"] == len(read_rows(planned / "path.csv", machine)) > 5
+    assert 45.0 < document["duration_s"] <= 60.0
+    assert {file.name for file in planned.iterdir() if file.is_file()} == {
+        "path.csv",
+        "plan.json",
+        "plan.html",
+    }
+    predicted = document["predicted"]
+    expanded = predicted["expanded_volumetric_uncertainty_um"]
+    assert expanded == pytest.approx(2.0 * predicted["volumetric_uncertainty_um"])
+    assert 0.1 < expanded < 50.0
+    assert predicted["errors"]["EXX"]["uncertainty_um"] > 0.0
+    assert predicted["errors"]["EAX"]["uncertainty_urad"] > 0.0
+    assert predicted["errors"]["C0Y"]["uncertainty_urad"] > 0.0
+    assert {text[:3] for text in document["unobservable"]} >= {"EAZ", "EBZ", "ECZ"}
+    told = [place["expanded_volumetric_uncertainty_um"] for place in document["curve"]]
+    assert (np.diff(told) <= 0.0).all()
+    assert told[-1] == pytest.approx(expanded)
+    assert "<svg" in (planned / "plan.html").read_text()
+
+
+def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, box, machine):
+    document = json.loads((planned / "plan.json").read_text())
+    assert not document["tracker"]["assumed"]
+    path = read_rows(planned / "path.csv", machine)
+    share = np.linspace(0.0, 1.0, 300)[:, None, None]
+    swept = path.position[:-1] + share * np.diff(path.position, axis=0)
+    inside = (swept > box[0]) & (swept < box[1])
+    assert not inside.all(axis=-1).any()
+
+
+@pytest.mark.parametrize("control", list_dialects())
+def test_every_control_gets_a_program_of_the_same_rows(planned, control):
+    (program,) = (planned / control).iterdir()
+    motion = read_program(program.read_text(), control)
+    rows = json.loads((planned / "plan.json").read_text())["rows"]
+    assert len(motion.path) == rows
+
+
+def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_path):
+    options = ["--mode", "standstill", "--minutes", "0.6", *LINUXCNC]
+    said = command.json("plan", machine_file, "-o", tmp_path / "out", *options)
+    points = read_rows(tmp_path / "out" / "points.csv", machine)
+    assert said["rows"] == len(points) >= 5
+    assert said["duration_s"] <= 36.0
+    assert said["tracker"]["assumed"]
+    files = (tmp_path / "out").rglob("*")
+    assert set(said["files"]) == {str(f) for f in files if f.is_file()}
+
+
+def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
+    document, _ = plan("--target-um", "5", "--minutes", "0.6", "--feed", "6000")
+    assert document["target"] == {
+        "volumetric_uncertainty_um": 5.0,
+        "expanded_volumetric_uncertainty_um": 10.0,
+        "reached": True,
+    }
+    assert document["predicted"]["volumetric_uncertainty_um"] <= 5.0
+    assert document["duration_s"] < 30.0
+
+
+def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_says_how_far_they_come(
+    plan,
+):
+    feeds = ("--feed", "3000", "--feed", "9000", "--minutes", "1")
+    document, said = plan("--target-um", "0.25", *feeds)
+    assert "the target of 0.25 µm (k = 1) is out of reach" in said
+    lags = document["predicted"]["servo_mismatch"]
+    assert set(lags) == {"X", "Y", "Z"}
+    assert all(0.0 < lag["uncertainty_ms"] < 0.3 for lag in lags.values())
+
+
+def test_a_corner_path_is_judged_like_a_plan(plan):
+    document, _ = plan("--corner-path", "--perpendicular-only", "--feed", "15000")
+    assert document["corner_path"]
+    assert document["predicted"]["expanded_volumetric_uncertainty_um"] > 2.0
+    assert any("not corner to corner" in text for text in document["unobservable"])
+
+
+def test_a_target_on_the_axis_that_turns_it_is_refused(command, keep, tmp_path):
+    content = load_machine("trunnion")
+    content["kinematic_chain"] = "w-C-b-X-Y-Z-t"
+    del content["axes"]["A"]
+    place = [*content["axes"]["C"]["origin_mm"][:2], 0.0]
+    content["targets"] = {"W": {"on": "workpiece", "offset_mm": place}}
+    file = keep(content, "machine.json")
+    said = command.refuse("plan", file, "-o", tmp_path / "out")
+    assert "W hardly moves where the tracker stands" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ["--mode", "dancing", "--minutes", "0.3"],
+            "mode is 'dancing'; it is otf or standstill",
+        ),
+        (["--corner-path", "--minutes", "2"], "leave minutes and target out"),
+        (["--minutes", "0.1", "--feed", "60"], "give more time or a higher feed"),
+        (["--control", "abacus", "--minutes", "0.2"], "abacus"),
+        (
+            ["--workspace", "nowhere.json", "--minutes", "0.3"],
+            "nowhere.json: cannot be read",
+        ),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused_in_one_line(
+    command, machine_file, tmp_path, options, said
+):
+    out = tmp_path / "out"
+    assert said in command.refuse("plan", machine_file, "-o", out, *options)
+    assert not list(out.rglob("*.csv"))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"schema": "workspace/9"}, "schema is"),
+        ({"keep_out": [{"min_mm": [0, 0, 0]}]}, "keep_out[0].max_mm"),
+        (
+            {"keep_out": [{"min_mm": [0, 0, 0], "max_mm": [1, 0, 1]}]},
+            "keep_out[0].max_mm is [1, 0, 1]; each must exceed min_mm",
+        ),
+        (
+            {"blocks_sight": [{"min_mm": [0, 0, 0], "max_mm": [1, 1, 1]}]},
+            "state tracker.position_mm",
+        ),
+        ({"tracker": {"nearest_mm": 300}}, "tracker.position_mm is missing"),
+        (
+            {"tracker": {"areas": [{"min_mm": [0, 0, 0], "max_mm": [1, -1, 0]}]}},
+            "tracker.areas[0].max_mm lies below min_mm",
+        ),
+        (
+            {
+                "tracker": {"areas": [FLOOR]},
+                "reflector": {"direction": [0, 0, 0], "half_angle_deg": 30},
+            },
+            "reflector.direction has no length",
+        ),
+    ],
+)
+def test_a_bad_workspace_is_named_with_its_key(
+    command, machine_file, tmp_path, keep, content, said
+):
+    words = ["plan", machine_file, "-o", tmp_path / "out", "--workspace"]
+    error = command.refuse(*words, keep(content, "workspace.json"))
+    assert "workspace.json" in error
+    assert said in error
+
+
+def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_path):
+    workspace = {"schema": "workspace/1", "tracker": {"areas": [FLOOR]}}
+    document, said = plan("--minutes", "0.6", workspace=workspace)
+    tracker, stations = document["tracker"], document["stations"]
+    assert tracker["chosen"]
+    assert not tracker["assumed"]
+    place = np.array(tracker["position_mm"])
+    assert (place >= FLOOR["min_mm"]).all()
+    assert (place <= FLOOR["max_mm"]).all()
+    assert stations["best"]["position_mm"] == tracker["position_mm"]
+    assert [option["count"] for option in stations["options"]] == [1, 2, 3]
+    predicted_um = document["predicted"]["volumetric_uncertainty_um"]
+    assert stations["options"][0]["random_um"] == pytest.approx(predicted_um)
+    assert stations["recommended"] == 1
+    for statement in stations["statement"]:
+        assert f"tracker: {statement}" in said
+    page = (tmp_path / "out" / "plan.html").read_text()
+    assert "one station is enough" in page
+
+
+def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
+    nests = [{"min_mm": p, "max_mm": p} for p in ([250, -700, 0], [1100, 100, 50])]
+    workspace = {"schema": "workspace/1", "tracker": {"areas": nests}}
+    minutes = ("--minutes", "0.6", "--feed", "6000")
+    document, said = plan(*minutes, "--stations", "2", workspace=workspace)
+    for number, station in enumerate(document["at_stations"], start=1):
+        rows = tmp_path / "out" / f"station-{number}" / "path.csv"
+        assert len(read_rows(rows, machine)) == station["rows"]
+        assert f"station-{number}/linuxcnc" in "".join(document["files"])
+        assert f"station-{number}: tracker at (" in said

@@ -1,0 +1,201 @@
+"""A result that is not simply usable says so wherever a command takes or gives it."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+from truepath.cli.summary import print_result
+from truepath.files.bundle.bundle import read_bundle
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+from truepath.results import analysis
+
+LEFT_OUT = Reason(
+    "samples-left-out",
+    "usable",
+    {"samples": 42, "line": 7, "from_s": 61.2, "to_s": 61.3, "distance_um": 5012.0},
+)
+OPEN = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
+BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
+VERDICTS = {
+    "usable": Verdict((LEFT_OUT,)),
+    "doubtful": Verdict((LEFT_OUT, OPEN)),
+    "not-usable": Verdict((LEFT_OUT, OPEN, BEYOND)),
+}
+
+
+@pytest.fixture
+def judged(result, keep):
+    """Write the result with another verdict; return its file."""
+
+    def write(state):
+        verdict = verdict_json(VERDICTS[state])
+        return keep({**result, "verdict": verdict}, f"{state}.json")
+
+    return write
+
+
+@pytest.fixture
+def words(tmp_path):
+    """The command line of an export into a folder of its own."""
+
+    def spell(file, *more, name="linuxcnc", output="comp.tbl"):
+        place = tmp_path / "tables" / output
+        return ["export", file, "--format", name, "-o", place, *more]
+
+    return spell
+
+
+@pytest.fixture
+def account(tmp_path):
+    return lambda: json.loads((tmp_path / "tables" / "comp.json").read_text())
+
+
+def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
+    few_places, command, words, judged, account, tmp_path
+):
+    file = judged("not-usable")
+    line = command.refuse(*words(file))
+    assert not (tmp_path / "tables").exists()
+    assert "not-usable.json: the result is not to be used: " in line
+    assert str(OPEN) in line
+    assert str(BEYOND) in line
+    assert str(LEFT_OUT) not in line
+    assert line.endswith("--accept-verdict writes it all the same")
+    said = command.run(*words(file, "--accept-verdict"))
+    assert "warning: the result is not to be used: " in said.err
+    assert account()["verdict"] == verdict_json(VERDICTS["not-usable"])
+
+
+@pytest.mark.parametrize(
+    ("state", "title"), [("not-usable", "NOT TO BE USED"), ("doubtful", "DOUBTFUL")]
+)
+def test_files_of_a_control_that_takes_comments_say_it_themselves(
+    few_places, command, words, judged, tmp_path, state, title
+):
+    order = words(judged(state), name="siemens-lec", output="comp.ini")
+    command.run(*order, "--accept-verdict")
+    text = (tmp_path / "tables" / "comp.ini").read_text()
+    assert f"; THE RESULT IS {title}" in text
+
+
+def test_a_doubtful_result_is_exported_with_a_warning(
+    few_places, command, words, judged, account
+):
+    said = command.run(*words(judged("doubtful")))
+    assert f"warning: the result is doubtful: {OPEN}" in said.err
+    assert account()["verdict"]["state"] == "doubtful"
+
+
+def test_a_usable_result_is_exported_without_a_word_of_its_verdict(
+    few_places, command, words, judged, account, tmp_path
+):
+    said = command.run(*words(judged("usable")))
+    (warning,) = re.findall("warning.*", said.err)
+    assert "temperature of the measurement is not known" in warning
+    assert "THE RESULT IS" not in (tmp_path / "tables" / "comp-X.tbl").read_text()
+    assert account()["verdict"]["reasons"] == [str(LEFT_OUT)]
+
+
+def test_a_comparison_says_it_of_the_result(command, judged, tmp_path):
+    reference, out = tmp_path / "reference.csv", tmp_path / "out"
+    rows = "".join(f"EXX,{x},+,{0.01 * x},um\n" for x in range(0, 501, 50))
+    reference.write_text(f"error,position_mm,direction,value,unit\n{rows}")
+    order = ["compare", judged("not-usable"), reference, "-o", out]
+    said = command.run(*order)
+    assert "warning: the result is not to be used: " in said.err
+    assert said.out.startswith("*** NOT TO BE USED ***\n")
+    assert command.json(*order)["verdict"]["state"] == "not-usable"
+    content = json.loads((out / "comparison.json").read_text())
+    assert content["verdict"] == verdict_json(VERDICTS["not-usable"])
+    page = (out / "comparison.html").read_text()
+    assert "<strong>Not to be used</strong>" in page
+
+
+@pytest.mark.parametrize("state", VERDICTS)
+def test_a_prediction_says_it_of_the_result(command, judged, points, tmp_path, state):
+    out, objection = tmp_path / "out.csv", VERDICTS[state].objection
+    order = ["predict", judged(state), "--points", points, "-o", out, "--json"]
+    said = command.run(*order)
+    assert (f"warning: the result is {objection}" in said.err) == bool(objection)
+    assert json.loads(said.out)["verdict"] == verdict_json(VERDICTS[state])
+    head, *rows = out.read_text().splitlines()
+    assert head.endswith("uz_um,verdict" if objection else "uz_um")
+    assert all(row.endswith(f",{state}") == bool(objection) for row in rows)
+
+
+def of_another_run(file):
+    """Let a result be made from a Run that nobody analyses here."""
+    content = json.loads(file.read_text())
+    for one in content["provenance"]["runs"]:
+        one |= {"input_sha256": "f" * 64, "sketch": ""}
+    file.write_text(json.dumps(content))
+    return file
+
+
+@pytest.mark.parametrize("order", ["analyse", "discover", "plan"])
+def test_a_model_that_is_not_to_be_used_is_refused(
+    command, judged, recorded, tmp_path, order
+):
+    model = of_another_run(judged("not-usable"))
+    given = recorded / "machine.json" if order == "plan" else recorded
+    out = tmp_path / "out"
+    said = command.refuse(order, given, "--model", model, "-o", out)
+    assert f"not-usable.json is not to be used: {OPEN} {BEYOND}" in said
+    assert not list(out.rglob("*.json"))
+
+
+def test_what_rests_on_a_doubtful_model_is_doubtful(
+    command, judged, recorded, tmp_path
+):
+    model = of_another_run(judged("doubtful"))
+    said = f"doubtful: It rests on the model {model}, which is doubtful itself."
+    out = tmp_path / "out"
+    told = command.run("analyse", recorded, "--model", model, "-o", out)
+    assert f"warning: the result is {said}" in told.err
+    content = json.loads((out / "result.json").read_text())
+    assert content["verdict"]["state"] == "doubtful"
+    asked = ["--minutes", "0.3", "--feed", "9000", "--control", "linuxcnc"]
+    given = [recorded / "machine.json", "--model", model, "-o", out]
+    assert f"warning: the plan is {said}" in command.run("plan", *given, *asked).err
+    page = (out / "plan.html").read_text()
+    assert 'class="verdict doubtful"' in page
+
+
+def test_a_model_of_the_same_run_gives_no_numbers_and_is_taken(
+    command, judged, recorded, tmp_path
+):
+    model, out = judged("not-usable"), tmp_path / "out"
+    command.run("analyse", recorded, "--model", model, "-o", out)
+    content = json.loads((out / "result.json").read_text())
+    assert content["verdict"]["state"] == "usable"
+
+
+def test_the_terminal_begins_with_the_worst_and_many_reasons_do_not_hide_the_tables(
+    result, tmp_path, capsys
+):
+    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "*** NOT TO BE USED ***"
+    worst_first = [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
+    assert lines[1:4] == worst_first
+    many = Verdict((LEFT_OUT,) * 40)
+    print_result(result | {"verdict": verdict_json(many)}, tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("- ") for line in lines) == 13
+    assert "- and 28 more" in lines
+
+
+def test_analyse_warns_on_standard_error_and_succeeds(
+    command, recorded, tmp_path, monkeypatch
+):
+    found = analysis.analyse(read_bundle(recorded))
+    judged = replace(found, verdict=VERDICTS["not-usable"])
+    monkeypatch.setattr(analysis, "analyse", lambda *runs, **options: judged)
+    order = ["analyse", recorded, "-o", tmp_path / "out"]
+    said = command.run(*order)
+    assert "warning: the result is not to be used: " in said.err
+    assert said.out.startswith("*** NOT TO BE USED ***\n")
+    verdict = command.json(*order)["verdict"]
+    assert verdict == verdict_json(VERDICTS["not-usable"])

@@ -1,0 +1,118 @@
+"""A machine file or path that is not that of the data is named for what it is."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import pytest
+from tests.unit.alignment.test_arcs import random_path
+
+from truepath.alignment.align import align
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+
+BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
+
+
+@cache
+def recorded_on(name):
+    """A recording of a machine with rotary axes."""
+    return random_path(name, rate_hz=100)[0]
+
+
+def change(bundle: Path, edit) -> None:
+    """Change the machine file of a bundle."""
+    file = bundle / "machine.json"
+    content = json.loads(file.read_text())
+    edit(content)
+    file.write_text(json.dumps(content))
+
+
+def edit_rows(bundle: Path, rows: slice) -> None:
+    """Leave these rows of the path, in the order that they are taken in."""
+    file = bundle / "path.csv"
+    head, *lines = file.read_text().splitlines()
+    file.write_text("\n".join([head, *lines[rows], ""]))
+
+
+def reverse(*names):
+    def edit(content):
+        for name in names:
+            content["axes"][name]["direction"] = BACK[name]
+
+    return edit
+
+
+def chain(declared):
+    return lambda content: content.update(kinematic_chain=declared)
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "fits"),
+    [
+        ("trunnion", reverse("C"), "w-C-A-b-X-Y-Z-t with axis C counted"),
+        ("trunnion", reverse("A", "C"), "axis A counted the other way and axis C"),
+        ("trunnion", chain("w-A-C-b-X-Y-Z-t"), "w-C-A-b-X-Y-Z-t far"),
+        ("trunnion", chain("w-b-X-Y-Z-C-A-t"), "w-C-A-b-X-Y-Z-t"),
+        ("head-table", chain("w-B-C-b-X-Y-Z-t"), "w-C-b-X-Y-Z-B-t"),
+    ],
+)
+def test_another_chain_or_count_of_rotary_axes_is_named(
+    command, tmp_path, name, edit, fits
+):
+    bundle = tmp_path / "bundle"
+    write_bundle(recorded_on(name), bundle)
+    change(bundle, edit)
+    said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
+    assert "the data fit chain" in said
+    assert fits in said
+
+
+def test_a_recording_of_another_path_is_not_blamed_on_the_chain(command, tmp_path):
+    bundle = tmp_path / "bundle"
+    write_bundle(recorded_on("trunnion"), bundle)
+    edit_rows(bundle, slice(None, None, -1))
+    said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
+    assert "the stream does not follow path.csv" in said
+    assert "the data fit" not in said
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_another_order_of_linear_axes_is_no_wrong_home_distance(
+    command, record, tmp_path
+):
+    made, _ = record(1, rows=40)
+    write_bundle(made, tmp_path / "bundle")
+    change(tmp_path / "bundle", chain("w-b-Z-Y-X-t"))
+    out = tmp_path / "out"
+    said = command.run("analyse", tmp_path / "bundle", "-o", out).err
+    verdict = json.loads((out / "result.json").read_text())["verdict"]
+    kinds = {one["kind"]: one for one in verdict["details"]}
+    assert kinds["chain-other"]["values"]["other"] == made.machine.chain
+    assert kinds["chain-other"]["values"]["times_ratio"] > 2.0
+    assert "range-off" not in kinds
+    assert "The data fit w-b-X-Y-Z-t" in said
+
+
+@pytest.mark.parametrize(
+    ("rows", "side"), [(slice(0, 16), "after"), (slice(8, None), "before")]
+)
+def test_rows_that_a_path_lacks_are_said(bundle, rows, side):
+    edit_rows(bundle, rows)
+    said = [x for x in align(read_bundle(bundle)).left_out if x.cause == side]
+    assert [one.samples for one in said] == [pytest.approx(8, abs=1)]
+
+
+def test_a_path_of_two_rows_is_cut_short(command, bundle, tmp_path):
+    edit_rows(bundle, slice(0, 2))
+    said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
+    assert "path.csv has 2 rows" in said
+    assert "cut short" in said
+    assert "axis that turns" not in said
+
+
+def test_a_whole_path_lacks_nothing(recorded):
+    causes = {x.cause for x in align(read_bundle(recorded)).left_out}
+    assert {"before", "after"}.isdisjoint(causes)

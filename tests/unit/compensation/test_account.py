@@ -1,0 +1,238 @@
+"""What a file leaves is stated as it is, and nothing unmeasured is sold as measured."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from truepath.compensation.account.remaining_error import (
+    find_remaining,
+    remove_rigid_motion,
+)
+from truepath.compensation.export import export_result, write_output
+from truepath.compensation.formats.isg_csv import IsgCsv
+from truepath.compensation.formats.linuxcnc import LinuxCnc
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.length_reference import (
+    find_measured_degc,
+    warn_of_lengths,
+)
+from truepath.compensation.tables.tabulation import Tabulation
+from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.errors import BadInput
+from truepath.kinematics.conditions import make_standstill
+
+FORMATS = {"isg-csv": IsgCsv, "linuxcnc": LinuxCnc}
+
+
+@pytest.fixture(scope="module")
+def source(loaded):
+    return map_errors(loaded)
+
+
+@pytest.fixture(scope="module")
+def half_measured(source):
+    """The same result, X measured up to 50 of its 300 mm."""
+    measured = {"X": (-200.0, 50.0), "Y": (10.0, 400.0), "Z": (0.0, 310.0)}
+    return replace(source, result=replace(source.result, measured=measured))
+
+
+def read_back(errors, name, unmeasured=Unmeasured.HOLD):
+    """What a control makes of files; they come without the account."""
+    result, kind = errors.result, FORMATS[name]()
+    ranges = find_measured_ranges(errors.machine, result.measured, unmeasured)
+    return Tabulation(kind, "comp", (), 10.0, ranges).read_back(errors)
+
+
+def along_x(errors, at):
+    place = np.tile(errors.middle_mm, (len(at), 1))
+    place[:, 0] = at
+    return place
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
+    """Machines drawn from the covariance of the result, at places of the test's own."""
+    export = export_result(source, name, "comp")
+    stated = export.account["volumetric_error_um"]["after"]
+    correction = FORMATS[name]().read(export.files, source.machine)
+    rng = np.random.default_rng(77)
+    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
+    place = np.vstack([rng.uniform(low, high, (900, 3)), corners])
+    jacobian = source.volumetric_map.jacobian(make_standstill(source.machine, place))
+    sigma = np.sqrt(np.diag(source.result.covariance))
+    held = 0
+    for _ in range(40):
+        theta = source.result.theta + sigma * rng.standard_normal(len(sigma))
+        left = jacobian @ theta + correction(place, 1.0)
+        left -= left.mean(axis=0)
+        mean_um = 1e3 * np.linalg.norm(left, axis=1).mean()
+        spread = 2.0 * stated["mean_uncertainty"] + 0.08 * stated["mean"]
+        held += abs(mean_um - stated["mean"]) < spread
+    assert held >= 36
+
+
+def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(source):
+    """By positions of the test's own, to a small part of what U states."""
+    correction = read_back(source, "linuxcnc")
+    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
+    place = np.array(low) + unit * (np.array(high) - np.array(low))
+    error = source.error_mm(place, 1.0)
+    measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
+    for done in (None, correction):
+        stated = find_remaining(source, measured, done)
+        left = error if done is None else error + done(place, 1.0)
+        of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
+        after = stated.state()
+        off_um = stated.state_map()["mean"] - 1e3 * of_travel
+        assert abs(off_um) < 0.2 * after["mean_uncertainty"]
+
+
+def test_what_is_left_comes_by_its_reasons(source):
+    def left_um(name, spacing_mm=5.0):
+        account = export_result(source, name, "c", spacing_mm=spacing_mm).account
+        return account["left_um"]
+
+    whole, wide = left_um("isg-csv"), left_um("isg-csv", 90.0)
+    assert wide["between_rows"] > 20.0 * whole["between_rows"]
+    assert wide["map"] > 3.0 * whole["map"]
+    pitch, lec = left_um("fanuc"), left_um("siemens-lec")
+    # Whole micrometres of three axes, each even over one: 3 / 12.
+    assert pitch["rounding"] == pytest.approx(0.5)
+    assert lec["rounding"] < 0.001
+    # Straightness and angles are most of it: neither carries them, the volume's does.
+    for one in (pitch, lec):
+        assert one["not_carried"] > 0.9 * one["map"] > 10.0 * whole["map"]
+    assert whole["not_carried"] < 0.1
+    unknown = {one["not_known_by_the_measurement"] for one in (whole, wide, pitch, lec)}
+    assert len(unknown) == 1
+
+
+def test_beyond_the_measured_range_the_last_value_holds(half_measured, source):
+    inside, beyond = (along_x(source, np.array([x])) for x in (50.0, 275.0))
+    held = read_back(half_measured, "linuxcnc")
+    assert held(beyond, 1.0) == pytest.approx(held(inside, 1.0), abs=1e-6)
+    free = read_back(source, "linuxcnc")
+    assert abs(free(beyond, 1.0) - free(inside, 1.0)).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_or_it_fades_to_nothing_at_the_end_of_the_travel(half_measured, name):
+    faded = read_back(half_measured, name, unmeasured=Unmeasured.FADE)
+    held = read_back(half_measured, name)
+    at = along_x(half_measured, np.array([50.0, 175.0, 300.0]))
+    whole, part = held(at, 1.0)[:, 0], faded(at, 1.0)[:, 0]
+    if name == "linuxcnc":  # the volume's other axes add nothing in X
+        assert part == pytest.approx(whole * [1.0, 0.5, 0.0], abs=2e-6)
+    assert part[0] == pytest.approx(whole[0], abs=1e-6)
+    assert abs(part[2] - whole[2]) > 1e-3
+
+
+def test_a_result_without_measured_range_or_direction_says_so_in_account_and_file(
+    source,
+):
+    result = replace(source.result, measured={}, states_direction=False)
+    silent = replace(source, result=result)
+    export = export_result(silent, "siemens-lec", "c")
+    said = export.account["unmeasured"]
+    assert [text.partition(":")[0] for text in said] == ["X", "Y", "Z"]
+    assert all("does not state where it was measured" in text for text in said)
+    assert f"; {said[0]}\n" in export.files["c.ini"]
+    assert "valid over X what the result does not state" in export.files["c.ini"]
+    assert export.account["unobservable"][-1].startswith("lost motion: the result")
+    with pytest.raises(BadInput, match="X: the result does not state where"):
+        export_result(silent, "siemens-lec", "c", unmeasured=Unmeasured.REFUSE)
+
+
+@pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
+def test_account_and_file_say_what_was_not_measured(half_measured, choice):
+    export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
+    (said,) = export.account["unmeasured"]
+    assert said.startswith("X not measured from 50 to 300 mm")
+    (text,) = export.files.values()
+    assert f"// {said}" in text.splitlines()
+    assert export.account["tables"]["X"]["measured_to_mm"] == 50.0
+    left = export.account["volumetric_error_um"]
+    assert left["after_where_measured"]["mean"] < 0.5 * left["after"]["mean"]
+    assert export.account["left_um"]["unmeasured_range"] > 1.0
+
+
+def test_or_the_file_is_refused_with_the_range(half_measured):
+    with pytest.raises(BadInput, match="X not measured from 50 to 300 mm"):
+        export_result(half_measured, "isg-csv", "c", unmeasured=Unmeasured.REFUSE)
+
+
+def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(source):
+    """Siemens tables hold their last value: only beyond the measured part they err."""
+    middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
+    whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    part, every = (
+        export_result(
+            replace(source, result=replace(source.result, measured=one)), "siemens", "c"
+        ).account
+        for one in (middle, whole)
+    )
+    left = part["volumetric_error_um"]
+    after = every["volumetric_error_um"]["after"]
+    assert left["after"]["mean"] > 4.0 * left["after_where_measured"]["mean"]
+    assert left["after_where_measured"]["mean"] < 1.2 * after["mean"]
+    assert every["unmeasured"] == []  # of a result that was measured everywhere
+    assert every["left_um"]["unmeasured_range"] == 0.0
+
+
+def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
+    """Lost motion of 8 µm: an axis that is referenced upwards stands right there."""
+    half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
+    result = replace(source.result, half_difference_um={"X": half_um})
+    errors = replace(source, result=result)
+    correction = read_back(errors, "linuxcnc")
+    zero = along_x(errors, np.array([0.0]))
+    assert correction(zero, 1.0)[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert correction(zero, -1.0)[0, 0] == pytest.approx(0.008, abs=1e-6)
+
+
+def test_no_file_is_written_without_its_account(tmp_path):
+    source = tmp_path / "result.json"
+    source.write_text("{}")
+    account = {"volumetric_error_um": float("nan")}
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_output({"c.csv": "1\n"}, account, tmp_path / "c.csv", "c", source=source)
+    assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_sensors_of_the_scales_count_where_there_are_any():
+    air = {"air": [18.0, 25.0], "spindle": [30.0, 31.0]}
+    assert find_measured_degc({"temperature_degC": air}) == (18.0, 31.0)
+    scales = {"X": [22.0, 22.5], "Y": [21.5, 22.0]}
+    assert find_measured_degc({"temperature_degC": air | scales}) == (21.5, 22.5)
+    assert find_measured_degc({}) is None
+
+
+def test_beyond_a_kelvin_of_20_degrees_the_warning_says_by_how_much_steel_is_off():
+    for ends in ((20.0, 20.0), (19.0, 21.0), (20.4, 20.9)):
+        assert warn_of_lengths(ends) is None
+    assert "+4.0 K off 20 °C" in (warn_of_lengths((21.0, 24.0)) or "")
+    assert "46 µm/m" in (warn_of_lengths((21.0, 24.0)) or "")
+    assert "-2.0 K off" in (warn_of_lengths((18.0, 20.0)) or "")
+    assert "not known" in (warn_of_lengths(None) or "")
+
+
+def test_account_and_comments_say_it_and_no_number_changes(loaded):
+    provenance = {"temperature_degC": {"X": [23.0, 23.4]}}
+    exports = [
+        export_result(map_errors(replace(loaded, provenance=one)), "csv", "c")
+        for one in (provenance, {})
+    ]
+    for export in exports:
+        said = f"# {export.account['lengths']['text']}"
+        assert said in export.files["c.csv"].splitlines()
+    warm, unknown = (export.account for export in exports)
+    lengths = warm["lengths"]
+    assert lengths["measured_degC"] == [23.0, 23.4]
+    assert "23.0 to 23.4 degC, not normalised to 20 degC" in lengths["text"]
+    assert "+3.4 K" in lengths["warning"]
+    assert "unknown temperature" in unknown["lengths"]["text"]
+    assert warm["volumetric_error_um"] == unknown["volumetric_error_um"]

@@ -1,0 +1,518 @@
+"""Compensation files: what a controller makes of them, by rule and by other hands."""
+
+import json
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from pyLSV2 import NCTable
+
+from known_machines import tabulate
+from truepath.compensation.export import export_result
+from truepath.compensation.formats.etalon_exchange import EtalonExchange
+from truepath.compensation.formats.fanuc import Fanuc
+from truepath.compensation.formats.heidenhain import Heidenhain
+from truepath.compensation.installed import load_format
+from truepath.compensation.tables.error_map import map_errors
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath_simulators.scenario import load_machine
+
+SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
+PLAIN = ("csv", "json")
+OTHERS = ("etalon-exchange", "fanuc", "heidenhain", "isg-csv", "linuxcnc")
+OURS = (*PLAIN, *OTHERS, *SIEMENS)
+SETTLED = (*PLAIN, "linuxcnc", "siemens-lec")
+every_format = pytest.mark.parametrize("name", OURS)
+
+
+PROVENANCE = {"run": "morning", "created": "2026-11-26", "input_sha256": "f00d" * 16}
+
+
+@pytest.fixture(scope="module")
+def source(loaded):
+    """The result with Run, date, hash and measured ranges."""
+    whole = {axis.name: (axis.low, axis.high) for axis in loaded.machine.linear_axes}
+    return map_errors(replace(loaded, provenance=PROVENANCE, measured=whole))
+
+
+@pytest.fixture(scope="module")
+def export(source):
+    """Export the result, once a format."""
+    return cache(lambda name: export_result(source, name, "comp"))
+
+
+@pytest.fixture(scope="module")
+def with_backlash(source):
+    """The same machine, 8 µm of lost motion in X: half of it each way."""
+    axis = source.axes[0]
+    half_um = np.array([axis.low, axis.high]), np.full(2, 4.0)
+    result = replace(source.result, half_difference_um={"X": half_um})
+    return replace(source, result=result)
+
+
+@pytest.fixture(scope="module")
+def losing(source):
+    """Make the same machine of other travels, 8 µm of lost motion in each axis."""
+
+    def make(length_mm, middle_mm=0.0):
+        ends = middle_mm + np.array([-length_mm / 2, length_mm / 2])
+        axes = tuple(
+            replace(axis, low=float(ends[0]), high=float(ends[1]))
+            for axis in source.machine.linear_axes
+        )
+        machine = replace(source.machine, axes=axes)
+        offsets = np.array([target.offset_mm for target in machine.targets])
+        model, _ = build_identifiable_model(
+            machine, offsets, knot_spacing_mm=length_mm / 4
+        )
+        size = np.array([4e-3 if p.unit == "mm" else 1e-5 for p in model.parameters])
+        theta = size * np.random.default_rng(6).standard_normal(model.size)
+        half_um = {axis.name: (ends, np.full(2, 4.0)) for axis in axes}
+        return map_errors(
+            CalibrationResult(
+                model,
+                theta,
+                np.diag((1e-2 * size) ** 2),
+                half_difference_um=half_um,
+            )
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def sagging():
+    """A machine that does nothing but sag: X under Y."""
+    machine = machine_from_json(load_machine("demo"), file="machine.json")
+    keys = {"axis": "X", "by": "Y", "direction": "Z"}
+    effect = restore_effect(ElasticSagFamily(), machine, keys, {})
+    model = MachineModel(machine, (effect,))
+    return map_errors(CalibrationResult(model, np.array([0.02]), 1e-12 * np.eye(1)))
+
+
+def along(source, axis, at):
+    """Positions along the middle of the other axes."""
+    place = np.tile(source.middle_mm, (len(at), 1))
+    place[:, source.machine.axis_names.index(axis)] = at
+    return place
+
+
+def flat(values):
+    """Values without their mean: where an axis is 0 is a convention."""
+    return values - values.mean(axis=0)
+
+
+@every_format
+def test_what_is_left_is_stated_and_less_than_before(export, source, name):
+    account = export(name).account
+    stated = account["volumetric_error_um"]
+    assert 0.0 < stated["after"]["mean"] < stated["before"]["mean"]
+    assert stated["after"]["largest"] < 1.05 * stated["before"]["largest"]
+    assert account["interpolation_loss_um"] < 0.5
+    assert account["sign"]["verified"] == (name in SETTLED)
+    assert account["unobservable"] == list(source.result.unobservable)
+    assert account["target_offset_mm"]
+    held = account["holds_for"]
+    assert held["offset_mm"] == list(source.machine.target().offset_mm)
+    assert held["confounded"] == sorted(source.result.model.confounded)
+
+
+@every_format
+def test_files_are_ascii_and_they_or_the_account_say_where_they_come_from(
+    export, source, name
+):
+    files, account = export(name).files, export(name).account
+    machine, lengths = source.machine, account["lengths"]["text"]
+    assert all(text.isascii() and text.endswith("\n") for text in files.values())
+    commented = name in ("isg-csv", "etalon-exchange", *SIEMENS, *PLAIN)
+    for line in ("target offset", lengths):
+        assert all(line in text for text in files.values()) == commented
+    units = f"units {load_format(name).units}; directions of travel: "
+    if commented:
+        (text, *_) = files.values()
+        assert f"{units}{load_format(name).directions}" in text
+        assert "mm" in account["units"]
+    stamp = "\n".join(account["stamp"])
+    for said in (
+        f"machine {machine.name}, chain {machine.chain}",
+        "for the tool at target offset",
+        "run morning, analysed 2026-11-26",
+        "input f00df00df00df00d",
+        "measured at ",
+        *(f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes),
+        units,
+        "sign (",
+        lengths,
+    ):
+        assert said in stamp
+
+
+def test_products_of_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(
+    export, source
+):
+    left = {}
+    for control in ("840d-sl", "828d"):
+        choices = {"control": control, "measuring_system": "2"}
+        account = export_result(source, "siemens", "c", choices=choices).account
+        left[control] = account["left_um"]["map"]
+        assert account["choices"].items() >= choices.items()
+        assert "MD32700[1] = 0" in account["note"]
+    before = export("siemens").account["volumetric_error_um"]["before"]["mean"]
+    assert left["840d-sl"] < 0.01 * before
+    assert left["840d-sl"] < left["828d"] < 0.6 * before
+
+
+@pytest.mark.parametrize("control", ["828d", "808d"])
+def test_a_small_control_gets_no_more_tables_and_points_than_it_has(source, control):
+    files = tabulate(source, "siemens", 0.5, control=control).write(source)
+    cross = [line for line in files["c-cec.ini"].splitlines() if "$AN_CEC[" in line]
+    places = [line.partition("]")[0].partition("[")[2].split(",") for line in cross]
+    assert max(int(table) for table, _ in places) == 7
+    assert max(int(index) for _, index in places) == 199
+    factors = [line for line in cross if line.startswith("$AN_CEC[7,")]
+    assert max(abs(float(line.partition("=")[2])) for line in factors) <= 0.1
+
+
+def test_sag_is_a_product_of_two_cross_tables_and_left_by_an_etalon_file(sagging):
+    account = export_result(sagging, "siemens-cec", "c").account
+    (effect,) = account["effects"]
+    assert effect["name"] == "elastic-sag"
+    assert effect["rms_um"]["after"] < 0.02 * effect["rms_um"]["before"]
+    with pytest.raises(BadInput, match="choose another format"):
+        export_result(sagging, "etalon-exchange", "c")
+    assert "sag" in EtalonExchange.not_carried
+
+
+def test_formats_and_choices_that_are_not_there_are_answered_with_those_that_are(
+    source,
+):
+    def refused(said, name="siemens", **choices):
+        with pytest.raises(BadInput, match=said):
+            export_result(source, name, "c", choices=choices)
+
+    refused("installed: csv, etalon-exchange, fanuc", "vcs")
+    refused("control of siemens: '802d' is none of 840d", control="802d")
+    refused("no choice of control; it has nothing", "linuxcnc", control="828d")
+    refused("control of siemens: 'X=828d' is none", control="X=828d")
+    refused("no axis A; it has X, Y, Z", measuring_system="A=2")
+
+
+def test_only_formats_with_all_motions_correct_the_whole_volume(export):
+    accounts = {name: export(name).account for name in OURS}
+    share = {
+        name: one["left_um"]["map"] / one["volumetric_error_um"]["before"]["mean"]
+        for name, one in accounts.items()
+    }
+    whole = ("isg-csv", "etalon-exchange", *PLAIN)
+    alone = min(share["siemens-lec"], share["siemens-cec"])
+    assert max(share[one] for one in whole) < 0.01
+    assert share["isg-csv"] < share["heidenhain"] < alone
+    assert share["linuxcnc"] == pytest.approx(share["siemens-lec"], rel=1e-3)
+    mean = {
+        name: accounts[name]["volumetric_error_um"]["after"]["mean"] for name in SIEMENS
+    }
+    both, *each = mean.values()
+    assert both < 0.8 * min(each)
+
+
+@pytest.mark.parametrize("name", ["fanuc", "heidenhain", "linuxcnc", "siemens-lec"])
+def test_positioning_along_the_middle_is_gone_between_the_rows_too(
+    export, source, name
+):
+    correction = load_format(name).read(export(name).files, source.machine)
+    for own, travel in enumerate(source.axes):
+        place = along(source, travel.name, np.linspace(travel.low, travel.high, 333))
+        error = flat(source.error_mm(place))[:, own]
+        left = error + flat(correction(place, 1.0))[:, own]
+        assert np.abs(error).max() > 0.002
+        assert np.abs(left).max() < (0.0025 if name == "fanuc" else 0.0003)
+        if name in ("fanuc", "siemens-lec"):  # zero at the reference point
+            zero = 0.0 if travel.low <= 0 <= travel.high else travel.low
+            added = correction(along(source, travel.name, np.array([zero])), 1.0)
+            assert abs(added[0, own]) < 6e-5
+
+
+@pytest.mark.parametrize("name", ["linuxcnc", "heidenhain", "siemens", "csv", "json"])
+def test_lost_motion_is_corrected_in_both_directions(with_backlash, name):
+    correction = tabulate(with_backlash, name, 10.0).read_back(with_backlash)
+    travel = with_backlash.axes[0]
+    at = np.linspace(travel.low + 1, travel.high - 1, 101)
+    place = along(with_backlash, "X", at)
+    up, down = (
+        with_backlash.error_mm(place, d)[:, 0] + correction(place, d)[:, 0]
+        for d in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(up, down, atol=3e-5)
+    lost = with_backlash.error_mm(place, 1.0) - with_backlash.error_mm(place, -1.0)
+    np.testing.assert_allclose(lost[:, 0], 0.008, atol=1e-9)
+
+
+@every_format
+def test_rows_fit_into_the_controller(source, name):
+    content = tabulate(source, name, 0.1).tabulate(source)
+    most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300}
+    most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
+    for table in content.tables:
+        assert len(table.position_mm) <= most.get(name, 1000)
+
+
+def test_a_machine_without_errors_worth_a_table_gets_none(source):
+    tiny = replace(source.result, theta=2e-3 * source.result.theta)
+    with pytest.raises(BadInput, match="below what it resolves"):
+        export_result(map_errors(tiny), "fanuc", "comp")
+
+
+LEADSCREW = """%_N_AX_EEC_INI
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+"""
+ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
+CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
+X,+,0,0,0,0,0,0,0
+X,+,100,10,20,0,0,0,100
+"""
+
+
+LEC, ETALON = "siemens-lec", "etalon-exchange"
+FILE = {"linuxcnc": "c-X.tbl", LEC: "x.ini", ETALON: "c.txt"}
+TWO_SYSTEMS = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
+GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        # The control ignores the first three in silence.
+        ("linuxcnc", "# head\n0 0 0\n", "c-X"),
+        ("linuxcnc", "0,0,0\n1,1,1\n", "c-X"),
+        ("linuxcnc", "1 1 1\n0 0 0\n", "c-X"),
+        (LEC, LEADSCREW.replace("[0,1,", "[0,3,"), "lacks points"),
+        (LEC, LEADSCREW.replace("=0.0 ;", "=O.O ;"), "row 2"),
+        (LEC, TWO_SYSTEMS, r"x\.ini, row 2: X1 .* measuring system 1"),
+        (ETALON, "[EXX]\nVALUES = 1\n", "begins no block"),
+        (ETALON, GRID.replace("ROW", "0 1"), "ascending"),
+        (ETALON, GRID.replace("ROW", "1"), "two numbers"),
+        (ETALON, "[EXC]\nVALUE = 1\n", "no axis has the parameter EXC"),
+        ("isg-csv", ISG, "six motions"),
+        ("csv", CSV, "the columns are to be axis, direction"),
+    ],
+)
+def test_a_file_that_the_control_cannot_read_or_ignores_is_refused(
+    source, name, text, said
+):
+    with pytest.raises(BadInput, match=said):
+        load_format(name).read({FILE.get(name, "c.csv"): text}, source.machine)
+
+
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
+@pytest.mark.parametrize(
+    ("system", "index", "said", "noted"),
+    [
+        ("1", "000", "1: $AA_ENC_COMP[0,", "1 ($AA_ENC_COMP[0, |MD32700[0] = 0"),
+        ("2", "111", "2: $AA_ENC_COMP[1,", "2 ($AA_ENC_COMP[1, |MD32700[1] = 0"),
+        ("Y=2,Z=1", "010", "2 of Y, 1 of Z, 1 of others: ", "MD32700[e] = 0"),
+    ],
+)
+def test_leadscrew_tables_are_of_the_measuring_system_of_each_axis(
+    export, source, name, system, index, said, noted
+):
+    choices = {"measuring_system": system}
+    made = tabulate(source, name, 10.0, **choices)
+    files = made.write(source)
+    (text,) = (t for t in files.values() if "$AA_ENC_COMP[" in t)
+    assert f"; tables of measuring system {said}" in text
+    assert set(re.findall(r"^\$AA_ENC_COMP\[(\d),\d+,(\w)1\]", text, re.M)) == set(
+        zip(index, "XYZ", strict=True)
+    )
+    assert f"$AA_ENC_COMP_STEP[{index[1]},Y1]=" in text
+    assert all(one in made.kind.note for one in noted.split("|"))
+    place = np.array(source.middle_mm) + np.linspace(-90.0, 90.0, 7)[:, None]
+    both = [
+        load_format(name, choice).read(one, source.machine)(place, 1.0)
+        for one, choice in ((files, choices), (export(name).files, {}))
+    ]
+    np.testing.assert_array_equal(*both)
+
+
+@pytest.mark.parametrize(
+    "word", ["3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"]
+)
+def test_a_measuring_system_that_is_none_is_refused(word):
+    with pytest.raises(BadInput, match="1, 2"):
+        load_format("siemens", {"measuring_system": word})
+
+
+@pytest.mark.parametrize("word", ["2", "X=1,Y=2"])
+@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
+def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, word):
+    choices = {"control": "808d", "measuring_system": word}
+    with pytest.raises(BadInput, match="the 808D has 1 alone, not 2"):
+        load_format(name, choices)
+
+
+def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
+    steps = [
+        int(line.partition("P")[2])
+        for line in export("fanuc").files["comp-pitch.txt"].split()
+        if line.startswith("N")
+    ]
+    assert max(map(abs, steps)) <= 7
+    larger = replace(source.result, theta=60.0 * source.result.theta)
+    account = export_result(map_errors(larger), "fanuc", "comp").account
+    after = account["volumetric_error_um"]
+    assert after["after"]["mean"] < after["before"]["mean"]
+
+
+def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
+    with_backlash,
+):
+    files = tabulate(with_backlash, "fanuc", 10.0).write(with_backlash)
+    correction = Fanuc().read(files, with_backlash.machine)
+    place = along(with_backlash, "X", np.linspace(-200.0, 300.0, 51))
+    lost = [correction(place, d)[:, 0] for d in (1.0, -1.0)]
+    np.testing.assert_allclose(lost[1] - lost[0], 0.008, atol=0.0011)
+    words = files["c-parameters.txt"].split()
+    assert words[1] == "N03605A1P00000001A2P00000000A3P00000000"
+    assert next(w for w in words if w.startswith("N03624A1P10.000A2P10.000"))
+    mean = tabulate(with_backlash, "fanuc", 10.0, directions="mean")
+    assert "N03605A1P00000000" in mean.write(with_backlash)["c-parameters.txt"]
+
+
+def find_fanuc_points(files):
+    """Point numbers of the increments, and of the reference points."""
+    data = re.findall(r"N(1\d{4})P", files["c-pitch.txt"])
+    words = files["c-parameters.txt"].split()
+    reference = next(word for word in words if word.startswith("N03620"))
+    zero = [int(n) for n in re.findall(r"A\dP(\d+)", reference)]
+    return [int(n) - 10_000 for n in data], zero
+
+
+@pytest.mark.parametrize(
+    ("directions", "length_mm", "spacing_mm"),
+    [("both", 4000.0, 10.0), ("mean", 500.0, 0.1)],
+)
+def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
+    losing, directions, length_mm, spacing_mm
+):
+    errors = losing(length_mm)
+    made = tabulate(errors, "fanuc", spacing_mm, directions=directions)
+    files = made.write(errors)
+    points, zero = find_fanuc_points(files)
+    assert len(set(points)) == len(points) > 850  # no number twice, most in use
+    assert min(zero) >= 0
+    assert max(points) <= 1023
+    correction = Fanuc().read(files, errors.machine)
+    middle = along(errors, "Z", np.linspace(-1.0, 1.0, 9) * length_mm / 4)
+    error = flat(errors.error_mm(middle))[:, 2]
+    left = error + flat(0.5 * sum(correction(middle, d) for d in (1.0, -1.0)))[:, 2]
+    assert np.abs(left).max() < max(0.003, 0.5 * np.abs(error).max())
+
+
+@pytest.mark.parametrize("middle_mm", [430.0, -430.0])
+def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
+    losing, middle_mm
+):
+    errors = losing(400.0, middle_mm)
+    files = tabulate(errors, "fanuc", 10.0).write(errors)
+    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
+    steps = {int(number): int(step) for number, step in data}
+    rows = files["c-parameters.txt"].split()[1:-1]
+    words = {int(row[1:6]): float(re.findall(r"A1P([\d.-]+)", row)[0]) for row in rows}
+    # The section of a point ends at it, and comes out in its middle.
+    numbers = np.arange(int(words[3621]), int(words[3622]) + 1)
+    middles = (numbers - words[3620] - 0.5) * words[3624]
+    place = along(errors, "X", np.linspace(middle_mm - 200.0, middle_mm + 200.0, 41))
+    added = np.array(
+        [
+            1e-3
+            * sum(steps[n] for n, at in zip(numbers, middles, strict=True) if at < x)
+            for x in place[:, 0]
+        ]
+    )
+    left = errors.error_mm(place, 1.0)[:, 0] + added
+    assert np.abs(flat(left)).max() < 0.0015
+    assert np.abs(flat(added)).max() > 0.004
+
+
+def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
+    errors = losing(500.0)
+    content = tabulate(errors, "linuxcnc", 2.0).tabulate(errors)
+    with pytest.raises(BadInput, match="X 250 sections of 2 mm, twice") as refusal:
+        Fanuc().write(content)
+    assert "1023" in str(refusal.value)
+    assert "wider spacing" in str(refusal.value)
+    Fanuc("mean").write(content)
+
+
+def test_isg_files_say_the_same_as_an_etalon_file_and_if_they_follow_the_tool(
+    export, source
+):
+    choices = {"tool_length": "followed"}
+    followed = tabulate(source, "isg-csv", 10.0, **choices).write(source)
+    assert "N0X  N0Y  N0Z\n0  0  -1\n#" in followed["c.csv"]
+    place = np.array([[100.0, 30.0, 200.0], [-150.0, 380.0, 20.0]])
+    fixed, etalon, following = (
+        load_format(name, choice).read(files, source.machine)(place, 1.0)
+        for name, choice, files in (
+            ("isg-csv", {}, export("isg-csv").files),
+            ("etalon-exchange", {}, export("etalon-exchange").files),
+            ("isg-csv", choices, followed),
+        )
+    )
+    assert np.abs(fixed).max() > 0.005
+    np.testing.assert_allclose(fixed, etalon, atol=1e-9)
+    np.testing.assert_allclose(fixed, following, atol=2e-6)
+
+
+def test_csv_and_json_say_the_same(export):
+    (table,) = export("csv").files.values()
+    (document,) = export("json").files.values()
+    content = json.loads(document)
+    lines = [line for line in table.splitlines() if not line.startswith("#")]
+    assert lines[0].split(",") == content["columns"]
+    for line, row in zip(lines[1:], content["rows"], strict=True):
+        axis, side, *numbers = line.split(",")
+        assert [axis, side] == row[:2]
+        np.testing.assert_allclose([float(n) for n in numbers], row[2:], atol=1e-6)
+
+
+def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(
+    with_backlash, tmp_path
+):
+    source = with_backlash
+    files = tabulate(source, "heidenhain", 10.0).write(source)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    config = NCTable.parse_table(tmp_path / "config.cma").rows[0]
+    assert config["ACTIVE"] == "*"
+    for axis in source.axes:
+        table = NCTable.parse_table(tmp_path / config[axis.name])
+        lost = ["BACKLASH"] if axis.name == "X" else []  # no column without need
+        assert table.column_names == ["NR", "AXISPOS", *lost, "X", "Y", "Z"]
+        at = np.array([float(row["AXISPOS"]) for row in table.rows])
+        value = np.array([float(row[axis.name]) for row in table.rows])
+        error = source.error_mm(along(source, axis.name, at))
+        own = flat(error)[:, "XYZ".index(axis.name)]
+        np.testing.assert_allclose(flat(value), own, atol=2e-5)
+
+
+def test_heidenhain_tables_act_only_when_activated(export, source):
+    files = export("heidenhain").files
+    off = {**files, "config.cma": files["config.cma"].replace("*", "-")}
+    with pytest.raises(BadInput, match="no line is active"):
+        Heidenhain().read(off, source.machine)
+    cut = {**files, "config.cma": "NR ACTIVE\n"}
+    with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
+        Heidenhain().read(cut, source.machine)

@@ -1,0 +1,238 @@
+"""A swivel data set brings the tool where it should be, on every kind of machine."""
+
+import re
+
+import numpy as np
+import pytest
+
+from known_machines import (
+    build_model,
+    displace,
+    map_known,
+    measure_left,
+    spread,
+    write,
+)
+from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
+from truepath.compensation.installed import load_format
+from truepath.compensation.rotary_tables import AxisPlace
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.machine.symbols import list_locations
+from truepath_simulators.compensation.loading import LoadedTables
+from truepath_simulators.compensation.siemens_swivel import Chain, Link
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
+
+FORMAT = load_format("siemens")
+ORIGINS = {
+    "A": [260.0, 220.0, -120.0],
+    "B": [15.0, -8.0, 90.0],
+    "C": [250.0, 225, -170],
+}
+CHAINS = {
+    "w-C-A-b-X-Y-Z-t": ("P", "A C"),
+    "w-C-B-X-b-Y-Z-t": ("P", "B C"),
+    "w-C-b-X-Y-Z-t": ("P", "C"),
+    "w-C-b-X-Y-Z-B-t": ("M", "B C"),
+    "w-b-X-Y-Z-C-B-t": ("T", "C B"),
+    "w-Y-b-X-Z-B-t": ("T", "B"),
+}
+
+
+def describe(chain):
+    """Return the content of a machine of a chain."""
+    content = {**load_machine("trunnion"), "kinematic_chain": chain}
+    straight = {name: content["axes"][name] for name in "XYZ"}
+    turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
+    names = [name for name in "ABC" if name in chain.split("-")]
+    rotary = {name: {**turn, "origin_mm": ORIGINS[name]} for name in names}
+    content["axes"] = straight | rotary
+    return content
+
+
+def draw_place(axis, rng):
+    """Return a place of an axis that is off in each way it can be."""
+    size = {True: 0.02, False: 6e-5}
+    errors = {
+        one: size[one[0] in "XYZ"] * rng.choice([-1.0, 0.7, 1.2])
+        for one in list_locations(axis.name)
+    }
+    return AxisPlace(axis, errors)
+
+
+def draw_machine(chain):
+    """Return the content of a machine, and of files of a machine off its places."""
+    content, rng = describe(chain), np.random.default_rng(5)
+    machine = machine_from_json(content, file="machine.json")
+    at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
+    tables = tuple(
+        AxisTable(axis, at, 0, none, none, none, none) for axis in machine.linear_axes
+    )
+    places = tuple(draw_place(axis, rng) for axis in machine.rotary_axes)
+    return content, CompensationTables(
+        "c", machine, tables, ("by hand",), places=places
+    )
+
+
+@pytest.fixture(scope="module", params=CHAINS)
+def displaced(request):
+    return request.param, *draw_machine(request.param)
+
+
+def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
+    b = Link(0, np.array([0.0, 1.0, 0.0]))
+    table = Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
+    at, zero = np.array([[45.0], [0.0]]), np.zeros((2, 3))
+    turned, straight = table.apply(at, zero)
+    assert (turned - straight).round(3).tolist() == [10.607, 0.0, -4.393]
+
+
+def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displaced):
+    _, content, tables = displaced
+    truth = displace(content, tables.places)
+    position = spread(tables.machine.axes, 300)
+    before, after = measure_left(truth, FORMAT.write(tables), position)
+    assert before.max() > 0.02
+    assert after.max() < 2e-4  # products of two small turns and shifts
+
+
+def test_the_file_has_the_kind_of_machine_and_its_axes_in_order(displaced):
+    chain, _, tables = displaced
+    text = FORMAT.write(tables)[f"c{SWIVEL}"]
+    letter, axes = CHAINS[chain]
+    said = f'; $TC_CARR23[1] is to be "{letter}", the axes {" and ".join(axes.split())}'
+    assert said in text
+    assert text.startswith("; by hand\n")
+    assert text.endswith("M30\n")
+    assert "trial: probe the centre of a ball" in text
+
+
+def test_the_account_says_that_the_control_knows_the_places():
+    model = build_model(describe("w-C-b-X-Y-Z-t"), intervals=4)
+    errors = map_known(model, {"XOC": 0.02, "BOC": 5e-5})
+    one = write(errors, "siemens").rotary["C"]
+    assert one["location_at_tool_um"]["before"] > 5.0
+    assert one["location_at_tool_um"]["after"] < 1e-2
+    assert not {"XOC", "YOC", "AOC", "BOC"} & set(one["not_in_files"])
+
+
+@pytest.mark.parametrize("chain", ["w-X-C-b-Y-Z-t", "w-b-X-Y-C-Z-t", "w-b-X-Y-Z-t"])
+def test_a_machine_that_no_data_set_describes_gets_none(chain):
+    _, tables = draw_machine(chain)
+    assert not [name for name in FORMAT.write(tables) if name.endswith(SWIVEL)]
+
+
+def write_trunnion():
+    """A trunnion, its file, and what it stands for."""
+    content, tables = draw_machine("w-C-A-b-X-Y-Z-t")
+    text = FORMAT.write(tables)[f"c{SWIVEL}"]
+    stated = FORMAT.read_locations({"c.mpf": text}, tables.machine)
+    return content, tables.machine, text, stated
+
+
+def set_vector(text, first, *values):
+    """The text with another vector."""
+    for k, value in enumerate(values):
+        text = re.sub(rf"(CARR{first + k}\[1\]=).*", rf"\g<1>{value}", text)
+    return text
+
+
+def test_a_file_is_read_as_a_control_would_read_it():
+    _, machine, text, stated = write_trunnion()
+    as_well = [
+        text.replace("[1]", "[2]"),
+        text.lower(),
+        text.replace("=", " = ").replace("$TC", "N10 $TC"),
+        text.replace("=0.010000", "=+0.010000"),
+        text + "$TC_CARR4[1]=left\n",  # after the end of the program
+    ]
+    for one in as_well:
+        assert FORMAT.read_locations({"c.mpf": one}, machine) == stated
+    v2 = [2.0 * float(v) for v in re.findall(r"CARR1[012]\[1\]=(.*)", text)]
+    longer = set_vector(text, 10, *(f"{v:.9f}" for v in v2))
+    found = FORMAT.read_locations({"c.mpf": longer}, machine)
+    assert found["AOC"] == pytest.approx(stated["AOC"], abs=1e-8)
+
+
+def test_vectors_that_do_not_belong_to_the_machine_are_refused():
+    content, machine, text, _ = write_trunnion()
+    cases = {
+        "do not close": text.replace("CARR20[1]=170", "CARR20[1]=171"),
+        "row 1: .*is no": "$TC_CARR4[1]=left",
+        "row 1: 'G70' is no": f"G70\n{text}",
+        "wants .TC_CARR 4, 5": "$TC_CARR4[1]=0.0",
+        "v2 is not the direction of C, which turns right-handed about 0, 0, 1": (
+            set_vector(text, 10, "0.0", "0.0", "-1.0")
+        ),
+        "v1 is not the direction of A": set_vector(text, 7, "0.0", "0.0", "0.0"),
+        "states a value twice": f"$TC_CARR4[1]=1.0\n{text}",
+        "or is of another data set than 3": f"$TC_CARR44[3]=1.0\n{text}",
+    }
+    for said, wrong in cases.items():
+        assert wrong != text
+        with pytest.raises(BadInput, match=said):
+            FORMAT.read_locations({"c-swivel.mpf": wrong}, machine)
+    _, head = draw_machine("w-Y-b-X-Z-B-t")
+    with pytest.raises(BadInput, match="one swivel data set is read"):
+        FORMAT.read_locations({"a.mpf": text, "b.mpf": text}, machine)
+    with pytest.raises(BadInput, match="type T wants"):
+        FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
+    with pytest.raises(SimulatorError, match=r"row 1: .* is not understood"):
+        LoadedTables({"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}).correct(
+            parse_machine(content)
+        )
+
+
+def test_the_file_says_what_has_to_hold_before_it_is_run():
+    text = " ".join(write_trunnion()[2].replace("\n; ", " ").split())
+    for said in (
+        "as right as the offset of the first target",
+        "run with CYCLE800(), TCARR=0 and TRAFOOF",
+        "is not to be replaced",  # a chain that does not close
+        "$TC_CARR24, 25, 41 to 46, 55 to 60, 64 and 65 are to be 0",
+    ):
+        assert said in text
+
+
+def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():
+    machine = machine_from_json(describe("w-Y-b-X-Z-B-t"), file="machine.json")
+    (axis,) = machine.rotary_axes
+    place = AxisPlace(axis, {"XOB": 0.01, "ZOB": 0.02})
+    lines = list(write_swivel(machine, (place,)))
+    assert "; not told by the measurement: AOB, COB" in lines
+    assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
+        f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
+    ]
+
+
+def test_vectors_of_the_drawing_replace_nobodys():
+    machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
+    a, c = machine.rotary_axes
+    told = AxisPlace(a, {"YOA": 0.01})
+    untold = AxisPlace(c, {"XOC": 0.01}, frozenset({"XOC"}))
+    for places in ((told, AxisPlace(c, {})), (told, untold)):
+        assert list(write_swivel(machine, places)) == []
+        assert not FORMAT.list_places(machine, places)
+        assert not load_format("linuxcnc").list_places(machine, places)
+
+
+@pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json", "fanuc"])
+def test_a_format_states_the_places_that_its_files_have(displaced, name):
+    """What the files lack is in the tables: else it is corrected twice or never."""
+    _, _, tables = displaced
+    kind = load_format(name)
+    stated, files = kind.list_places(tables.machine, tables.places), kind.write(tables)
+    read = kind.read_locations(files, tables.machine)
+    assert {symbol for symbol, value in read.items() if value} == set(stated)
+    if name == "siemens":  # beside both files of tables
+        assert kind.read(files, tables.machine) is not None
+        ends = {file.partition("-")[2] for file in files}
+        assert ends == {"lec.ini", "cec.ini", "swivel.mpf"}
+        every = {k: v for place in tables.places for k, v in place.location.items()}
+        assert set(read) == set(every)
+        for symbol, value in every.items():
+            least = 1e-6 if symbol[0] in "XYZ" else 2e-9
+            assert read[symbol] == pytest.approx(value, abs=least)

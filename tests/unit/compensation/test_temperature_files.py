@@ -1,0 +1,130 @@
+"""What files of a temperature model have of temperature, and what that leaves."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from truepath.answers.temperature.temperature_json import temperature_json
+from truepath.answers.temperature.temperature_model import (
+    ResultAtTemperature,
+    study_temperature,
+)
+from truepath.compensation.account.remaining_error import find_remaining
+from truepath.compensation.export import export_files
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.errors import BadInput
+from truepath.results.error_tables import choose_table_positions
+
+GROWS_UM_PER_M_K = 11.0
+DEGC = (18.0, 25.0, 20.0, 22.0)
+
+
+def make_results(loaded):
+    """Exact results of a machine whose X grows."""
+    motion = next(m for m in loaded.model.identifiable_motions if m.symbol == "EXX")
+    at_mm = choose_table_positions(motion.axis)
+    wanted_mm = 1e-6 * GROWS_UM_PER_M_K * at_mm
+    change = np.zeros(loaded.model.size)
+    part = loaded.model.slices["EXX"]
+    change[part] = np.linalg.lstsq(motion.rows(at_mm), wanted_mm, rcond=None)[0]
+    return [
+        ResultAtTemperature(
+            f"r{k}",
+            replace(
+                loaded,
+                theta=loaded.theta + (celsius - 20.0) * change,
+                provenance={"runs": [{"name": f"{k}", "input_sha256": f"{k}"}]},
+            ),
+            celsius,
+            0.0,
+            3600.0 * k,
+        )
+        for k, celsius in enumerate(DEGC)
+    ]
+
+
+@pytest.fixture(scope="module")
+def study(loaded):
+    return study_temperature(make_results(loaded))
+
+
+@pytest.fixture
+def model_file(study, tmp_path):
+    file = tmp_path / "temperature.json"
+    file.write_text(json.dumps(temperature_json(study)), encoding="utf-8")
+    return file
+
+
+def read_gradient(text, celsius):
+    """What a PLC writes for X: straight between the temperatures of the list."""
+    rows = re.findall(r"^; +([\d.]+) degC +SD43910 = (\S+)$", text, re.M)
+    at, gradient = np.array(rows, float).T
+    return float(np.interp(celsius, at, gradient))
+
+
+def test_siemens_gets_the_growth_of_an_axis_as_its_own_compensation(
+    study, model_file, tmp_path
+):
+    account = export_files(
+        model_file, "siemens", tmp_path / "out.ini", at_temperature_degc=20.0
+    )
+    file = next(f for f in account["files"] if f.endswith("out-temperature.ini"))
+    text = Path(file).read_text(encoding="ascii")
+    assert "$MA_TEMP_COMP_TYPE[AX1]=2" in text
+    assert "$SA_TEMP_COMP_REF_POSITION[AX1]=0.000000" in text
+    assert "Y: no growth is seen" in text
+    gradient = read_gradient(text, 23.5)
+    assert gradient == pytest.approx(1e-6 * GROWS_UM_PER_M_K * 3.5, rel=1e-3)
+    assert read_gradient(text, 20.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
+    """With the argument less is left at an unseen temperature than without."""
+    truth = map_errors(study.model.at(23.5))
+    ranges = find_measured_ranges(truth.machine, {}, Unmeasured.HOLD)
+
+    def correct(errors):
+        return lambda at, side: -errors.error_mm(at, side)
+
+    left = {
+        celsius: find_remaining(
+            truth, ranges, correct(map_errors(study.model.at(celsius)))
+        ).rms_um
+        for celsius in (20.0, 23.5)
+    }
+    assert left[23.5] < 0.1 * left[20.0]
+
+
+def test_plain_tables_have_the_change_of_each_row(model_file, tmp_path):
+    texts = {}
+    for celsius in (20.0, 24.0):
+        file = tmp_path / f"at{celsius:g}.csv"
+        export_files(model_file, "csv", file, at_temperature_degc=celsius)
+        lines = file.read_text(encoding="ascii").splitlines()
+        said = f"# lengths at the machine's own temperature, {celsius:.1f} degC, not"
+        assert any(line.startswith(said) for line in lines)
+        texts[celsius] = [*csv.DictReader(x for x in lines if not x.startswith("#"))]
+    pairs = list(zip(texts[20.0], texts[24.0], strict=True))
+    assert len(pairs) > 100
+    for cold, warm in pairs:
+        expected = float(cold["x_um"]) + 4.0 * float(cold["x_um_per_K"])
+        assert float(warm["x_um"]) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_temperature_is_asked_for_and_formats_without_it_say_so(model_file, tmp_path):
+    for celsius, words in ((None, "state which by"), (27.0, "is beyond the 18")):
+        with pytest.raises(BadInput, match=words):
+            export_files(
+                model_file, "fanuc", tmp_path / "f", at_temperature_degc=celsius
+            )
+    account = export_files(
+        model_file, "fanuc", tmp_path / "f", at_temperature_degc=22.0
+    )
+    assert account["temperature"]["at_degC"] == 22.0
+    assert account["temperature"]["carried"].startswith("nothing")

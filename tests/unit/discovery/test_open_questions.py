@@ -1,0 +1,259 @@
+"""Where names compete, few extra lines decide; where one stands clear, none are asked.
+
+The extra lines are driven on a simulated machine whose truth hides the effect by its
+own physics (play, a late position loop, a leaning carriage), with another place of the
+tracker, another clock and other noise.
+"""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from truepath.answers.discovery.discovery_json import ask_json, discovery_json
+from truepath.answers.discovery.discovery_report import (
+    describe_ask,
+    render_discovery_report,
+)
+from truepath.answers.discovery.model_file import build_next_model
+from truepath.answers.shown.templating import render_part
+from truepath.discovery.discover import Discovery, discover
+from truepath.discovery.extended_model import baseline_model
+from truepath.discovery.open_questions import design_discrimination
+from truepath.discovery.terms.discrimination import DiscriminationDesign
+from truepath.errors import BundleError
+from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel
+from truepath.motion.workspace.travel import check_travel
+from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.screws import Backlash, LateralBacklash
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
+
+MACHINE = 5
+TRAVEL_MM = 200.0
+CONTENT = load_machine("demo")
+for one in CONTENT["axes"].values():
+    one["max_mm"] = TRAVEL_MM
+LOW, HIGH = (parse_machine(CONTENT).low_mm, parse_machine(CONTENT).high_mm)
+
+
+@dataclass(frozen=True)
+class Circle:
+    """What the first Run left open, what was asked, what both Runs say."""
+
+    first: Discovery
+    asked: DiscriminationDesign
+    both: Discovery
+
+
+def circle(run_of, program, mode, hidden, given):
+    """Measure, ask, drive what was asked, decide."""
+    setting = Setting(machine_seed=MACHINE, hidden=hidden)
+    run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
+    first = discover([run], given)
+    asked = design_discrimination(first)
+    assert asked is not None
+    path = asked.path
+    more = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    extra = run_of(synthetic.record(CONTENT, more, 77, "otf", setting))
+    return Circle(first, asked, discover([run, extra], given))
+
+
+def even_in_x():
+    """Lines on which X has one speed: on them lost motion looks like a lag."""
+    rng, n = np.random.default_rng(3), 24
+    share = rng.random((n, 3))
+    far = np.arange(n) % 2 == 1
+    share[:, 0] = np.where(far, 0.75 + 0.25 * share[:, 0], 0.25 * share[:, 0])
+    position = np.round(LOW + 15.0 + share * (HIGH - LOW - 30.0), 3)
+    step = np.diff(position, axis=0, prepend=position[:1])
+    slant = np.linalg.norm(step[1:], axis=1) / np.abs(step[1:, 0])
+    feed = 80.0 * np.append(1.0, slant)
+    return Program(position, feed, np.full(n, 0.35))
+
+
+def two_sides_of_y(n=40, depth=0.0):
+    """Points at both ends of Y, each approached from the other: play looks like a lean.
+
+    The first point, approached from nowhere, is in the middle, where no lean shows.
+    depth : of the ends, as a share of the travel
+    """
+    share = np.random.default_rng(4).random((n, 3))
+    far = np.arange(n) % 2 == 1
+    share[:, 1] = np.where(far, 1.0 - depth * share[:, 1], depth * share[:, 1])
+    share[0, 1] = 0.5
+    position = np.round(LOW + 15.0 + share * (HIGH - LOW - 30.0), 3)
+    return Program(position, np.full(n, 100.0), np.full(n, 0.8))
+
+
+@pytest.fixture(scope="module")
+def calibrated(record):
+    """The machine as a clean Run has shown it before."""
+    setting = Setting(machine_seed=MACHINE)
+    how = {"rows": 40, "feed": 6000.0, "travel_mm": TRAVEL_MM}
+    return baseline_model(discover([record(9, **how, setting=setting)[0]]))
+
+
+def without(known, effect):
+    """Return a model that has left an effect out; all of it for an empty name."""
+    kept = tuple(e for e in known.model.effects if e.name != effect)
+    number = np.arange(known.model.size)
+    columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
+    model = MachineModel(known.model.machine, kept)
+    covariance = known.covariance[np.ix_(columns, columns)]
+    return EstimatedModel(model, known.theta[columns], covariance)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        LateralBacklash("Y", "EXY", 5.0, 0.3),
+        pytest.param(None, marks=pytest.mark.long),
+    ],
+    ids=["lateral-backlash", "squareness"],
+)
+def leaning(request, run_of, calibrated):
+    """Lateral backlash of Y, or a squareness that the model has left out."""
+    effect = request.param
+    name = "squareness" if effect is None else effect.name
+    given = without(calibrated, "C0Y" if effect is None else "")
+    hidden = () if effect is None else (effect,)
+    return name, circle(run_of, two_sides_of_y(), "standstill", hidden, given)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Backlash("X", 8.0),
+        pytest.param(ServoMismatch("X", 0.06), marks=pytest.mark.long),
+    ],
+    ids=lambda e: e.name,
+)
+def test_standstills_tell_lost_motion_from_a_lag_at_one_speed(run_of, effect):
+    setting = Setting(machine_seed=MACHINE, hidden=(effect,))
+    run = run_of(synthetic.record(CONTENT, even_in_x(), 6, "otf", setting))
+    (found,) = discover([run]).findings
+    assert found.candidate.label == f"{effect.name} X"
+    assert not found.alternatives
+    (said,) = found.parameters.values()
+    truth = {"backlash": 8.0, "servo-mismatch": 0.06}[effect.name]
+    assert abs(said.value - truth) < 3.0 * said.uncertainty
+
+
+def test_lateral_backlash_and_squareness_are_told_apart_by_few_lines(leaning):
+    name, done = leaning
+    competing = {"lateral-backlash Y EXY", "squareness C0Y"}
+    assert {done.asked.questions[0].left, done.asked.questions[0].right} == competing
+    assert done.asked.lines < 10
+    found = done.both.findings[0]
+    assert found.candidate.family == name
+    assert not found.alternatives
+
+
+def test_every_run_is_shown_where_it_disagrees(leaning):
+    name, done = leaning
+    both = json.loads(json.dumps(discovery_json(done.both)))
+    assert [run["mode"] for run in both["runs"]] == ["standstill", "otf"]
+    points, rows = (len(scene.run.commanded) for scene in done.both.aligned)
+    # Lines and the standstills at their ends: from where the first point, or the
+    # beginning of a path, was come to is unknown.
+    parts = (points - 1, 2 * (rows - 1))
+    assert [len(run["where"]) for run in both["runs"]] == [min(20, p) for p in parts]
+    worst = [segment["rms_um"] for segment in both["where"]]
+    assert worst == sorted(worst, reverse=True)
+    every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
+    assert worst[0] == max(every)
+    model = build_next_model(done.both, None)
+    page = render_discovery_report(done.both, model, None, "ask/path.csv")
+    assert page.count("Run 2: ") == 2
+    if name == "lateral-backlash":  # directions are two sides, not a scale from −1 to 1
+        assert "− direction" in page
+        assert "+ direction" in page
+    assert page.count("Root mean square on every line") == 2
+
+
+def test_the_lines_stay_within_the_travel(leaning):
+    _, done = leaning
+    path = done.asked.path
+    check_travel(done.first.aligned[0].run.machine, path)
+    assert (path.position >= LOW).all()
+    assert (path.position <= HIGH).all()
+    assert (path.feed_mm_min > 0.0).all()
+
+
+def test_the_reason_is_said_in_words(leaning):
+    _, done = leaning
+    said = ask_json(done.asked, "ask/path.csv")
+    assert "lateral-backlash Y EXY" in said["reason"]
+    assert "squareness C0Y" in said["reason"]
+    assert f"{said['lines']} lines" in said["reason"]
+    assert said["path"] == "ask/path.csv"
+    assert said["decides"]
+
+
+def test_the_report_shows_questions_and_lines(leaning):
+    _, done = leaning
+    asked = describe_ask(done.asked, "ask/path.csv")
+    page = render_part("discovery/ask.html", {"ask": asked})
+    question = done.asked.questions[0]
+    assert f"{question.left}, or {question.right}?" in page
+    assert f"{done.asked.expected[0]:.1f}" in page
+    assert page.count("<tr>") == 2 + len(done.asked.questions) + len(done.asked.path)
+    assert "ask/path.csv" in page
+
+
+def test_a_measuring_job_takes_the_lines_as_they_are_stated(leaning):
+    _, done = leaning
+    said = ask_json(done.asked, "ask/path.csv")
+    order = JobRequest.model_validate({"kind": "measure-otf", "path": said["rows"]})
+    assert order.path is not None
+    driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
+    assert driven == done.asked.path.position.tolist()
+    machine = done.first.aligned[0].run.machine
+    written = encode_commanded(done.asked.path)
+    np.testing.assert_array_equal(
+        decode_commanded(written, machine, "path.csv", is_path=True).feed_mm_min,
+        done.asked.path.feed_mm_min,
+    )
+
+
+def test_from_which_side_the_first_point_was_reached_explains_nothing(
+    run_of, calibrated
+):
+    points = two_sides_of_y(24, 0.06)
+    home = np.vstack([LOW, points.position])
+    way = Program(home, np.full(len(home), 100.0), np.full(len(home), 0.8))
+    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
+    setting = Setting(machine_seed=MACHINE, hidden=(hidden,))
+    recording = synthetic.record(CONTENT, way, 7, "standstill", setting)
+    found = discover(
+        [run_of(replace(recording, program=points))], without(calibrated, "")
+    )
+    (finding,) = found.findings
+    assert finding.candidate.label == "lateral-backlash Y EXY"
+
+
+def test_an_axis_may_stand_in_a_further_run(record, run_of):
+    flat = Program(
+        np.array([[20.0, 20.0, 50.0], [180.0, 150.0, 50.0], [20.0, 150.0, 50.0]] * 2),
+        np.full(6, 100.0),
+        np.full(6, 0.35),
+    )
+    content = {**CONTENT, "kinematic_chain": "w-b-X-Y-Z-t"}
+    setting = Setting(machine_seed=11)
+    extra = run_of(synthetic.record(content, flat, 78, setting=setting))
+    assert not discover([record(11, travel_mm=TRAVEL_MM)[0], extra]).findings
+
+
+def test_both_runs_must_be_of_one_machine(record):
+    ours = record(11, rows=14)[0]
+    other = record(11, rows=14, chain="w-X-b-Y-Z-t")[0]
+    with pytest.raises(BundleError, match="kinematic_chain"):
+        discover([ours, other])

@@ -1,0 +1,125 @@
+"""Machines with rotary axes: arcs hide nothing and make nothing up."""
+
+import numpy as np
+import pytest
+
+from results_fixtures import shorten
+from truepath.discovery.discover import discover
+from truepath.discovery.extended_model import extend_model
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.planning.lines.default_path import default_path
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.turning import (
+    GearCyclic,
+    RotaryEccentricity,
+    SwivelSag,
+    TurningBacklash,
+)
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+
+pytestmark = pytest.mark.timeout(180)
+
+
+# A small machine whose head turns, with two targets on it.
+LINEAR = {"type": "linear", "min_mm": 0.0, "max_mm": 200.0}
+ROTARY = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0}
+HEAD = {
+    "schema": "machine/1",
+    "name": "small",
+    "kinematic_chain": "w-b-X-Y-Z-C-t",
+    "axes": {**dict.fromkeys("XYZ", LINEAR), "C": {**ROTARY, "origin_mm": [3, -5, 0]}},
+    "targets": {
+        "T1": {"on": "tool", "offset_mm": [60.0, 0.0, -120.0]},
+        "T2": {"on": "tool", "offset_mm": [-20.0, 70.0, -180.0]},
+    },
+    "tracker": {"stands_on": "workpiece", "rate_hz": 100},
+}
+
+
+def drive(content, hidden, lines=None, reference=None):
+    """Drive the default path of a machine, arcs of its rotary axes included."""
+    machine = machine_from_json(content)
+    path = default_path(machine, 6000.0, lines=lines, seed=3)
+    program = Program(path.position, path.feed_mm_min / 60, path.dwell_s, path.target)
+    setting = synthetic.Setting(hidden=hidden)
+    made = synthetic.record(content, program, 3, "otf", setting)
+    number = np.arange(len(made))
+    samples = TrackerSamples(number, made.time_s, made.position_mm, made.status)
+    return discover([Run(content["name"], machine, path, samples)], reference)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The head that hides nothing."""
+    return drive(HEAD, (), 28)
+
+
+def require_named(found, hidden, label):
+    """Require that the effect is named alone, with its numbers."""
+    (finding,) = found.findings
+    assert finding.candidate.label == label
+    for name, true in hidden.parameters(None).items():
+        told = finding.parameters[name]
+        assert abs(told.value - true) < 4.0 * told.uncertainty
+
+
+@pytest.mark.long
+def test_a_scale_that_was_mounted_off_centre_since_the_model_was_made_is_named(plain):
+    hidden = RotaryEccentricity("C", 40.0, 1.0)
+    found = drive(HEAD, (hidden,), 28, extend_model(plain))
+    require_named(found, hidden, "rotary-eccentricity C")
+
+
+@pytest.mark.long
+def test_of_a_scale_that_is_as_it_was_when_the_model_was_made_nothing_is_said(plain):
+    assert not drive(HEAD, (), 28, extend_model(plain)).findings
+
+
+def found_in(name, hidden):
+    """Drive a machine of the simulators, the tracker beside it."""
+    content = shorten(load_machine(name))
+    content["tracker"]["stands_on"] = "base"
+    return drive(content, hidden)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        pytest.param(GearCyclic("C", 6.0, 40.0, 1.0), "gear-cyclic C", id="gear"),
+        pytest.param(
+            SwivelSag("Y", "C", "Z", 8.0, 0.5),
+            "swivel-sag Y C Z",
+            id="sag",
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_an_error_of_a_gear_or_a_sag_that_turns_is_named_where_there_is_one(
+    plain, hidden, said
+):
+    assert not plain.findings
+    require_named(drive(HEAD, (hidden,), 28), hidden, said)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "hidden"),
+    [
+        ("trunnion", Backlash("X", 8.0)),
+        ("trunnion", None),
+        ("head-table", None),
+        ("head-table", ServoMismatch("Y", 0.3)),
+        ("trunnion", TurningBacklash("C", 60.0)),
+        ("head-table", GearCyclic("C", 5.0, 25.0, 1.0)),
+    ],
+)
+def test_what_is_hidden_in_a_machine_with_rotary_axes_is_named_alone(name, hidden):
+    found = found_in(name, () if hidden is None else (hidden,))
+    wanted = [] if hidden is None else [f"{hidden.name} {hidden.axis}"]
+    assert [f.candidate.label for f in found.findings] == wanted
+    assert found.gap.after_um < 1.05 * found.gap.noise_floor_um

@@ -1,0 +1,219 @@
+"""What linuxcncrsh says word for word, programs and INI files, without a machine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
+from truepath_drivers.cnc.linuxcnc.motion import MotionMemory
+from truepath_drivers.cnc.linuxcnc.program import Program, write_program
+from truepath_drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
+from truepath_drivers.interfaces.errors import ConnectionLost, Refused, WrongDevice
+from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.transport.byte_port import BytePort
+
+MACHINE = parse_travel("X 0 500, Y 0 400, Z -300 0")
+AT = "10.000000 5.000000 -2.000000 0.000000 0.000000 0.000000"
+BRAKING = "11.000000 5.000000 -2.000000 0.000000 0.000000 0.000000"
+STANDS = {
+    "estop": "OFF",
+    "machine": "ON",
+    "joint_homed": "YES YES YES NO NO NO",
+    "program_status": "IDLE",
+    "program_line": "0",
+    "feed_override": "100",
+    "joint_pos": AT,
+    "abs_act_pos": AT,
+}
+
+
+class SaidByLinuxCnc:
+    """Answers `get`, the last of several answers for ever."""
+
+    def __init__(self, **said):
+        self._said = {
+            what: list(texts) if isinstance(texts, tuple) else [texts]
+            for what, texts in (STANDS | said).items()
+        }
+
+    def read(self, what):
+        texts = self._said[what]
+        return texts.pop(0) if len(texts) > 1 else texts[0]
+
+
+def look(*, tripped=False, **said):
+    rsh = SaidByLinuxCnc(**said)
+    return read_machine(rsh, MACHINE, is_tripped=tripped, was_standing=False)
+
+
+def judge(*, tripped=False, **said):
+    memory = MotionMemory(ended=MotionState.FINISHED)
+    program = Program("", "", (7, 9), (10.0, 5.0, -2.0))
+    return memory.begin(program, (0.0, 0.0, 0.0)).judge(look(tripped=tripped, **said))
+
+
+@pytest.mark.parametrize(
+    ("said", "state", "reason"),
+    [
+        ({"estop": "ON"}, MotionState.ESTOP, ""),
+        ({"machine": "OFF"}, MotionState.NOT_READY, ""),
+        ({"joint_homed": "YES NO YES NO NO NO"}, MotionState.UNHOMED, ""),
+        ({"estop": "ON", "machine": "OFF"}, MotionState.ESTOP, ""),
+        ({"program_status": "RUNNING"}, MotionState.RUNNING, ""),
+        ({"program_status": "PAUSED"}, MotionState.HELD, "operator"),
+        (
+            {"program_status": "PAUSED", "joint_pos": (AT, BRAKING)},
+            MotionState.RUNNING,
+            "",
+        ),
+        ({"joint_pos": (AT, BRAKING)}, MotionState.RUNNING, ""),
+        ({}, MotionState.FINISHED, ""),
+        ({"joint_pos": BRAKING}, MotionState.ABORTED, ""),
+        ({"program_status": "RUNNING", "tripped": True}, MotionState.HELD, "watchdog"),
+    ],
+)
+def test_what_is_said_means_a_state(said, state, reason):
+    status = judge(**said)
+    assert (status.state, status.hold_reason) == (state, reason)
+
+
+def test_position_line_override_and_reference_are_those_said():
+    status = judge(program_status="RUNNING", program_line="9", feed_override="87.500")
+    assert status.position == (10.0, 5.0, -2.0)
+    assert (status.line, status.override) == (1, 0.875)
+    for homed, referenced in (("YES", True), ("NO", False)):
+        status = judge(machine="OFF", joint_homed=f"YES {homed} YES NO NO NO")
+        assert (status.state, status.referenced) == (MotionState.NOT_READY, referenced)
+
+
+@pytest.mark.parametrize("text", ["OFF", "1.0 nan? 2", "12.0 ERROR"])
+def test_no_number_is_a_lost_connection(text):
+    with pytest.raises(ConnectionLost, match="no numbers"):
+        look(joint_pos=text)
+
+
+@pytest.mark.parametrize(
+    ("joints", "world", "follows"),
+    [
+        ((AT,), AT, False),
+        ((AT, BRAKING), "10.500000 5.000000 -2.000000 0 0 0", False),
+        ((AT, BRAKING), "11.500000 5.000000 -2.000000 0 0 0", True),
+        ((AT,), "10.000000 5.000000 -2.020000 0 0 0", True),
+        # Turned back between the readings of one look, or of two.
+        ((AT,), (BRAKING, AT), False),
+        ((AT,), (BRAKING, BRAKING, AT), False),
+    ],
+)
+def test_a_followed_tip_is_told_from_a_motion_between_readings(joints, world, follows):
+    rsh = SaidByLinuxCnc(joint_pos=joints, abs_act_pos=world)
+    assert differs_from_joints(rsh, MACHINE) is follows
+
+
+def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():
+    rows = np.array([(20.1, 10, -10), (30, 10.25, -10)])
+    path = Path(("X", "Y", "Z"), rows, np.full(2, 1234.5), np.array([0.3, 0.0]))
+    program = write_program(path, ())
+    motion_of_control = LinuxCnc().read(program.text)
+    np.testing.assert_allclose(motion_of_control.position, path.position)
+    np.testing.assert_allclose(motion_of_control.feed_mm_min, path.feed_mm_min)
+    np.testing.assert_allclose(motion_of_control.dwell_s, path.dwell_s)
+    text = program.text.splitlines()
+    assert [text[line - 1].split()[0] for line in program.lines] == ["N1", "N2"]
+    assert [program.find_row(line) for line in (0, *program.lines)] == [0, 0, 1]
+
+
+def test_axes_and_travel_come_from_the_ini_file(tmp_path):
+    file = tmp_path / "gantry.ini"
+    file.write_text(
+        "[EMC]\nMACHINE = Big # ours\n[TRAJ]\nCOORDINATES = X Y Y C\n"
+        "[KINS]\nKINEMATICS = trivkins coordinates=xyyc kinstype=BOTH\n"
+        "[AXIS_X]\nMIN_LIMIT = -1\nMAX_LIMIT = 500\n"
+        "[JOINT_0]\nMIN_LIMIT = 0\nMAX_LIMIT = 510\n[AXIS_Y]\nMAX_LIMIT = 300\n"
+        "[JOINT_1]\nMIN_LIMIT = -20\nMAX_LIMIT = 400\n"
+        "[JOINT_3]\nMIN_LIMIT = -360\nMAX_LIMIT = 360\n"
+    )
+    machine = read_ini(file)
+    assert machine.name == "Big"
+    assert machine.axes == ("X", "Y", "C")
+    assert machine.travel == ((0, 500), (-20, 300), (-360, 360))
+    assert (machine.joints, machine.joint_count) == ((0, 1, 3), 4)
+    file.write_text(file.read_text() + "[TRAJ]\nLINEAR_UNITS = inch\n")
+    with pytest.raises(Refused, match="not mm"):
+        read_ini(file)
+    with pytest.raises(Refused, match="ini_file"):
+        read_ini(tmp_path / "none.ini")
+
+
+def test_the_ini_file_tells_whether_linuxcnc_compensates(tmp_path):
+    file = tmp_path / "machine.ini"
+    for entry, has in (
+        ("", False),
+        ("COMP_FILE = x.tbl", True),
+        ("BACKLASH = 0.0", False),
+        ("BACKLASH = 0.01", True),
+    ):
+        file.write_text(
+            "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
+            f"[JOINT_1]\nMIN_LIMIT = 0\n{entry}\n"
+        )
+        assert read_ini(file).has_compensation is has
+
+
+def test_a_travel_by_hand_knows_no_compensation_and_says_where_it_is_none():
+    travel = parse_travel("X 0 500, c -360 360")
+    assert (travel.axes, travel.has_compensation) == (("X", "C"), None)
+    with pytest.raises(ValueError, match="'X 0'"):
+        parse_travel("X 0, Y 0 1")
+
+
+WELCOME = [
+    b"HELLO ACK EMCNETSVR 1.1\r\n",
+    b"set echo off\r\n",
+    b"SET VERBOSE ACK\n\r",
+    b"SET ENABLE ACK\n\r",
+]
+
+
+class AnsweringPort(BytePort):
+    """Gives the next answer after each request, without a wire."""
+
+    name = "wire"
+
+    def __init__(self, answers):
+        self._answers, self._due = list(answers), b""
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def write(self, data):
+        self._due += self._answers.pop(0)
+
+    def read(self, timeout_s):
+        due, self._due = self._due, b""
+        return due
+
+
+@pytest.mark.parametrize(
+    ("answers", "error", "said"),
+    [
+        ([b"220 mail ready\r\n"], WrongDevice, "welcome"),
+        ([*WELCOME, b"USER_LINEAR_UNITS INCH\r\n"], WrongDevice, "INCH"),
+        (
+            [*WELCOME, b"USER_LINEAR_UNITS MM\r\n", b"INIFILE emc.ini\r\n"],
+            Refused,
+            "ini_file",
+        ),
+        ([*WELCOME, b"SET MODE ACK\r\n"], ConnectionLost, "out of step"),
+    ],
+)
+def test_what_cannot_be_driven_is_told_at_connect(answers, error, said):
+    controller = LinuxCncController(host="h")
+    controller._session._rsh._port = AnsweringPort(answers)
+    with pytest.raises(error, match=said):
+        controller.connect()

@@ -1,0 +1,136 @@
+"""The register map as data: no overlap, known words, a page that agrees with it."""
+
+import importlib.util
+import itertools
+import struct
+import zlib
+from dataclasses import replace
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from truepath_drivers.cnc.modbus import registers as r
+from truepath_drivers.cnc.modbus.controller_map import Controller, parse_status
+from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.interfaces.errors import WrongDevice
+from truepath_drivers.interfaces.records import Identity, MotionState, Path
+
+BLOCKS = [
+    r.IDENTITY,
+    r.STATUS,
+    r.READINESS,
+    r.ALARM_TEXT,
+    r.CONTROL,
+    r.LIMITS,
+    r.COMMAND,
+]
+DOCS = File(__file__).parents[4] / "docs"
+
+
+def test_registers_are_in_order_each_in_one_block_that_fits_into_a_request():
+    assert all(block.count <= 123 for block in BLOCKS)
+    for before, after in itertools.pairwise(r.REGISTERS):
+        assert before.end <= after.address
+    for register in r.REGISTERS:
+        homes = [
+            block
+            for block in BLOCKS
+            if block.address <= register.address
+            and register.end <= block.address + block.count
+        ]
+        assert len(homes) == 1, register.name
+        # The host writes only control and command.
+        assert (register.access is r.Access.WRITE) == (register.address >= 180)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("magic", r.MAGIC, [0x5450, 0x4331]),
+        ("order_test", 0x01020304, [0x0102, 0x0304]),
+        ("state", 3, [3]),
+        ("travel_min", [-1, 6_100_000], [0xFFFF, 0xFFFF, 0x005D, 0x1420] + [0] * 8),
+        ("maker", "AB c", [0x4142, 0x2063] + [0] * 6),
+        ("axis_names", [ord("X"), ord("Z")], [0x58, 0x5A, 0, 0, 0, 0]),
+    ],
+)
+def test_words_of_known_values(name, value, words):
+    assert encode(name, value) == words
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=6, max_size=6))
+def test_positions_come_back(counts):
+    words = [0] * 12 + encode("position", counts)
+    assert decode("position", words, r.STATUS) == tuple(counts)
+
+
+@given(st.text("ABCü xyz-09", max_size=16))
+def test_texts_come_back_without_padding_and_a_question_mark_for_what_is_no_ascii(text):
+    words = [0] * 20 + encode("maker", text)
+    assert decode_text("maker", words, r.IDENTITY) == text.strip().replace("ü", "?")
+
+
+def test_rows_are_big_endian_counts():
+    path = Path(
+        ("X", "Y", "Z"),
+        np.array([[1.23456, -2.0, 300.0], [0.0, 0.0, -0.00006]]),
+        np.array([2500.0, 15000.5]),
+        np.array([0.0, 1.5]),
+    )
+    words = path_words(path)
+    first = struct.pack(">6i2I", 12346, -20000, 3_000_000, 0, 0, 0, 2_500_000, 0)
+    second = struct.pack(">6i2I", 0, 0, -1, 0, 0, 0, 15_000_500, 1500)
+    assert words.astype(">u2").tobytes() == first + second
+    assert path_crc(words) == zlib.crc32(first + second)
+
+
+def test_hold_reasons_read_as_words_unknown_ones_as_numbers_and_no_state_as_wrong():
+    def reason(code):
+        words = [0] * 24
+        words[:2] = [r.STATES.index(MotionState.HELD), code]
+        return parse_status(words).motion.hold_reason
+
+    words = [reason(code) for code in (0, 1, 2, 3, 9)]
+    assert words == ["", "operator", "watchdog", "command", "reason 9"]
+    with pytest.raises(WrongDevice, match="reports state 99"):
+        parse_status([99] + [0] * 23)
+
+
+@pytest.mark.parametrize(
+    ("features", "bits", "said"),
+    [
+        (0, 3, (None, None)),
+        (r.TELLS_REFERENCED, 0, (False, None)),
+        (r.TELLS_REFERENCED, r.IS_REFERENCED | r.IS_COMPENSATING, (True, None)),
+        (r.TELLS_COMPENSATION, r.IS_COMPENSATING, (None, True)),
+        (r.TELLS_REFERENCED | r.TELLS_COMPENSATION, r.IS_REFERENCED, (True, False)),
+    ],
+)
+def test_readiness_is_what_the_features_say_that_a_device_tells(features, bits, said):
+    motion = parse_status([0] * 24 + [bits], features=features).motion
+    assert (motion.referenced, motion.compensation) == said
+
+
+def test_a_device_without_the_feature_is_not_asked_beyond_its_status_block():
+    old = Controller(Identity("", "", "", ""), ("X",), ((0.0, 1.0),), 1.0, 1)
+    assert old.status_block == r.STATUS
+    newer = replace(old, features=r.TELLS_OVERRIDE | r.TELLS_REFERENCED)
+    assert newer.status_block == r.Block(100, 25)
+
+
+def test_the_page_shows_the_map():
+    spec = importlib.util.spec_from_file_location(
+        "write_register_map", DOCS / "write_register_map.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    page = (DOCS / "modbus-register-map.md").read_text()
+    assert script.filled(page) == page
+    assert all(f"`{register.name}`" in page for register in r.REGISTERS)
+    assert all(verb.name in page for verb in r.Command)

@@ -1,0 +1,394 @@
+"""The checks of conformance let what keeps everything pass, and catch the others."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath_drivers import host_clock
+from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance.checking import NotConforming, on_terms
+from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    OutOfTravel,
+    Refused,
+)
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
+    Identity,
+    LinkHealth,
+    MotionState,
+    MotionStatus,
+    TrackerSamples,
+)
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath_drivers.interfaces.tracker import Tracker
+
+
+class GoodTracker(Tracker):
+    """Keeps everything, in memory."""
+
+    place = 1500.0
+    status = 0
+
+    def __init__(self) -> None:
+        self.connected = self.streams = False
+        self.number = 0
+
+    def connect(self) -> Identity:
+        self.connected = True
+        return Identity("maker", "model", "1", "0")
+
+    def close(self) -> None:
+        self.connected = self.streams = False
+
+    def start(self, rate_hz: float) -> None:
+        self.need_connection()
+        if not 0 < rate_hz < 1e6:
+            raise Refused("no")
+        self.streams = True
+
+    def stop(self) -> None:
+        self.streams = False
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        self.need_connection()
+        if not self.streams:
+            return TrackerSamples.empty()
+        self.read_s = host_clock.now_s()
+        number = self.number + np.arange(10)
+        self.number += 10
+        return TrackerSamples(
+            number,
+            self.stamp(number),
+            np.full((10, 3), self.place),
+            np.full(10, self.status, np.int64),
+        )
+
+    def stamp(self, number):
+        return number * 2e-3
+
+    @property
+    def health(self) -> LinkHealth:
+        return LinkHealth(frames=self.number)
+
+    def need_connection(self) -> None:
+        if not self.connected:
+            raise ConnectionLost("connect first")
+
+
+class GoodController(MotionController):
+    """Keeps everything, in memory; motions end when somebody waits for them."""
+
+    limits = ((0.0, 100.0),)
+    watches = True
+    brakes = 0.0
+    first_line = 0
+    counts_lines = True
+    names = ("X",)
+
+    def __init__(self) -> None:
+        self.connected = False
+        self.at = MotionStatus(MotionState.IDLE, (50.0,), 0)
+        self.target = self.path = self.feed = None
+
+    axes = property(lambda self: self.names)
+    travel = property(lambda self: self.limits)
+
+    def connect(self) -> Identity:
+        self.connected = True
+        return Identity("maker", "model", "1", "0", has_watchdog=True)
+
+    def close(self) -> None:
+        if self.at.state is MotionState.RUNNING:
+            self.abort()
+        self.connected = False
+
+    def status(self) -> MotionStatus:
+        if not self.connected:
+            raise ConnectionLost("connect first")
+        if self.at.state is MotionState.HELD:
+            moved = tuple(x + self.brakes for x in self.at.position)
+            self.at = replace(self.at, position=moved)
+        running = self.at.state is MotionState.RUNNING
+        if running and self.watches and host_clock.now_s() > self.fed_s + 0.1:
+            self.at = replace(self.at, state=MotionState.HELD, hold_reason="watchdog")
+        return self.at
+
+    def move_to(self, position, feed_mm_min) -> None:
+        self.status()
+        self.check(np.atleast_2d(position))
+        self.target, self.feed = tuple(position), feed_mm_min
+        self.fed_s, self.beats = host_clock.now_s(), 0
+        self.at = replace(self.at, state=MotionState.RUNNING)
+
+    def load(self, path) -> None:
+        self.status()
+        if path.axes != self.axes:
+            raise Refused("other axes")
+        self.check(path.position)
+        self.path = path
+        self.at = replace(self.at, state=MotionState.READY)
+
+    def check(self, rows) -> None:
+        (low, high), *_ = self.limits
+        if not ((rows >= low) & (rows <= high)).all():
+            raise OutOfTravel("beyond")
+
+    def start(self) -> None:
+        self.status()
+        if self.path is None:
+            raise Refused("no path")
+        self.move_to(self.path.position[-1], self.path.feed_mm_min[-1])
+
+    def wait(self, timeout_s) -> MotionStatus:
+        if self.at.state is MotionState.RUNNING:
+            if timeout_s < 1:
+                raise DeviceTimeout("still runs")
+            if self.path is not None and self.path.feed_mm_min[-1] < 100:
+                host_clock.sleep_s(0.05)
+            if self.at.state is MotionState.RUNNING:
+                self.finish()
+        return self.at
+
+    def hold(self) -> None:
+        if self.at.state is MotionState.RUNNING:
+            self.at = replace(self.at, state=MotionState.HELD, hold_reason="command")
+
+    def resume(self) -> None:
+        if self.at.state is MotionState.HELD:
+            self.at = replace(self.at, state=MotionState.RUNNING, hold_reason="")
+
+    def abort(self) -> None:
+        self.path = None
+        self.at = replace(self.at, state=MotionState.ABORTED)
+
+    def send_heartbeat(self) -> None:
+        self.fed_s = host_clock.now_s()
+        self.beats += 1
+        if self.beats > 3 and self.at.state is MotionState.RUNNING:
+            self.finish()
+
+    def finish(self) -> None:
+        line = 0 if self.path is None else len(self.path) - 1
+        self.at = replace(
+            self.at,
+            state=MotionState.FINISHED,
+            position=self.target,
+            line=self.first_line + line * self.counts_lines,
+        )
+
+
+def share_machine(make):
+    """A factory whose drivers move one and the same machine."""
+    machine = make()
+
+    def share() -> GoodController:
+        controller = make()
+        controller.__dict__ = machine.__dict__
+        return controller
+
+    return share
+
+
+@pytest.mark.parametrize("check", tracker.TRACKER_CHECKS)
+def test_a_good_tracker_passes(clock, check):
+    check(GoodTracker)
+
+
+@pytest.mark.parametrize("check", motion.MOTION_CHECKS)
+def test_a_good_controller_passes(clock, check):
+    check(share_machine(GoodController))
+
+
+COUNTER = itertools.count()
+
+
+def begin_clock_anew(self, timeout_s):
+    block = GoodTracker.read(self, timeout_s)
+    return replace(block, device_time_s=block.device_time_s % 0.02)
+
+
+def forget_what_waits(self):
+    self.number += int(500 * (host_clock.now_s() - self.read_s))
+
+
+def move_unasked(self):
+    self.at = MotionStatus(MotionState.IDLE, (51.0,), 0)
+
+
+def always(value):
+    return property(lambda self: value, lambda self, _: None)
+
+
+def does(value=None):
+    return lambda self, *_: value
+
+
+TIMES = tracker.times_are_those_of_the_samples
+COUNTS = tracker.health_counts_what_has_come
+FAULTY_TRACKERS = [
+    (device.connect_tells_who_answers, "connect", does(Identity("", "", "", ""))),
+    (
+        device.connect_twice_is_one_connection,
+        "connect",
+        lambda self: Identity("a", "b", str(next(COUNTER)), "d"),
+    ),
+    (tracker.silence_is_an_empty_block_in_time, "streams", always(True)),
+    (tracker.samples_have_rising_numbers_and_times, "number", always(0)),
+    (tracker.numbers_go_on_after_a_pause, "health", always(LinkHealth(lost_samples=7))),
+    (tracker.numbers_go_on_after_a_pause, "read", begin_clock_anew),
+    (tracker.numbers_go_on_after_a_pause, "stop", forget_what_waits),
+    (TIMES, "stamp", lambda self, n: n * 2.0),  # ms
+    # Half the rate; arrival, in blocks of ten; one of 50 lost, the rest counted.
+    (TIMES, "stamp", lambda self, n: n * 4e-3),
+    (TIMES, "stamp", lambda self, n: (n // 10) * 20e-3 + (n % 10) * 1e-6),
+    (TIMES, "stamp", lambda self, n: 2e-3 * (n + n // 49)),
+    (tracker.a_target_at_rest_is_valid_and_in_mm, "place", 1.5),
+    (tracker.a_target_at_rest_is_valid_and_in_mm, "status", 4),
+    (COUNTS, "health", always(LinkHealth())),
+    (COUNTS, "health", property(lambda self: LinkHealth(self.number, 5))),
+    (tracker.impossible_rates_are_refused, "start", does()),
+    (tracker.a_closed_tracker_has_no_samples, "need_connection", does()),
+    (tracker.stop_from_another_thread_ends_the_stream, "stop", does()),
+]
+FAULTY_CONTROLLERS = [
+    (motion.axes_and_travel_are_known, "limits", ((5.0, 5.0),)),
+    (motion.axes_and_travel_are_known, "names", ()),
+    (motion.out_of_travel_is_refused, "check", does()),
+    (motion.a_path_of_other_axes_is_refused, "load", does()),
+    (motion.hold_and_resume_are_absolute, "hold", does()),
+    (motion.resume_of_nothing_does_nothing, "resume", move_unasked),
+    (
+        motion.resume_of_nothing_does_nothing,
+        "resume",
+        lambda self: None if self.path is None else self.start(),
+    ),
+    (motion.abort_from_another_thread_ends_the_motion, "abort", does()),
+    (motion.wait_ends_in_time, "wait", lambda self, timeout_s: self.at),
+    (motion.hold_means_standstill, "brakes", 0.2),
+    (motion.the_line_is_the_row_moved_towards, "first_line", 1),
+    (motion.the_line_is_the_row_moved_towards, "counts_lines", False),
+    (motion.a_claimed_watchdog_holds_the_feed, "watches", False),
+    (motion.close_stops_the_motion, "close", does()),
+    (motion.a_closed_controller_moves_nothing, "status", lambda self: self.at),
+    (motion.a_move_ends_where_it_was_sent, "move_to", does()),
+    (motion.a_path_runs_to_its_last_row, "load", does()),
+]
+
+
+def with_fault(base, name, fault):
+    return type("Faulty", (base,), {name: fault})
+
+
+@pytest.mark.parametrize(("check", "name", "fault"), FAULTY_TRACKERS)
+def test_a_faulty_tracker_is_caught(clock, check, name, fault):
+    with pytest.raises(NotConforming):
+        check(with_fault(GoodTracker, name, fault))
+
+
+@pytest.mark.parametrize(("check", "name", "fault"), FAULTY_CONTROLLERS)
+def test_a_faulty_controller_is_caught(clock, check, name, fault):
+    make = share_machine(with_fault(GoodController, name, fault))
+    with on_terms(watchdog_s=0.3), pytest.raises(NotConforming):
+        check(make)
+
+
+def test_a_file_left_open_and_a_constructor_that_opens_are_caught(clock, tmp_path):
+    left = []
+
+    def leave_open(self):
+        left.append((tmp_path / "port").open("w"))
+
+    with pytest.raises(NotConforming, match="left a file or a thread behind"):
+        device.close_is_idempotent_and_leaves_nothing(
+            with_fault(GoodTracker, "connect", leave_open)
+        )
+    with pytest.raises(NotConforming, match="constructor opened something"):
+        device.construction_opens_nothing(
+            with_fault(GoodTracker, "__init__", leave_open)
+        )
+    for file in left:
+        file.close()
+
+
+def test_a_device_that_answers_where_none_is_is_caught():
+    with pytest.raises(NotConforming, match="not there"):
+        device.a_device_that_is_not_there_is_a_device_error(GoodTracker)
+
+
+class ScriptedThermometers(Thermometers):
+    """A driver of another make; `wrong` says what it does wrong."""
+
+    def __init__(self, wrong):
+        self.wrong, self._is_open = wrong, False
+        self._stamp_s = 0.0
+
+    @property
+    def channels(self):
+        return (Channel("X_degC"),) * (2 if self.wrong == "name-twice" else 1)
+
+    @property
+    def period_s(self):
+        return 0.01
+
+    def connect(self):
+        self._is_open = True
+        return Identity("Us", "scripted", "", "")
+
+    def close(self):
+        self._is_open = False
+
+    def read(self):
+        if not self._is_open and self.wrong != "reads-closed":
+            raise ConnectionLost("connect first")
+        clock = host_clock.wall_s if self.wrong == "wall-clock" else host_clock.now_s
+        if self.wrong == "frozen-stamp":
+            self._stamp_s = self._stamp_s or clock()
+            clock = lambda: self._stamp_s  # noqa: E731
+        if self.wrong == "hangs":
+            host_clock.sleep_s(4.5)
+        value, fault, name = 20.0, "", "X_degC"
+        match self.wrong:
+            case "kelvin":
+                value = 293.15
+            case "old-value-with-a-fault":
+                fault = "no answer"
+            case "silent-nan":
+                value = math.nan
+            case "other-channel":
+                name = "Y_degC"
+            case "never-reads":
+                return ()
+        return (Reading(name, clock(), value, fault),)
+
+
+WRONG = [
+    "name-twice",
+    "reads-closed",
+    "wall-clock",
+    "frozen-stamp",
+    "kelvin",
+]
+WRONG += [
+    "old-value-with-a-fault",
+    "silent-nan",
+    "other-channel",
+    "never-reads",
+]
+
+
+@pytest.mark.parametrize("wrong", [*WRONG, "hangs", ""])
+def test_the_checks_catch_wrong_thermometers_and_let_right_ones_pass(clock, wrong):
+    caught = []
+    with on_terms(patience_s=0.1):
+        for check in THERMOMETER_CHECKS:
+            try:
+                check(lambda: ScriptedThermometers(wrong))
+            except NotConforming:
+                caught.append(check.__name__)
+    assert bool(caught) == bool(wrong)

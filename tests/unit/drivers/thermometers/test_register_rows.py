@@ -1,0 +1,57 @@
+"""Rows of a register list: how words become values, and rows that cannot be."""
+
+import pytest
+
+from truepath_drivers.thermometers.modbus_registers.driver import (
+    ModbusRegisters,
+    Register,
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "options", "value"),
+    [
+        ([0xFF38], {"type": "int16"}, -20.0),
+        ([0x00D7], {"type": "uint16"}, 21.5),
+        ([0xFFFF, 0xFF38], {"type": "int32"}, -20.0),
+        ([0x00D7, 0x0000], {"type": "uint32", "word_order": "little"}, 21.5),
+        ([0x4357, 0x0000], {"type": "float32"}, 21.5),
+        ([0x0000, 0x4357], {"type": "float32", "word_order": "little"}, 21.5),
+        ([29315], {"scale": 0.01, "offset": -273.15}, 20.0),  # of kelvin
+        ([680], {"scale": 0.1 / 1.8, "offset": -32 / 1.8}, 20.0),  # of Fahrenheit
+    ],
+)
+def test_words_are_decoded(words, options, value):
+    row = Register("X_degC", 0, **{"scale": 0.1, **options})
+    assert row.decode(words) == pytest.approx(value)
+
+
+GOOD_ROW = {"name": "X_degC", "address": 0}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"name": "temperature"},
+        {"address": 65535, "type": "float32"},
+        {"type": "int64"},
+        {"function": "coil"},
+        {"scale": 0.0},
+        {"period_s": 0.0},
+        {"low": 50.0, "high": 10.0},
+        {"addres": 0},
+    ],
+)
+def test_a_row_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"register|channel"):
+        ModbusRegisters(host="127.0.0.1", registers=[GOOD_ROW | wrong])
+
+
+def test_a_row_without_an_address_a_name_twice_and_no_row_at_all_are_refused():
+    for rows, said in (
+        ([{"name": "X_degC"}], "register"),
+        ([], "each name once"),
+        ([GOOD_ROW, GOOD_ROW], "each name once"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            ModbusRegisters(host="127.0.0.1", registers=rows)

@@ -1,0 +1,111 @@
+"""The estimate against known truth that shares no physics with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from estimating import estimate, judge_map
+from truepath.alignment.align import align
+from truepath.estimation.solve import batch
+from truepath_simulators.worlds.synthetic import Setting
+
+
+def judge(run, truth, **options):
+    """Return what an estimate has left of the truth, and the estimate."""
+    result = estimate(align(run), **options)
+    return judge_map(result, truth.deviation_mm), result
+
+
+@pytest.fixture(scope="module")
+def few(record_small):
+    """Return a Run of few lines, its observations and what they tell."""
+    run, truth = record_small(30, rows=16)
+    return run, align(run), *judge(run, truth)
+
+
+@pytest.mark.parametrize("chain", ["w-b-X-Y-Z-t", "w-Z-b-Y-X-t"])
+def test_on_the_fly_the_map_is_found_whatever_the_chain(record, chain):
+    left, result = judge(*record(21, rows=40, chain=chain))
+    assert left.share < 0.05
+    assert 0.85 < left.inside <= 1.0
+    assert result.runs[0].lines == 39
+    # Nothing is missing: residuals are noise. One target tells this much and no more.
+    assert 0.85 < result.rms_mm / result.floor_mm < 1.1
+    assert result.observability.rank == 67
+
+
+def test_standstill_points_find_the_map_with_the_same_solver(record):
+    left, _ = judge(*record(22, "standstill", rows=120))
+    assert left.share < 0.06
+    assert 0.85 < left.inside <= 1.0
+
+
+@pytest.mark.long
+def test_stated_uncertainty_covers_the_truth_at_the_stated_rate(record_small):
+    recordings = [record_small(seed, rows=30) for seed in range(40, 52)]
+    inside = [judge(*recorded)[0].inside for recorded in recordings]
+    assert 0.91 < np.mean(inside) < 0.985
+
+
+def test_twice_the_noise_is_twice_the_uncertainty(record):
+    once, twice = (
+        judge(*record(24, rows=30, setting=Setting(noise_scale=scale)))[1]
+        for scale in (1.0, 2.0)
+    )
+    (_, first), (_, second) = (e.at_targets.part("C0Y") for e in (once, twice))
+    assert np.sqrt(second / first).item() == pytest.approx(2.0, rel=0.3)
+
+
+def test_the_estimate_does_not_depend_on_where_the_tracker_stands(few):
+    run, _, _, a = few
+    # Turned about its own vertical, the instrument's noise stays what it was.
+    turn = Rotation.from_rotvec([0.0, 0.0, 1.1])
+    samples = replace(run.tracker, position_mm=turn.apply(run.tracker.position_mm))
+    b = estimate(align(replace(run, tracker=samples)))
+    u = np.sqrt(np.diag(a.covariance))
+    assert (np.abs(a.theta - b.theta) < 1e-3 * u).all()
+    assert np.sqrt(np.diag(b.covariance)) == pytest.approx(u, rel=1e-3)
+
+
+def test_perpendicular_only_does_not_see_what_lies_along_the_travel(few):
+    seen = few[1]
+    pushed = (
+        seen.pose.rotation @ (seen.direction * 0.01 * np.sin(seen.at.time_s)[:, None]).T
+    )
+    moved = replace(seen, tracker_mm=seen.tracker_mm + pushed.T)
+    a, b = (estimate(each, perpendicular_only=True) for each in (seen, moved))
+    assert np.abs(a.theta - b.theta).max() < 2e-7 + 0.01 * np.abs(a.theta).max()
+
+
+def test_along_path_information_halves_what_corner_paths_leave(record_small):
+    recorded = record_small(27, corners=True)
+    along, across = (
+        judge(*recorded, perpendicular_only=only)[0] for only in (False, True)
+    )
+    assert along.share < 0.6 * across.share
+
+
+def test_more_lines_leave_less(record_small, few):
+    many, b = judge(*record_small(30, rows=40))
+    _, _, left, a = few
+    c0y = a.model.slices["C0Y"]
+    assert b.covariance[c0y, c0y].item() < a.covariance[c0y, c0y].item()
+    assert many.share < left.share
+
+
+def test_progress_grows_and_is_complete_only_after_the_last_work(few, monkeypatch):
+    told: list[object] = []
+    works = (batch.widen_by_unknown_precision, batch.assess_observability)
+    for work in works:
+
+        def recorded(*arguments, work=work):
+            told.append(work)
+            return work(*arguments)
+
+        monkeypatch.setattr(batch, work.__name__, recorded)
+    estimate(few[1], on_progress=told.append)
+    assert told[-4:] == [0.9, *works, 1.0]
+    shares = [share for share in told if isinstance(share, float)]
+    assert shares == sorted(shares)

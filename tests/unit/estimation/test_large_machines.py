@@ -1,0 +1,186 @@
+"""Machines of several metres: determined, with knots where a motion needs them."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from estimating import estimate
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.checks.misfit import assess_misfit
+from truepath.estimation.noise.baseline import fit_baseline
+from truepath.estimation.problem.knots import compute_hidden_variance
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.machine.random_machine import join_rack, random_machine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+
+LONG = (3000.0, 800.0, 600.0)
+GANTRY = (6000.0, 2500.0, 1200.0)
+STRIDE = 12  # cells from one step of the set-up that is tried to the next
+
+
+def _record(travel_mm, rows, *, step_mm=0.0, level=None):
+    """Drive random lines at 24 m/min; `level` holds Z there."""
+    content = load_machine("demo")
+    content["kinematic_chain"] = "w-b-X-Y-Z-t"
+    content["axes"] = {
+        name: {"type": "linear", "min_mm": 0.0, "max_mm": length}
+        for name, length in zip("XYZ", travel_mm, strict=True)
+    }
+    machine = parse_machine(content)
+    truth = random_machine(machine, 3)
+    if step_mm:
+        truth = join_rack(truth, "X", 3, step_mm)
+    program = paths.chord_path(machine, 3, rows, 24_000.0)
+    if level is not None:
+        position = program.position.copy()
+        position[:, 2] = level
+        program = replace(program, position=position)
+    setting = synthetic.Setting(truth=truth, sensors=False)
+    recording = synthetic.record(content, program, 3, "otf", setting)
+    samples = TrackerSamples(
+        np.arange(len(recording)),
+        recording.time_s,
+        recording.position_mm,
+        recording.status,
+    )
+    nominal = machine_from_json(content, file="machine.json")
+    commanded = Path(
+        nominal.axis_names, program.position, program.feed_mm_s * 60.0, program.dwell_s
+    )
+    return Run("large", nominal, commanded, samples, None), truth
+
+
+@cache
+def _record_pieces():
+    return _record(LONG, 40, step_mm=0.008)
+
+
+def _curves(found, truth, symbol, at):
+    """Estimate, uncertainty and truth of a motion, all without a straight line."""
+    motion = next(m for m in found.model.error_motions if m.name == symbol)
+    part = found.model.slices[symbol]
+    line = np.stack([np.ones(len(at)), at], axis=1)
+    free = np.eye(len(at)) - line @ np.linalg.pinv(line)
+    rows = free @ motion.rows(at)
+    true = free @ truth.error_motions()[symbol].at(at)
+    variance = np.einsum("np,pq,nq->n", rows, found.covariance[part, part], rows)
+    return rows @ found.theta[part], np.sqrt(variance), true
+
+
+def test_a_gantry_of_six_metres_is_determined():
+    run, truth = _record(GANTRY, 50)
+    found = estimate(align(run))
+    at = np.linspace(0.0, GANTRY[0], 121)
+    value, sigma, true = _curves(found, truth, "EXX", at)
+    assert np.abs(value - true).max() < 0.25 * np.abs(true).max()
+    assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
+
+
+def test_a_smooth_machine_has_few_knots_and_a_rack_of_pieces_as_many_as_it_needs():
+    at = np.linspace(0.0, LONG[0], 601)
+    smooth, _ = _record(LONG, 40)
+    pieces, truth = _record_pieces()
+    few = estimate(align(smooth)).model
+    found = estimate(align(pieces))
+    sizes = {m.name: m.spline.size for m in found.model.error_motions}
+    assert {m.spline.size for m in few.error_motions if m.axis.name == "X"} == {33}
+    assert sizes["EXX"] > 80
+    assert sizes["ECX"] == 33
+    value, sigma, true = _curves(found, truth, "EXX", at)
+    assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
+    assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
+
+
+def test_a_discovery_compares_with_a_model_that_has_the_knots_of_a_rack():
+    run, _ = _record_pieces()
+    seen = add_surroundings(align(run), run.commanded)
+    models = build_baseline_models(run.machine, [seen.at])
+    found = fit_baseline(*models, [seen]).model
+    sizes = {m.name: m.spline.size for m in found.error_motions}
+    assert sizes["EXX"] > 80
+    assert sizes["ECX"] == 33
+
+
+def test_what_knots_hide_falls_with_the_cube_of_their_distance():
+    run, _ = _record(LONG, 12)
+    offset = np.array([run.machine.target().offset_mm])
+    model, _ = build_identifiable_model(run.machine, offset)
+    motion = next(m for m in model.error_motions if m.name == "EXX")
+    coarse, fine = (compute_hidden_variance(motion.coarsen(n), 1e6) for n in (40, 80))
+    assert coarse == pytest.approx(8.0 * fine)
+
+
+def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
+    run, _ = _record((600.0, 500.0, 400.0), 24, level=200.0)
+    with pytest.raises(Unidentifiable, match=r"add lines that move .*Z"):
+        estimate(align(run))
+
+
+@pytest.mark.long
+def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
+    run, _ = _record(LONG, 30)
+    seen = add_surroundings(align(run), run.commanded)
+    models = build_run_models(run.machine, [seen.at.offset_mm])
+    line = np.flatnonzero((seen.row == 17) & ~seen.is_ramp)
+    burst = line[len(line) // 2 : len(line) // 2 + 12]
+    moved = seen.tracker_mm.copy()
+    moved[burst] += [0.1, -0.1, 0.1]
+    checked = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    assert checked.estimate.fit is not None
+    fitted = checked.estimate.fit.runs[0].observations
+    assert len(fitted) < 0.6 * len(seen)
+    assert {each.row for each in checked.left_out[0]} == {17}
+    begin, end = seen.at.time_s[burst[0]], seen.at.time_s[burst[-1]]
+    assert min(each.begin_s for each in checked.left_out[0]) > begin - 0.2
+    assert max(each.end_s for each in checked.left_out[0]) < end + 0.2
+    assert (
+        sum(each.samples for each in checked.left_out[0]) < 2 * seen.count[burst].sum()
+    )
+
+
+@pytest.fixture(scope="module")
+def knocked():
+    """Return a fit of a clean Run, and a knock in its cells."""
+    run, _ = _record(LONG, 24)
+    fit = estimate(align(run), keep_fit=True).fit
+    seen = fit.runs[0].observations
+    late = np.arange(len(seen)) > 0.3 * len(seen)
+    moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
+    part = replace(fit.runs[0], observations=replace(seen, tracker_mm=moved))
+    return replace(fit, runs=(part,))
+
+
+def _examine(fit, cells):
+    """Return what is left of the first cells, and the most memory that it takes."""
+    run = fit.runs[0]
+    few = replace(run, observations=run.observations.select(np.arange(cells)))
+    tracemalloc.start()
+    try:
+        found = assess_misfit(replace(fit, runs=(few,)), 0)
+        return found, tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_steps_that_are_tried_are_held_few_times(knocked):
+    ends = [last for _, last in knocked.runs[0].observations.lines]
+    half, whole = ends[len(ends) // 2], ends[-1]
+    (_, less), (found, more) = (_examine(knocked, cells) for cells in (half, whole))
+    assert found.steps[0].cell == pytest.approx(0.3 * whole, abs=2)
+    sums = 8 * 6 * knocked.runs[0].linearisation.size * (whole - half) / STRIDE
+    assert more - less < 4.5 * sums

@@ -1,0 +1,103 @@
+"""The evidence of the noise: its slope is the slope, its maximum is the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.alignment.align import align
+from truepath.estimation.noise.noise_evidence import NoiseEvidence
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import Information, compute_posterior
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.problem.prior import compute_evidence_cost, guess_prior
+from truepath.estimation.problem.runs import RunInformation, RunInput
+from truepath.kinematics.coarse_model import add_half_widths, build_coarse_model
+from truepath.kinematics.identifiable import build_identifiable_model
+
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+
+
+@pytest.fixture(scope="module")
+def seen(record_small):
+    return align(record_small(3)[0])
+
+
+@pytest.fixture(scope="module")
+def rough(seen):
+    model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
+    about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
+    run = RunInformation(seen, about, compute_information(seen, about))
+    prior, _ = guess_prior(about.machine_model).fit(run.own.eliminate())
+    return run, prior
+
+
+@pytest.fixture(scope="module", params=[2e-4, np.inf], ids=["timed", "across"])
+def judged(request, rough):
+    run, prior = rough
+    noise = replace(NOISE, along_sigma_mm=request.param)
+    return evidence_of(run, prior, noise), noise
+
+
+def evidence_of(run, prior, noise=NOISE):
+    design = replace(run.linearisation, noise=noise).build(run.observations)
+    columns = np.delete(design.rows, design.fixed, axis=2)
+    known = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    return NoiseEvidence(design, columns, design.residual, known)
+
+
+def moved(noise, x):
+    beam, across, time, *jitter = np.exp(x)
+    along = noise.along_sigma_mm * jitter[0] if jitter else noise.along_sigma_mm
+    ou = (noise.ou[0] * beam, noise.ou[1] * across)
+    return NoiseModel(noise.white, ou, noise.ou_time_s * time, along)
+
+
+def test_the_gradient_is_the_slope_of_the_cost(judged):
+    evidence, noise = judged
+    found = evidence.evaluate(noise).gradient
+    for k, gradient in enumerate(found):
+        step = 1e-3 * np.eye(len(found))[k]
+        up, down = (evidence.evaluate(moved(noise, x)).cost for x in (step, -step))
+        assert gradient == pytest.approx((up - down) / 2e-3, rel=1e-3, abs=0.05)
+
+
+def test_the_curvature_leads_downhill(judged):
+    evidence, noise = judged
+    here = evidence.evaluate(noise)
+    assert np.linalg.eigvalsh(here.curvature).min() > 0.0
+    step = -np.linalg.solve(here.curvature, here.gradient)
+    there = evidence.evaluate(moved(noise, 0.1 * step))
+    assert there.cost < here.cost
+
+
+def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
+    run, prior = rough
+
+    def difference(cost):
+        return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3), ou_time_s=1.5))
+
+    def summed(noise):
+        data = run.replace_noise(noise).own.eliminate()
+        precision = prior.precision_matrix(prior.model.size)
+        return compute_evidence_cost(data, prior, compute_posterior(data, precision))
+
+    evidence = evidence_of(run, prior)
+    assert difference(lambda noise: evidence.evaluate(noise).cost) == pytest.approx(
+        difference(summed), abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("factor", [0.2, 5.0])
+def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
+    start = guess_noise(seen, perpendicular_only=False)
+    other = moved(start, np.log([factor, factor, 1.0 / factor, factor]))
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
+    best, again = (
+        refine_runs(model, [RunInput(seen, seen.pose, noise)])[0].noise
+        for noise in (start, other)
+    )
+    assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)
+    assert np.log(again.ou_time_s) == pytest.approx(np.log(best.ou_time_s), abs=0.3)

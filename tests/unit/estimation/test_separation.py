@@ -1,0 +1,145 @@
+"""The tool that would tell merged motions apart: its length keeps its promise."""
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mills import build_mill
+from truepath.estimation.problem import separation
+from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.normal_equations import compute_information
+from truepath.estimation.problem.observability import usual_precision_matrix
+from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.machine.machine import RotaryAxis
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.planning.grade import grade
+from truepath.planning.lines.default_path import default_path
+from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+
+STATION_MM = np.array([-900.0, 200.0, 100.0])
+SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
+
+
+FIRST = (30.0, 20.0, -100.0)
+
+
+def mill(*offsets):
+    return build_mill(*offsets, travel_mm=(250.0, 200.0, 150.0))
+
+
+def graded(machine, path=None, **options):
+    path = path or default_path(machine, **options)
+    return grade(machine, path, station_mm=STATION_MM)
+
+
+@cache
+def statements(machine, **options):
+    return {s[:3]: s for s in graded(machine, **options).unobservable}
+
+
+def table_sigma(machine, path, symbol):
+    seen = predict_cells(machine, path, STATION_MM)
+    model, _ = build_identifiable_model(machine, seen.at.offset_mm, intervals=10)
+    base = linearise(seen, model, seen.pose, EXPECTED_NOISE)
+    data = compute_information(seen, base)
+    prior = np.diag(np.full(model.size + 6, 1e-2))
+    prior[: model.size, : model.size] = usual_precision_matrix(model)
+    part = model.slices[symbol]
+    covariance = compute_posterior(data, prior).covariance[part, part]
+    motion = next(e for e in model.effects if e.name == symbol)
+    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 25))
+    return np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows).mean())
+
+
+def driven_with_both(machine, path):
+    n = len(path)
+    twice = {
+        name: np.concatenate([getattr(path, name)] * 2)
+        for name in ("position", "feed_mm_min", "dwell_s")
+    }
+    return replace(path, **twice, target=("T1",) * n + ("T2",) * n)
+
+
+@pytest.mark.parametrize("symbol", ["EBZ", "ECZ"])
+def test_the_second_tool_tells_the_turn_as_well_as_promised(symbol):
+    length, expanded = SAID.search(statements(mill(FIRST))[symbol]).groups()
+    way = np.array([0.6, 0.8, 0.0] if symbol == "ECZ" else [0.0, 0.0, -1.0])
+    second = tuple((np.array(FIRST) + float(length) * way).tolist())
+    machine = mill(FIRST, second)
+    path = driven_with_both(machine, default_path(machine))
+    promised = 0.5e-6 * float(expanded)
+    assert table_sigma(machine, path, symbol) == pytest.approx(promised, rel=0.35)
+
+
+def test_statements_begin_with_the_symbol_and_name_partners_and_length():
+    said = statements(mill(FIRST))
+    assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert "EBZ (turn of Z about Y) cannot be told from EXZ" in said["EBZ"]
+    assert "a second tool at least" in said["EBZ"]
+    assert "to the side, in X or Y," in said["ECZ"]
+
+
+def test_a_target_on_the_spindle_axis_is_told_to_move_aside():
+    said = statements(mill((0.0, 0.0, -100.0)))
+    assert "does not move the target" in said["ECZ"]
+    assert "to the side, in X or Y, shows it" in said["ECZ"]
+    # And that alone where two lengths of tools are measured.
+    machine = mill((0.0, 0.0, -100.0), (0.0, 0.0, -250.0))
+    path = driven_with_both(machine, default_path(machine))
+    said = graded(machine, path).unobservable
+    assert [s[:3] for s in said] == ["ECY", "ECZ"]
+    assert all("to the side" in s for s in said)
+
+
+def test_three_offsets_leave_nothing_to_separate():
+    offsets = [(0.0, 0.0, -100.0), (80.0, 0.0, -200.0), (0.0, 80.0, -300.0)]
+    machine = mill(*offsets)
+    path = default_path(machine)
+    path = replace(path, target=tuple(f"T{1 + i % 3}" for i in range(len(path))))
+    assert graded(machine, path).unobservable == ()
+
+
+def test_longer_tools_are_asked_for_where_less_is_measured():
+    machine = mill(FIRST)
+    lengths = [
+        float(SAID.search(said)[1]) * float(SAID.search(said)[2])
+        for said in (statements(machine, lines=n)["EBZ"] for n in (14, 40))
+    ]
+    assert lengths[0] > 1.3 * lengths[1]  # length times uncertainty: √2 u of EXZ
+
+
+def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
+    table = RotaryAxis("C", 0.0, 360.0, (250.0, 200.0, 0.0), (0.0, 0.0, 1.0))
+    mill_with_table = replace(
+        mill(FIRST),
+        workpiece_side=("C",),
+        axes=(*mill((0.0, 0.0, 0.0)).axes, table),
+        tracker=TrackerNoise(stands_on="base"),
+    )
+    said = statements(mill_with_table)
+    for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
+        assert "targets on the workpiece, three off one line" in said[symbol]
+    assert "a second tool at least" in said["EBZ"]
+
+
+def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
+    machine = mill((0.0, 0.0, -150.0))
+    offsets = np.array([[0.0, 0.0, -150.0]])
+    model, merged = build_identifiable_model(machine, offsets, intervals=5)
+    poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
+    for said in separation.describe_confounded(offsets, merged, model, poor):
+        assert "at least" not in said
+        assert "tell too little for any tool" in said
+
+
+def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
+    """What the targets do not tell moves another tool, and the grade counts it."""
+    own = mill(FIRST)
+    path = default_path(own)
+    aside = mill((0.0, 0.0, -400.0), FIRST)
+    other = replace(path, target=("T2",) * len(path))
+    assert graded(aside, other).number > 3.0 * graded(own, path).number

@@ -1,0 +1,293 @@
+"""Bundles: there and back again, folders and archives, speed."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import asdict, replace
+from pathlib import Path as FilePath
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+
+from truepath.documents import whole_files
+from truepath.errors import BundleError
+from truepath.files.bundle import bundle as bundle_file
+from truepath.files.bundle.bundle import (
+    check_archive,
+    read_bundle,
+    write_bundle,
+    zip_bundle,
+)
+from truepath.files.bundle.run import Run
+from truepath.kinematics.machine.machine import RotaryAxis, Target
+from truepath.motion.configurations import Configurations
+from truepath_drivers.interfaces.records import Path
+
+
+def assert_same(first: Run, second: Run) -> None:
+    """Everything that a bundle carries is equal to the last bit."""
+    told = {"name": "", "provenance": {}, "stream_file": ""}
+    runs = [replace(run, **told) for run in (first, second)]
+    np.testing.assert_equal(*map(asdict, runs))
+
+
+def test_the_quality_of_samples_is_kept_where_it_is_told(tmp_path, run):
+    told = np.linspace(0.1, 1.0, len(run.tracker)).astype(np.float32)
+    told[3] = np.nan
+    graded = replace(run, tracker=replace(run.tracker, quality=told))
+    write_bundle(graded, tmp_path / "told")
+    np.testing.assert_array_equal(read_bundle(tmp_path / "told").tracker.quality, told)
+    write_bundle(run, tmp_path / "untold")
+    assert read_bundle(tmp_path / "untold").tracker.quality is None
+
+
+def standstill(run: Run) -> Run:
+    points = Configurations(
+        run.commanded.axes, run.commanded.position, np.full(len(run.commanded), 2.0)
+    )
+    return replace(run, commanded=points, temperature=None, reference=())
+
+
+def five_axes(run: Run) -> Run:
+    """The Run of a machine with a table C, an inclined B and two targets."""
+    machine = replace(
+        run.machine,
+        workpiece_side=("C", "X"),
+        tool_side=("Y", "Z", "B"),
+        axes=(
+            *run.machine.axes,
+            RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8)),
+            RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        ),
+        targets=(
+            Target("T1", "tool", (20.0, 30.0, -150.0)),
+            Target("T2", "workpiece", (0.0, 100.0, 50.0)),
+        ),
+        tracker=replace(run.machine.tracker, stands_on="base", rate_hz=1000.0),
+    )
+    path = run.commanded
+    angles = np.linspace(0.0, 80.0, len(path))
+    position = np.column_stack([path.position, angles, 2 * angles])
+    commanded = Path(
+        ("X", "Y", "Z", "B", "C"),
+        position,
+        np.full(len(path), 3000.1),
+        path.dwell_s,
+        ("T1", "T1", "T2", "T2"),
+    )
+    return replace(run, machine=machine, commanded=commanded)
+
+
+@pytest.mark.parametrize("change", [lambda run: run, standstill, five_axes])
+def test_reading_what_was_written_gives_the_run_back(run, tmp_path, change):
+    wanted = change(run)
+    write_bundle(wanted, tmp_path / "out")
+    assert_same(read_bundle(tmp_path / "out"), wanted)
+    file = tmp_path / "upload.zip"
+    file.write_bytes(zip_bundle(wanted))
+    assert_same(read_bundle(file), wanted)
+    assert read_bundle(file).name == "upload"
+
+
+def zip_members(file: FilePath, **members: str | bytes) -> FilePath:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return file
+
+
+def test_an_archive_may_hold_the_files_at_its_top(bundle, run, tmp_path):
+    members = {one.name: one.read_bytes() for one in bundle.iterdir()}
+    members["__MACOSX/._machine.json/x/machine.json"] = b"junk"
+    members["notes.txt"] = b"mounted on the left"
+    assert_same(read_bundle(zip_members(tmp_path / "flat.zip", **members)), run)
+
+
+def test_an_odd_run_name_is_a_safe_folder_in_the_archive(run, tmp_path):
+    file = tmp_path / "odd.zip"
+    file.write_bytes(zip_bundle(replace(run, name="../../etc/ä b")))
+    with zipfile.ZipFile(file) as archive:
+        folders = {name.rsplit("/", 1)[0] for name in archive.namelist()}
+    assert folders == {"-..-etc-ä-b"}
+    assert_same(read_bundle(file), run)
+
+
+def test_a_csv_stream_is_read_like_a_parquet_stream(bundle, run):
+    table = pq.read_table(bundle / "tracker.parquet")
+    (bundle / "tracker.parquet").unlink()
+    pacsv.write_csv(table, bundle / "tracker.csv")
+    assert_same(read_bundle(bundle), run)
+
+
+def test_a_stream_of_single_precision_and_integers_is_read(bundle):
+    columns = {"t_s": [0, 1, 2], "x_mm": [1.5, 2.5, 3.5], "y_mm": [1, 2, 3]}
+    kinds = (pa.int64(), pa.float32(), pa.int32())
+    arrays = map(pa.array, columns.values(), kinds)
+    columns = dict(zip(columns, arrays, strict=True)) | {"z_mm": pa.array([0.0] * 3)}
+    table = pa.table(columns)
+    pq.write_table(table, bundle / "tracker.parquet")
+    tracker = read_bundle(bundle).tracker
+    np.testing.assert_array_equal(
+        tracker.position_mm, [[1.5, 1, 0], [2.5, 2, 0], [3.5, 3, 0]]
+    )
+    assert (tracker.status == 0).all()
+
+
+def test_cells_with_blanks_around_numbers_are_read(bundle, run):
+    file = bundle / "path.csv"
+    header, *rows = file.read_text().splitlines()
+    spaced = [header.replace(",", " , "), *(r.replace(",", " ,  ") for r in rows)]
+    file.write_text("﻿" + "\r\n".join(spaced) + "\r\n", encoding="utf-8")
+    assert_same(read_bundle(bundle), run)
+
+
+def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run):
+    keep = np.r_[0:100, 250:400]
+    write_bundle(replace(run, tracker=run.tracker.select(keep)), bundle)
+    np.testing.assert_array_equal(read_bundle(bundle).tracker.sequence, keep)
+
+
+def test_a_frame_that_came_twice_counts_once(bundle, run):
+    whole = run.tracker
+    twice = np.repeat(np.arange(len(whole)), np.arange(len(whole)) % 7 == 3) + 1
+    keep = np.sort(np.concatenate([np.arange(len(whole)), twice]))
+    write_bundle(replace(run, tracker=whole.select(keep)), bundle)
+    assert_same(read_bundle(bundle), run)
+
+
+def test_a_stream_of_one_sample_has_a_counter(bundle, run):
+    write_bundle(replace(run, tracker=run.tracker.select(slice(9, 10))), bundle)
+    assert read_bundle(bundle).tracker.sequence.tolist() == [0]
+
+
+def test_a_bundle_says_where_it_came_from(bundle):
+    read = read_bundle(bundle)
+    assert read.name == "bundle"
+    assert read.provenance["source"] == "bundle"
+    assert len(read.provenance["tracker.parquet sha256"]) == 64
+
+
+def test_writing_twice_replaces_the_files(run, bundle):
+    write_bundle(replace(run, name="again"), bundle)
+    assert_same(read_bundle(bundle), run)
+    names = "environment.csv machine.json path.csv reference.csv tracker.parquet"
+    assert sorted(p.name for p in bundle.iterdir()) == names.split()
+
+
+def test_a_bundle_is_not_mixed_with_another_one(run, bundle):
+    with pytest.raises(BundleError, match=r"path\.csv: of another bundle"):
+        write_bundle(standstill(run), bundle)
+
+
+def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatch):
+    def full(_handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(whole_files.os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_bundle(run, tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        (["../machine.json"], "points out of the archive"),
+        (["/etc/machine.json"], "points out of the archive"),
+        (["C:/machine.json"], "points out of the archive"),
+        (["a\\..\\b"], "points out of the archive"),
+        (
+            [f"{number}.txt" for number in range(4)],
+            r"odd\.zip: holds more than 3 files",
+        ),
+        (["a/machine.json", "b/path.csv"], "spreads a bundle over a, b"),
+        (
+            ["a/machine.json", "b/machine.json"],
+            r"machine\.json: is in the archive twice",
+        ),
+    ],
+)
+def test_an_archive_of_odd_members_is_refused(tmp_path, monkeypatch, members, said):
+    monkeypatch.setattr(bundle_file, "MAX_MEMBERS", 3)
+    file = zip_members(tmp_path / "odd.zip", **dict.fromkeys(members, "{}"))
+    with pytest.raises(BundleError, match=said):
+        read_bundle(file)
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle_file, "MAX_TEXT_BYTES", 1 << 20)
+    members = {"machine.json": b" " * (5 << 20)}
+    file = zip_members(tmp_path / "bomb.zip", **members)
+    assert file.stat().st_size < 10_000
+    with pytest.raises(BundleError, match=r"machine\.json: is larger than 1 MiB"):
+        read_bundle(file)
+    check_archive(file, 6 << 20)
+    with pytest.raises(BundleError, match="unpacks to 5 MiB, more than 2 MiB"):
+        check_archive(file, 2 << 20)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no archive"])
+def test_what_is_no_archive_is_refused(tmp_path, content):
+    file = tmp_path / "bundle.zip"
+    file.write_bytes(content)
+    with pytest.raises(BundleError, match="not a zip archive"):
+        check_archive(file, 1 << 20)
+
+
+def test_a_text_file_that_is_too_large_is_refused(bundle, monkeypatch):
+    monkeypatch.setattr(bundle_file, "MAX_TEXT_BYTES", 100)
+    with pytest.raises(BundleError, match=r"machine\.json: is larger than"):
+        read_bundle(bundle)
+
+
+def test_a_truncated_archive_is_refused(run, tmp_path):
+    file = tmp_path / "cut.zip"
+    file.write_bytes(zip_bundle(run)[:-100])
+    with pytest.raises(BundleError, match=r"cut\.zip: is truncated or not a zip"):
+        read_bundle(file)
+    with pytest.raises(BundleError, match=r"nowhere: no such folder or file"):
+        read_bundle(tmp_path / "nowhere")
+
+
+def test_a_damaged_member_is_refused(run, tmp_path):
+    file = tmp_path / "damaged.zip"
+    data = bytearray(zip_bundle(run))
+    at = data.index(b"PAR1") + 500
+    data[at : at + 10] = bytes(10)
+    file.write_bytes(data)
+    with pytest.raises(BundleError, match=r"tracker\.parquet: is damaged in the arch"):
+        read_bundle(file)
+
+
+def test_an_encrypted_archive_is_refused(run, tmp_path):
+    file = tmp_path / "secret.zip"
+    data = bytearray(zip_bundle(run))
+    for mark in (b"PK\x03\x04", b"PK\x01\x02"):
+        at = data.index(mark)
+        flags = at + (6 if mark == b"PK\x03\x04" else 8)
+        data[flags] |= 1
+    file.write_bytes(data)
+    with pytest.raises(BundleError, match="without a password"):
+        read_bundle(file)
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -1e300])
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_sample_that_is_nowhere_is_lost_whatever_its_status(bundle, kind, odd):
+    file = bundle / "tracker.parquet"
+    table = pq.read_table(file)
+    x_mm = table["x_mm"].to_numpy().copy()
+    x_mm[100:103] = odd
+    column = table.column_names.index("x_mm")
+    table = table.set_column(column, "x_mm", pa.array(x_mm))
+    if kind == "csv":
+        file.unlink()
+        pacsv.write_csv(table, bundle / "tracker.csv")
+    else:
+        pq.write_table(table, file)
+    samples = read_bundle(bundle).tracker
+    assert (samples.status[100:103] != 0).all()
+    assert (samples.status == 0).sum() == (table["status"].to_numpy() == 0).sum() - 3

@@ -1,0 +1,426 @@
+"""Exports as the software of the field writes them, made by hand from truth."""
+
+import io
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recorded import record_run
+from truepath.cli import command
+from truepath.errors import BundleError
+from truepath.files.bundle.bundle import write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.imports.options import TextOptions
+from truepath.files.imports.recording import read_recording
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.scenario import load_machine
+
+
+@pytest.fixture(scope="module")
+def drive(record):
+    """A recording on the fly."""
+    return record(1, rows=12)[0]
+
+
+@pytest.fixture(scope="module")
+def spots(record):
+    """Commanded points, and where a tracker that stands turned sees them."""
+    commanded = record(2, "standstill", rows=30)[0].commanded
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return commanded, commanded.position @ turn.T + [3000.0, 100.0, -50.0]
+
+
+def read(text, commanded, **options):
+    data = text if isinstance(text, bytes) else text.encode()
+    return read_recording(data, "export.txt", commanded, TextOptions(**options))
+
+
+def lines_of(run, form, first=None):
+    """Return a line a sample: form(number, seconds since the first, x, y, z)."""
+    time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
+    p = run.tracker.position_mm
+    rows = [form(k, t, *p[k]) for k, t in enumerate(time_s.tolist())]
+    return "\n".join([first, *rows] if first else rows)
+
+
+MM_HEAD = "t_s,x_mm,y_mm,z_mm"
+
+
+def stamped(run, stamp):
+    """Return lines of millimetres; stamp(number, seconds) writes the time."""
+    return lines_of(
+        run,
+        lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}",
+        MM_HEAD,
+    )
+
+
+def assert_stream(read, run, mm=6e-4, second=2e-6):
+    valid = run.tracker.status == 0
+    assert (read.samples.status == 0).tolist() == valid.tolist()
+    gap = read.samples.position_mm[valid] - run.tracker.position_mm[valid]
+    assert np.abs(gap).max() < mm
+    time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
+    assert np.abs(read.samples.device_time_s - time_s).max() < second
+
+
+SA_HEAD = (
+    "// Points Relative to Coordinate Frame 'A::WORLD'\n"
+    "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
+)
+
+
+def spatial(k, t, x, y, z):
+    """Collection, group, number, place, and a date of whole seconds."""
+    second = int(t + 0.3)
+    clock = f"11/28/2026 02:{second // 60:02d}:{second % 60:02d} AM"
+    return f"A, run, {k + 1}, {x:.4f}, {y:.4f}, {z:.4f}, {clock}"
+
+
+APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
+
+
+def join(form, between, *values):
+    return between.join(form.format(value) for value in values)
+
+
+def group(between, mark, *place, form="{:,.4f}"):
+    """Write micrometres with a mark between thousands."""
+    return between.join(form.format(1e3 * v).replace(",", mark) for v in place)
+
+
+def trailing(k, t, x, y, z):
+    return f"{t:.6f},{x:.4f},{y:.4f},{z:.4f},,"
+
+
+# The line above all, and what writes one.
+STREAMS = {
+    "SpatialAnalyzer": (SA_HEAD, spatial),
+    "SpatialAnalyzer, blanks": (SA_HEAD, lambda *p: spatial(*p).replace(", ", "  ")),
+    "UDP": (
+        None,
+        lambda k, t, x, y, z: (
+            f"X,{x:.4f},Y,{y:.4f},Z,{z:.4f},Rx,0.0012,Ry,-0.0301,Rz,1.2,"
+            f"Time(sec),{t:.6f}"
+        ),
+    ),
+    "exponents": (None, lambda k, *p: join("{:.9e}", "  ", *p)),
+    "exponents of Fortran": (
+        None,
+        lambda k, *p: join("{:.9E}", "  ", *p).replace("E", "D"),
+    ),
+    "trailing commas": (MM_HEAD, trailing),
+    "a column mostly empty": (
+        f"{MM_HEAD},Comment",
+        lambda k, *p: trailing(k, *p)[:-1] + ("start" if k == 5 else ""),
+    ),
+    "apostrophe and minus": (
+        "t [s];x [um];y [um];z [um]",
+        lambda k, t, *p: f"{t:.6f};{group(';', APOSTROPHE, *p)}".replace("-", MINUS),
+    ),
+    "narrow blanks, decimal commas": (
+        "t [s];x [µm];y [µm];z [µm]",
+        lambda k, t, *p: f"{t:.3f};{group(';', NARROW, *p)}".replace(".", ","),
+    ),
+    "blanks that do not break": (
+        "t[s] x[um] y[um] z[um]",
+        lambda k, t, *p: join(
+            "{}", "  ", f"{t:.6f}", group("  ", "\u00a0", *p, form="{:,.1f}")
+        ).replace(".", ","),
+    ),
+    "gon": (
+        "t [s]\tx [mm]\ty [mm]\tz [mm]\tHz [gon]\tV [gon]",
+        lambda k, *p: join("{:.6f}", "\t", *p) + f"\t{k % 400}.1\t99.2",
+    ),
+    "no units": ("t,x,y,z", trailing),
+}
+TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
+TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
+
+
+@pytest.mark.parametrize("style", STREAMS)
+def test_a_stream_is_read_as_its_software_writes_it(style, drive):
+    head, form = STREAMS[style]
+    got = read(lines_of(drive, form, head), drive.commanded)
+    assert_stream(got, drive, second=TOLD_TO_S.get(style, 2e-6))
+
+
+def test_a_log_without_times_is_read_at_a_rate_or_refused_naming_it(drive):
+    text = lines_of(
+        drive, lambda k, t, x, y, z: f"Cnt={k + 1} X={x:.4f} Y={y:.4f} Z={z:.4f}"
+    )
+    with pytest.raises(BundleError, match=r"time.*--rate"):
+        read(text, drive.commanded)
+    assert_stream(read(text, drive.commanded, rate_hz=500.0), drive)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6])
+def test_the_one_unit_that_fits_is_taken_and_said(unit, drive):
+    text = lines_of(
+        drive,
+        lambda k, t, x, y, z: (
+            f"{t * unit:.0f} {x / 25.4:.7f} {y / 25.4:.7f} {z / 25.4:.7f}"
+        ),
+        "time x y z",
+    )
+    got = read(text, drive.commanded)
+    assert_stream(got, drive)
+    assert "inch" in got.facts["unit"]
+    assert "500 Hz" in got.facts["time"]
+    assert {1e3: "ms", 1e6: "us"}[unit] in got.facts["time"]
+
+
+def test_metres_that_are_stated_as_mm_are_refused_with_file_and_factor(drive):
+    metres = replace(drive.tracker, position_mm=1e-3 * drive.tracker.position_mm)
+    text = stamped(replace(drive, tracker=metres), lambda k, t: t)
+    with pytest.raises(BundleError, match=r"export.txt.* 1000 times .*look like m\b"):
+        read(text, drive.commanded)
+
+
+@pytest.mark.parametrize("beam", ["alone", "side by side"])
+def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
+    gone = {500, 501, 502} if beam == "side by side" else {500, 900, 1500}
+    text = lines_of(
+        drive,
+        lambda k, t, x, y, z: (
+            f"{t:.6f}," + ("0,0,0" if k in gone else f"{x:.4f},{y:.4f},{z:.4f}")
+        ),
+        MM_HEAD,
+    )
+    got = read(text, drive.commanded)
+    assert set(np.flatnonzero(got.samples.status).tolist()) == gone
+
+
+def name_points(seen, form, count=None):
+    return "\n".join(form(k, *p) for k, p in enumerate(seen[:count]))
+
+
+@pytest.mark.parametrize("gone", [(), (7,), (7, 8)])
+def test_points_keep_their_place_beside_lost_ones(gone, spots):
+    commanded, seen = spots
+    text = "x_mm,y_mm,z_mm\n" + name_points(
+        seen,
+        lambda k, x, y, z: "0.0,0.0,0.0" if k in gone else f"{x:.4f},{y:.4f},{z:.4f}",
+    )
+    got = read(text, commanded)
+    assert got.points.row.tolist() == [
+        k for k in range(len(commanded)) if k not in gone
+    ]
+
+
+@pytest.mark.parametrize("tick", [0.016, 0.1])
+def test_stamps_in_bursts_become_the_times_of_rows_that_come_evenly(tick, drive):
+    got = read(stamped(drive, lambda k, t: t // tick * tick), drive.commanded)
+    assert_stream(got, drive, second=2.0 * tick)
+    step = np.diff(got.samples.device_time_s)
+    np.testing.assert_allclose(step, 0.002, rtol=1e-3)
+    assert any("500 Hz" in note for note in got.notes)
+
+
+def test_stamps_of_arrival_in_bursts_become_even(drive):
+    text = stamped(drive, lambda k, t: k // 8 * 0.016 + k % 8 * 2e-5)
+    got = read(text, drive.commanded)
+    np.testing.assert_allclose(np.diff(got.samples.device_time_s), 0.002, rtol=1e-3)
+
+
+def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(drive):
+    lines = stamped(drive, lambda k, t: t // 1.0).split("\n")
+    with pytest.raises(BundleError, match=r"row .*does not increase"):
+        read("\n".join(lines[:3100] + lines[3500:]), drive.commanded)
+    whole = read("\n".join(lines[:3001] + lines[5001:]), drive.commanded)
+    assert np.isclose(np.diff(whole.samples.device_time_s).max(), 4.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "head", "lowest"),
+    [
+        (2**32, 1e6, "us", 0),
+        (2**16, 1e3, "ms", 0),
+        (3600, 1.0, "s", 0),
+        (2**32, 1e6, "us", -(2**31)),
+    ],
+)
+def test_a_counter_that_wraps_goes_on(size, unit, head, lowest, drive):
+    begin = size + lowest - 9.0 * unit  # it wraps after nine seconds
+    text = stamped(drive, lambda k, t: (t * unit + begin - lowest) % size + lowest)
+    text = text.replace("t_s", f"t_{head}")
+    assert_stream(read(text, drive.commanded), drive, second=1e-5)
+
+
+def gsi(seen, digits, unit, factor):
+    blocks = ["410001+" + "0" * (digits - 2) + "17"]
+    for k, place in enumerate(seen):
+        words = [f"11{k + 1:04d}+" + f"P{k + 1}".rjust(digits, "0")]
+        words += [
+            f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{abs(round(v * factor)):0{digits}d}"
+            for axis, v in enumerate(place)
+        ]
+        words.append("87..10+" + "0" * digits)
+        blocks.append(" ".join(words) + " ")
+    star = "*" if digits == 16 else ""
+    return "\r\n".join(star + block for block in blocks)
+
+
+@pytest.mark.parametrize(
+    ("digits", "unit", "factor"), [(8, 6, 10.0), (16, 8, 100.0), (16, 0, 1.0)]
+)
+def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, spots):
+    commanded, seen = spots
+    got = read(gsi(seen, digits, unit, factor), commanded)
+    assert got.points.row.tolist() == list(range(len(commanded)))
+    assert np.abs(got.samples.position_mm - seen).max() < 0.51 / factor + 1e-6
+
+
+SEEN = {
+    "GSI angles": (
+        "\n".join(f"11{k:04d}+0000000{k} 21.102+19723700 " for k in range(9)),
+        "21",
+    ),
+    "spherical": (
+        "// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n"
+        + "\n".join(f"A, g, p{k}, 2000.{k}, 12.{k}, 3.{k}" for k in range(9)),
+        "SPHERICAL",
+    ),
+    "polar": (
+        "Nr;Hz [gon];V [gon];D [mm]\n"
+        + "\n".join(f"{k};{k}.5;99.{k};2000.{k}" for k in range(9)),
+        r"Hz \[gon\]",
+    ),
+    "an interferometer": (
+        "HEADER::\nFile type 0-RTL\nTARGETS:: 5\nTarget-data: \nDEVIATIONS::\n"
+        "Run Target Data:\n1 0.0012\n2 0.0013\nEOF::\n",
+        "HEADER::",
+    ),
+    "prose": ("Some words\nof a log\nthat holds nothing\n", "that holds nothing"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SEEN)
+def test_what_is_no_export_of_x_y_z_is_refused_naming_what_was_seen(case, spots):
+    text, words = SEEN[case]
+    with pytest.raises(BundleError, match=words):
+        read(text, spots[0])
+
+
+def test_names_are_matched_whole(spots):
+    commanded, seen = spots
+    few = replace(
+        commanded, position=commanded.position[:3], dwell_s=commanded.dwell_s[:3]
+    )
+    head = "Name;x_mm;y_mm;z_mm\n"
+
+    def named(*names):
+        return head + "\n".join(
+            f"{name};{x:.4f};{y:.4f};{z:.4f}"
+            for name, (x, y, z) in zip(names, seen, strict=False)
+        )
+
+    for names in (["P12-1", "P12-2", "P12-3"], ["P1", "P2", "Q1"], ["P1", "P2", "P9"]):
+        with pytest.raises(BundleError, match=r"export.txt, row \d, column Name: "):
+            read(named(*names), few)
+    got = read(named("Run 2::P3", "Run 2::P1", "Run 2::P2"), few)
+    assert got.points.row.tolist() == [2, 0, 1]
+    assert "Run 2::P3 is 3" in got.facts["rows of points"]
+    shots = read(named("P1", "P1", "P2", "P3"), few)
+    assert shots.points.count.tolist() == [2, 1, 1]
+
+
+def test_shots_within_one_second_are_shots(spots):
+    commanded, seen = spots
+    text = (
+        SA_HEAD
+        + "\n"
+        + "\n".join(
+            f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
+            for k, (x, y, z) in enumerate(seen)
+            for shot in (0.0, 0.001, 0.002)
+        )
+    )
+    got = read(text, commanded)
+    assert got.points.row.tolist() == list(range(len(commanded)))
+    assert set(got.points.count.tolist()) == {3}
+
+
+def import_export(capsys, folder, lines, run, path):
+    """Import lines for a Run's machine and path; return the status and what is said."""
+    if not (folder / "truth").exists():
+        write_bundle(run, folder / "truth")
+    (folder / "export.txt").write_text("\n".join(lines), encoding="utf-8")
+    status = command.run(arguments(folder, path))
+    return status, capsys.readouterr()
+
+
+def test_a_name_in_points_csv_is_the_whole_name(spots, tmp_path, record, capsys):
+    truth = record(2, "standstill", rows=30)[0]
+    write_bundle(truth, tmp_path / "truth")
+    points = tmp_path / "truth" / "points.csv"
+    head, *rows = points.read_text().splitlines()
+    named = [f"{row},P12-{k}" for k, row in enumerate(rows, 1)]
+    points.write_text("\n".join([f"{head},name", *named]) + "\n")
+    lines = ["Name;x_mm;y_mm;z_mm"]
+    for k, (x, y, z) in enumerate(spots[1], 1):
+        lines.append(f"A::b::P12-{k};{x:.4f};{y:.4f};{z:.4f}")
+    status, said = import_export(capsys, tmp_path, lines, truth, "points.csv")
+    assert status == 0, said.err
+    assert "A::b::P12-3 is 3" in " ".join(said.out.replace("│", " ").split())
+
+
+def test_points_beside_lost_ones_and_a_stray_fit_what_was_commanded(
+    spots, tmp_path, record, capsys
+):
+    seen = spots[1].copy()
+    seen[[7, 8]] = 0.0
+    seen[20] += [30.0, -20.0, 10.0]
+    lines = ["x_mm,y_mm,z_mm", *(f"{x:.4f},{y:.4f},{z:.4f}" for x, y, z in seen)]
+    truth = record(2, "standstill", rows=30)[0]
+    status, said = import_export(capsys, tmp_path, lines, truth, "points.csv")
+    assert status == 0, said.err
+    assert "2 rows of 0, 0, 0" in said.err
+
+
+def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
+    content = load_machine("trunnion")
+    program = turning_path(parse_machine(content), 5, 16, 9000.0)
+    run, _ = record_run(content, program)
+    position = run.commanded.position.copy()
+    position[:, run.commanded.axes.index("C")] *= -1.0
+    content["axes"]["C"] |= {"min_deg": -3600.0, "max_deg": 3600.0}
+    commanded = replace(run.commanded, position=position)
+    run = replace(run, machine=machine_from_json(content), commanded=commanded)
+    lines = lines_of(
+        run, lambda k, t, x, y, z: f"{t:.6f},{x:.5f},{y:.5f},{z:.5f}", MM_HEAD
+    )
+    status, said = import_export(capsys, tmp_path, [lines], run, "path.csv")
+    assert status == 2
+    assert "axis C counted the other way" in said.err
+
+
+def arguments(folder, path):
+    truth = folder / "truth"
+    return [
+        "import", str(folder / "export.txt"), "--machine",
+        str(truth / "machine.json"), "--path", str(truth / path), "-o",
+        str(folder / "bundle"), "--dry-run",
+    ]  # fmt: skip
+
+
+def test_what_is_shown_survives_a_terminal_of_ascii(drive, tmp_path, monkeypatch):
+    write_bundle(drive, tmp_path / "truth")
+    text = lines_of(
+        drive,
+        lambda k, t, x, y, z: f"{t:.6f};{x:.4f};{y:.4f};{z:.4f};20.5;1",
+        "t [s];x [mm];y [mm];z [mm];Lufttemperatur [°C];Δ",
+    )
+    (tmp_path / "export.txt").write_text(text, encoding="utf-8")
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
+    monkeypatch.setattr(sys, "argv", ["truepath", *arguments(tmp_path, "path.csv")])
+    monkeypatch.setattr(command, "choose_thread_limits", dict)
+    with pytest.raises(SystemExit) as ended:
+        command.main()
+    sys.stdout.flush()
+    assert ended.value.code == 0
+    assert b"Lufttemperatur" in shown.getvalue()

@@ -1,0 +1,229 @@
+"""Jobs that compute: what they are made of, their stages and how they end."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import CancelledError
+from types import SimpleNamespace
+
+import pytest
+
+from scripted_cell import wait_until
+from truepath.catalogue.errors import Aborted, QueueFull
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import Verb
+from truepath.errors import BundleError, NotFound
+from truepath.jobs.dispatch import dispatcher as dispatching
+from truepath.jobs.kinds import workflow
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.workers.workers import Workers
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.numerics.adaptive_trials import TrialPlan
+
+
+@pytest.fixture
+def analysing(open_dispatcher):
+    """A dispatcher of a service without a machine."""
+    return open_dispatcher(machines=Machines())
+
+
+@pytest.fixture
+def analyse(analysing, run):
+    """Asks for an analysis of the Run."""
+
+    def analyse(dispatcher=analysing, **request):
+        request = {"run_ids": [run.id], **request}
+        return dispatcher.create(RequestedJob(JobKind.ANALYSE, **request))[0]
+
+    return analyse
+
+
+@pytest.fixture
+def other(context, run, bundle):
+    """A second Run."""
+    bundle.write_bytes(context.runs.file(run.id).read_bytes())
+    return context.runs.add_uploaded(bundle, "the other side")
+
+
+@pytest.mark.database
+def test_an_uploaded_run_is_catalogued_with_what_it_holds(context, run, bundle):
+    assert (run.name, run.origin, run.mode) == (
+        "from the shop floor",
+        "uploaded",
+        "standstill",
+    )
+    assert (run.samples, run.lost_samples, run.complete) == (10, 3, True)
+    assert run.plan["kind"] == "points"
+    assert not bundle.exists()
+    file = context.runs.file(run.id)
+    assert context.runs.bundle(run.id) == file
+    assert len(open_recorded(file).tracker) == 10
+    file.unlink()
+    with pytest.raises(NotFound, match="has gone from the folder"):
+        context.runs.file(run.id)
+
+
+@pytest.mark.database
+def test_runs_come_newest_first_in_pages(context, bundle, tmp_path):
+    kept = bundle.read_bytes()
+    made = []
+    for number in range(3):
+        copy = tmp_path / f"copy{number}.zip"
+        copy.write_bytes(kept)
+        made.append(context.runs.add_uploaded(copy, str(number)))
+    first = context.runs.list_page(2)
+    rest = context.runs.list_page(2, before_seq=first[-1].seq)
+    assert [run.id for run in first + rest] == [run.id for run in reversed(made)]
+
+
+def test_an_uploaded_run_is_analysed_and_its_stages_are_told(
+    analyse, context, run, science, event_bus, until
+):
+    heard = []
+    event_bus.subscribe(heard.append)
+    ended = until(analyse(perpendicular_only=True))
+    assert (ended.state, ended.run_id) == ("succeeded", run.id)
+    assert science.calls == [
+        ([str(context.runs.file(run.id))], str(context.results / ended.id), True)
+    ]
+    stages = [n.body["stage"] for n in heard if n.type == "progress"]
+    assert set(stages) == {"aligning", "estimating", "reporting"}
+
+
+def test_several_runs_are_analysed_together(
+    analyse, context, run, other, science, until
+):
+    ended = until(analyse(run_ids=[other.id, run.id]))
+    assert (ended.run_id, ended.run_ids) == (other.id, (other.id, run.id))
+    files = [str(context.runs.file(i)) for i in (other.id, run.id)]
+    assert science.calls[0][0] == files
+
+
+@pytest.mark.fault_row(26)
+@pytest.mark.parametrize("kind", [JobKind.ANALYSE, JobKind.DISCOVER])
+def test_a_run_whose_file_was_changed_is_not_analysed(
+    analysing, context, run, other, science, until, kind
+):
+    file = context.runs.file(other.id)
+    file.write_bytes(file.read_bytes() + b"changed")
+    ended = until(analysing.create(RequestedJob(kind, [run.id, other.id]))[0])
+    assert ended.state == "failed"
+    assert ended.failure.family == "BundleError"
+    said = f"{file.name}: has been changed since it was catalogued"
+    assert ended.failure.detail.startswith(said)
+    assert "put the file back from a backup" in ended.failure.detail
+    assert not science.calls
+
+
+def test_an_unknown_run_is_refused_alone_or_among_others(analyse, run):
+    for run_ids in (["nowhere"], [run.id, "nowhere"]):
+        with pytest.raises(NotFound, match="no run nowhere"):
+            analyse(run_ids=run_ids)
+
+
+def test_trials_reach_the_science_with_who_computes_them(
+    analyse, science, open_dispatcher, until
+):
+    dispatcher = open_dispatcher(machines=Machines(), workers=Workers(count=3))
+    plan = TrialPlan(seed=11, digits=2, interval="shortest")
+    assert until(analyse(dispatcher, monte_carlo=plan)).monte_carlo == plan
+    assert science.trials == [(plan, Workers(count=3))]
+
+
+def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
+    analyse, open_dispatcher, until
+):
+    def dreaming(run_files, folder, *_, on_progress):
+        on_progress(0.5, "dreaming")
+
+    alone = open_dispatcher(science=dreaming, machines=Machines())
+    assert until(analyse(alone)).stage == "aligning"
+
+
+def test_a_bad_bundle_fails_the_analysis_with_its_place_and_an_end_ends_it(
+    analyse, science, until
+):
+    science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
+    failure = until(analyse(), "failed").failure
+    assert failure.family == "BundleError"
+    assert failure.detail == "tracker.csv, row 7, column x_mm: is NaN"
+    science.raises = Aborted("the service is ending")
+    until(analyse(), "aborted")
+
+
+def test_more_jobs_than_can_wait_are_refused(
+    analysing, analyse, science, monkeypatch, until
+):
+    monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
+    science.hold = threading.Event()
+    jobs = [analyse() for _ in range(2)]
+    with pytest.raises(QueueFull, match="2 jobs are under way"):
+        analyse()
+    for job in jobs:
+        analysing.abort(job.id)
+        until(job)
+
+
+def test_a_standstill_run_steps_through_its_points_and_is_packed_once_as_a_bundle(
+    context, dispatcher, begin, cell, until
+):
+    places = (1.0, 2.0, 3.0), (90.0, 2.0, 3.0), (1.0, 90.0, 3.0)
+    points = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.5} for x, y, z in places]
+    request = RequestedJob(JobKind.MEASURE_STANDSTILL, rows=points)
+    job = begin(dispatcher.create(request)[0])
+    assert cell.order.commanded.dwell_s.tolist() == [0.5] * 3
+    cell.end()
+    assert until(job, "succeeded").kind == "measure-standstill"
+    assert context.runs.get(job.id).mode == "standstill"
+    packed = context.runs.bundle(job.id)
+    again = open_recorded(packed)
+    assert len(again.tracker) == 50
+    assert again.commanded.position.tolist() == [list(one) for one in places]
+    before = packed.stat().st_mtime_ns
+    assert context.runs.bundle(job.id).stat().st_mtime_ns == before
+
+
+def test_what_interrupted_uploads_left_is_swept_away(context, analysing):
+    left = context.runs.make_upload_file()
+    assert left.is_file()
+    analysing.interrupt_unfinished_jobs()
+    assert not left.exists()
+
+
+class _CancelledFuture:
+    """A computation that ends as a future does that somebody has cancelled."""
+
+    def __init__(self, started):
+        self._started, self._cancelled = started, threading.Event()
+
+    def result(self):
+        self._started()
+        assert self._cancelled.wait(5)
+        raise CancelledError
+
+    def cancel(self):
+        self._cancelled.set()
+
+
+@pytest.mark.parametrize("verb", ["abort", "close"])
+def test_what_a_cancelled_job_trips_over_is_no_failure(
+    context, analyse, open_dispatcher, monkeypatch, verb
+):
+    """The future ends before the catalogue has taken the abort."""
+    executor = SimpleNamespace(
+        submit=lambda *_, started, **__: _CancelledFuture(started)
+    )
+    dispatcher = open_dispatcher(machines=Machines(), executor=executor)
+    errors = []
+    monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))
+    job = analyse(dispatcher)
+    wait_until(lambda: context.store.get(job.id).state == "running")
+    if verb == "abort":
+        dispatcher._under_way.require(job.id, Verb.ABORT).abort()
+    else:
+        dispatcher.close()
+    ended = "aborted" if verb == "abort" else "queued"
+    wait_until(lambda: context.store.get(job.id).state == ended)
+    assert context.store.get(job.id).failure is None
+    assert errors == []

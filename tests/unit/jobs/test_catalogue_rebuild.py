@@ -1,0 +1,282 @@
+"""A catalogue made again from Runs and results on disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from unittest.mock import Mock
+
+import pytest
+from sqlalchemy import select
+
+from job_builders import begin_run, make_samples, write_bundle_zip
+from scripted_cell import ReaderHere
+from truepath.catalogue import schema
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.runs import RunCatalogue
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
+from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.dispatch.catalogue_rebuild import (
+    check_against_disk,
+    rebuild_catalogue,
+)
+from truepath.jobs.dispatch.deletion import Deletion
+from truepath.measurement.run_file.run_file import Batch
+from truepath_simulators.scenario import load_machine
+
+VERDICT = {"state": "usable", "reasons": []}
+
+
+@contextmanager
+def open_catalogue(folder):
+    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
+    try:
+        yield database
+    finally:
+        database.close()
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory, empty_catalogue):
+    """A data folder with a history, to be copied."""
+    folder = tmp_path_factory.mktemp("history")
+    shutil.copyfile(empty_catalogue, folder / "catalogue.sqlite")
+    with open_catalogue(folder) as database:
+        fill(folder, database, machine_from_json(load_machine("demo")))
+    return folder
+
+
+@pytest.fixture
+def folder(history, tmp_path, monkeypatch):
+    """A data folder whose catalogue may be spoiled."""
+    reader = "truepath.jobs.dispatch.catalogue_rebuild.RunReader"
+    monkeypatch.setattr(reader, ReaderHere)
+    return shutil.copytree(history, tmp_path, dirs_exist_ok=True)
+
+
+def fill(folder, database, machine):
+    runs = RunCatalogue(database, folder / "runs", ReaderHere())
+    store = Store(database, lambda _: None)
+
+    def measure(run_id, job_id, name):
+        recorder = begin_run(runs, machine, run_id, job_id, name)
+        recorder.put_tracker(make_samples())
+        recorder.close("finished")
+        runs.add_measured(run_id)
+
+    def end(job, **values):
+        running = store.change(job.id, lambda j: replace(j, state=State.RUNNING))
+        done = replace(running, state=State.SUCCEEDED, **values)
+        store.change(job.id, lambda _: done)
+        return job.id
+
+    def write(job_id, name, **content):
+        file = folder / "results" / job_id / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps({"verdict": VERDICT, **content}))
+
+    measured, _ = store.create(Job(JobKind.MEASURE_OTF))
+    measure(measured.id, measured.id, "mill monday")
+    write(measured.id, "result.json", runs=[{"name": "mill monday"}])
+    end(measured, run_id=measured.id)
+
+    uploaded = write_bundle_zip(machine, folder / "sent.zip")
+    sent = runs.add_uploaded(uploaded, "from the shop floor")
+
+    analysed, _ = store.create(Job(JobKind.ANALYSE))
+    both = [{"name": sent.id}, {"name": "mill monday"}, {"name": "mill monday"}]
+    write(analysed.id, "result.json", runs=both)
+    end(analysed, run_id=sent.id, further_run_ids=(measured.id,))
+
+    found, _ = store.create(Job(JobKind.DISCOVER))
+    write(found.id, "discovery.json", runs=[{"name": "mill monday"}])
+    write(found.id, "model.json")
+    end(found, run_id=measured.id)
+
+    broken, _ = store.create(Job(JobKind.MEASURE_OTF))
+    for run_id, name in (
+        (broken.id, "mill tuesday, station 1"),
+        ("p1", "mill tuesday, known points, station 2"),
+        ("s2", "mill tuesday, station 2"),
+    ):
+        measure(run_id, broken.id, name)
+    store.change(broken.id, lambda j: replace(j, state=State.ABORTING))
+
+
+def rebuild(folder):
+    with open_catalogue(folder) as database:
+        runs, results = folder / "runs", folder / "results"
+        return rebuild_catalogue(database, runs, results), read_rows(database)
+
+
+def read_rows(database):
+    found = {}
+    with database.read() as connection:
+        for table in (schema.runs, schema.jobs):
+            rows = connection.execute(select(table).order_by(table.c.id)).mappings()
+            found[table.name] = [
+                {k: v for k, v in row.items() if k not in ("seq", "version")}
+                for row in rows
+            ]
+    return found
+
+
+def spoil(folder):
+    (folder / "catalogue.sqlite").write_bytes(b"garbage " * 99)
+
+
+@pytest.mark.fault_row(37)
+def test_jobs_runs_results_and_models_come_back(folder):
+    with open_catalogue(folder) as database:
+        before = read_rows(database)
+    spoil(folder)
+    recovered, after = rebuild(folder)
+    assert (recovered.runs, recovered.jobs) == (5, 4)
+    assert (recovered.results, recovered.models, recovered.unreadable) == (3, 1, {})
+    assert recovered.aside is not None
+    assert recovered.aside.read_bytes() == b"garbage " * 99
+    for old, new in zip(before["runs"], after["runs"], strict=True):
+        same = {k: v for k, v in new.items() if k not in ("name", "created")}
+        assert same == {k: old[k] for k in same}
+    kept = ("id", "kind", "run_id", "further_run_ids")
+    for old, new in zip(before["jobs"][:3], after["jobs"][:3], strict=True):
+        assert {k: new[k] for k in kept} == {k: old[k] for k in kept}
+        assert (new["state"], new["verdict"]) == ("succeeded", "usable")
+    assert after["jobs"][0]["plan"]["kind"] == "path"
+    last = after["jobs"][-1]  # of two stations, and without a result
+    assert (last["kind"], last["state"]) == ("measure-otf", "interrupted")
+    assert (last["run_id"], last["further_run_ids"]) == (last["id"], ["s2"])
+    assert "the catalogue that knew how it ended is lost" in last["failure"]["detail"]
+    again, second = rebuild(folder)
+    assert second == after
+    assert (again.aside, again.runs, again.jobs) == (None, 0, 0)
+
+
+def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
+    with open_catalogue(folder) as database:
+        store = Store(database, lambda _: None)
+        failed, _ = store.create(Job(JobKind.ANALYSE))
+        store.change(failed.id, lambda job: replace(job, state=State.FAILED))
+        before = read_rows(database)
+        database.write(
+            lambda c: c.execute(schema.runs.delete().where(schema.runs.c.id == "s2"))
+        )
+    recovered, after = rebuild(folder)
+    assert (recovered.aside, recovered.runs, recovered.jobs) == (None, 1, 0)
+    assert after["jobs"] == before["jobs"]
+
+
+@contextmanager
+def deletion(folder):
+    """Gives what deletes, the Runs, and the jobs by their kind."""
+    with open_catalogue(folder) as database:
+        runs = RunCatalogue(database, folder / "runs", ReaderHere())
+        jobs = {row["kind"]: row["id"] for row in read_rows(database)["jobs"]}
+        yield Deletion(database, runs, folder / "results"), runs, jobs
+
+
+def ids_of(rows):
+    return {table: [row["id"] for row in found] for table, found in rows.items()}
+
+
+@pytest.mark.parametrize("damage", [lambda _: None, spoil])
+def test_what_was_deleted_stays_deleted(folder, damage):
+    """A job whose Run stays, a Run with what was made from it, files left behind."""
+    with deletion(folder) as (deleting, runs, jobs):
+        (sent,) = (r.id for r in runs.list_all() if r.origin == "uploaded")
+        deleting.delete_job(jobs["discover"])
+        deleting.delete_run(sent, with_results=True)
+        measured = next(r.id for r in runs.list_all() if r.name == "mill monday")
+        deleting.delete_job(measured)
+    with open_catalogue(folder) as database:
+        before = ids_of(read_rows(database))
+    damage(folder)
+    after = ids_of(rebuild(folder)[1])
+    assert after == before
+    assert measured in after["runs"]
+
+
+def test_a_result_that_outlives_its_deletion_makes_no_job(folder, monkeypatch):
+    """The rows are gone and the disk refuses to give the files up."""
+    with (
+        deletion(folder) as (deleting, _, jobs),
+        monkeypatch.context() as m,
+    ):
+        refused = Mock(side_effect=OSError)
+        m.setattr("truepath.jobs.dispatch.deletion.shutil.rmtree", refused)
+        deleting.delete_job(jobs["discover"])
+    assert (folder / "results" / jobs["discover"] / "discovery.json").is_file()
+    assert jobs["discover"] not in ids_of(rebuild(folder)[1])["jobs"]
+    spoil(folder)
+    assert jobs["discover"] not in ids_of(rebuild(folder)[1])["jobs"]
+
+
+def test_what_cannot_be_read_is_named_and_kept(folder):
+    spoil(folder)
+    garbage = folder / "runs" / "odd.sqlite"
+    garbage.write_bytes(b"no Run")
+    (folder / "results" / "strange").mkdir()
+    (folder / "results" / "strange" / "result.json").write_text('{"verdict": "cut')
+    recovered, rows = rebuild(folder)
+    assert set(recovered.unreadable) == {"run odd", "result strange"}
+    assert garbage.read_bytes() == b"no Run"
+    assert len(rows["runs"]) == 5
+
+
+def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten(
+    folder, monkeypatch
+):
+    spoil(folder)
+    recovered, first = rebuild(folder)
+    spoil(folder)
+    aside = recovered.aside
+    assert aside is not None
+    stamp = aside.name.split("-")[-1].removesuffix(".sqlite")
+    monkeypatch.setattr(
+        "truepath.jobs.dispatch.catalogue_rebuild.time.strftime", lambda *_: stamp
+    )
+    with pytest.raises(BadInput, match="exists already"):
+        rebuild(folder)
+    assert (folder / "catalogue.sqlite").read_bytes() == b"garbage " * 99
+    aside.rename(folder / "older")
+    assert rebuild(folder)[1] == first
+
+
+def test_a_check_names_where_catalogue_and_disk_disagree(folder):
+    with open_catalogue(folder) as database:
+        assert check_against_disk(database, folder / "runs")["runs_without_row"] == []
+        (folder / "runs" / "s2.sqlite").rename(folder / "runs" / "s3.sqlite")
+        found = check_against_disk(database, folder / "runs")
+    assert (found["jobs"], found["runs"]) == (4, 5)
+    assert found["runs_without_row"] == ["s3"]
+    assert found["rows_without_file"] == ["s2"]
+
+
+def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
+    """One byte of one batch is another, and its CRC fits: only the digest tells."""
+
+    def find_changed(*, with_hashes):
+        with open_catalogue(folder) as database:
+            runs = folder / "runs"
+            found = check_against_disk(database, runs, with_hashes=with_hashes)
+            return found["changed_files"]
+
+    assert find_changed(with_hashes=True) == []
+    file = folder / "runs" / "s2.sqlite"
+    file.chmod(0o644)
+    with closing(sqlite3.connect(file)) as connection, connection:
+        named = "stream, seq0, n, mono_ns, wall_ns, payload"
+        *head, payload = connection.execute(f"SELECT {named} FROM batch").fetchone()
+        batch = Batch(*head, payload[:-1] + bytes([payload[-1] ^ 1]))
+        connection.execute(
+            "UPDATE batch SET payload = ?, crc32 = ? WHERE stream = ? AND seq0 = ?",
+            (batch.payload, batch.crc32, batch.stream, batch.seq0),
+        )
+    assert find_changed(with_hashes=False) is None
+    assert find_changed(with_hashes=True) == ["s2"]

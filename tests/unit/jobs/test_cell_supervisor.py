@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from scripted_cell import CellMaker, wait_until
+from truepath.catalogue.errors import CellDown, DeviceSettings
+from truepath.errors import MeasurementFailed, TruepathError
+from truepath.machines import cell_status
+from truepath.machines.cell_supervisor import CellSupervisor
+from truepath.measurement.messages import CellVerb, ControllerRead
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.errors import WrongDevice
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
+
+
+@pytest.fixture
+def maker():
+    return CellMaker()
+
+
+@pytest.fixture
+def supervisor(maker):
+    supervisor = CellSupervisor(maker, first_pause_s=0.02)
+    yield supervisor
+    supervisor.close()
+
+
+@pytest.fixture
+def running(supervisor, maker):
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "disconnected")
+    return supervisor
+
+
+def test_a_new_cell_opens_no_port_and_connecting_names_the_devices(running, maker):
+    assert maker.cell.heard == []
+    assert not running.status.connected
+    devices = running.connect()
+    assert devices["tracker"]["serial_number"] == "T-1"
+    assert running.status.connected
+    assert running.status.state == "ready"
+    running.connect()
+    assert maker.cell.heard == ["connect", "connect"], "they are asked again"
+
+
+def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
+    running, maker, monkeypatch
+):
+    def read(state):
+        status = state and MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0)
+        maker.cell.say(ControllerRead(status, "" if status else "no answer"))
+        expected = status
+        wait_until(lambda: running.controller and running.controller.status == expected)
+        return running.read_standstill()
+
+    assert running.read_standstill() is None
+    assert read("idle") is True
+    assert read("running") is False
+    assert read("held") is False, "it could go on"
+    assert read(None) is None
+    assert read("aborted") is True
+    for state in ("running", "aborted"):
+        maker.cell.say_state(state)
+        wait_until(lambda now=state: running.status.state == now)
+        assert running.read_standstill() is None, "not read since"
+    assert read("idle") is True
+    monkeypatch.setattr(cell_status, "FRESH_S", 0.0)
+    assert running.read_standstill() is None
+
+
+@pytest.mark.parametrize(
+    ("refusal", "family"),
+    [
+        (WrongDevice("a printer answers"), WrongDevice),
+        (TruepathError("no tracker called x is installed"), DeviceSettings),
+        (MeasurementFailed("the cell process did not answer"), CellDown),
+    ],
+)
+def test_a_device_that_refuses_is_named_and_not_connected(
+    running, maker, refusal, family
+):
+    running.connect()
+    maker.cell.refuses = refusal
+    with pytest.raises(family, match=str(refusal)):
+        running.connect()
+    assert not running.status.connected
+
+
+def test_a_fault_of_the_machine_makes_connecting_necessary(running, maker):
+    running.connect()
+    maker.cell.fault("link-lost", "the cable is out", "plug it in")
+    maker.cell.say_state("faulted")
+    wait_until(lambda: running.status.state == "faulted")
+    assert running.status.text == "the cable is out"
+    assert not running.status.connected
+
+
+@pytest.mark.parametrize("end", ["die", "kill"])
+def test_a_cell_that_dies_or_is_killed_is_made_anew_and_connects_to_nothing(
+    running, maker, end
+):
+    first = maker.cell
+    running.connect()
+    if end == "die":
+        first.die()
+    else:
+        running.kill()
+    wait_until(lambda: maker.cell is not first)
+    wait_until(lambda: running.status.state == "disconnected")
+    assert running.status.restarts == 1
+    assert first.heard == ["connect", "kill"][: 2 - (end == "die")]
+    assert first.closed
+    assert maker.cell.heard == []
+    running.connect()
+
+
+def test_a_cell_that_does_not_start_is_tried_again_with_growing_pauses(
+    supervisor, maker
+):
+    maker.fails = 2
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "disconnected")
+    assert supervisor.status.restarts == 2
+
+
+def test_while_there_is_no_cell_verbs_are_refused_at_once(maker):
+    supervisor = CellSupervisor(maker, first_pause_s=30.0)
+    maker.fails = 1
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "down")
+    with pytest.raises(CellDown, match="no more processes"):
+        supervisor.connect()
+    assert isinstance(supervisor.send(CellVerb.ABORT).exception(5), CellDown)
+    supervisor.close()
+
+
+def test_after_the_end_verbs_are_refused(supervisor):
+    supervisor.close()  # it was never started
+    with pytest.raises(CellDown, match="ending"):
+        supervisor.connect()
+
+
+@pytest.mark.parametrize("asked", ["connect", "begin"])
+def test_a_cell_that_hangs_is_reported_and_killed_where_it_may_have_begun(
+    clock, running, maker, monkeypatch, asked
+):
+    monkeypatch.setattr("truepath.machines.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    first, hold = maker.cell, threading.Event()
+    setattr(first, asked, lambda *_: host_clock.wait(hold, 5.0) and {})
+    order = () if asked == "connect" else (None, lambda event: None, lambda: False)
+    with pytest.raises(CellDown, match="does not answer"):
+        getattr(running, asked)(*order)
+    hold.set()
+    wait_until(lambda: asked == "connect" or maker.cell is not first)
+
+
+def test_in_a_measurement_connecting_disturbs_nothing(running, maker):
+    running.connect()
+    maker.cell.deaf.add("begin")
+    assert running.begin(None, lambda event: None, lambda: False)
+    assert running.connect()["motion"]["serial_number"] == "C-1"
+    assert maker.cell.heard == ["connect", "begin"]
+    running.ignore_events()

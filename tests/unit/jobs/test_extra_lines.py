@@ -1,0 +1,205 @@
+"""Extra lines of a discovery: driven when armed, then explained with all before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from scripted_cell import Explorer
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import NotFound, OutOfTravel, PlanningError
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.motion.configurations import Configurations
+
+ROWS = [
+    {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},
+    {"x_mm": 400.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 900.0, "dwell_s": 0.35},
+]
+
+
+VICE = {"name": "vice", "min_mm": [200, 0, 0], "max_mm": [300, 50, 50]}
+DOOR = {"name": "door", "min_mm": [200, 200, 200], "max_mm": [300, 300, 300]}
+PRESS = {"name": "press", "min_mm": [20, 100, 100], "max_mm": [30, 110, 110]}
+
+
+@pytest.fixture
+def explorer():
+    asking = Explorer()
+    asking.rows = ROWS
+    return asking
+
+
+@pytest.fixture
+def lives():
+    """Live estimates that were started; none may be."""
+    return []
+
+
+@pytest.fixture
+def context(context, explorer, lives, resumer, closer):
+    """A service whose discoveries ask for extra lines."""
+    return replace(
+        context,
+        discoverer=explorer,
+        live=lambda *_: lives.append(1),
+        resumer=resumer,
+        closer=closer,
+    )
+
+
+@pytest.fixture
+def discover(dispatcher, run, until):
+    """Discover in the Run and wait for the end."""
+
+    def done(*run_ids, **more):
+        of = run_ids or [run.id]
+        job, _ = dispatcher.create(RequestedJob(JobKind.DISCOVER, of, **more))
+        return until(job, State.SUCCEEDED)
+
+    return done
+
+
+@pytest.fixture
+def ask(dispatcher, discover):
+    """Ask for the extra lines of a discovery, of a new one unless it is named."""
+
+    def asked(discovery=None, **order):
+        of = (discovery or discover()).id
+        request = RequestedJob(
+            JobKind.MEASURE_EXTRA, discovery_id=of, plan_request=order
+        )
+        return dispatcher.create(request)[0]
+
+    return asked
+
+
+@pytest.fixture
+def drive(ask, begin, until, cell):
+    """Drive the extra lines of a discovery to the end."""
+
+    def done(*discovery, **order):
+        job = begin(ask(*discovery, **order))
+        cell.end()
+        return until(job, State.SUCCEEDED)
+
+    return done
+
+
+def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
+    context, run, ask, drive, explorer, cell, lives, dispatcher, until
+):
+    job = until(ask(), State.READY)
+    dispatcher.abort(job.id)
+    assert until(job, State.ABORTED).run_ids
+    assert "begin" not in cell.heard
+    job = drive()
+    path = cell.order.commanded
+    assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
+    assert path.feed_mm_min.tolist() == [6000.0, 900.0]
+    assert job.has_discovery
+    assert not job.has_result
+    assert job.run_ids == (run.id, job.run_id)
+    files, _, _ = explorer.calls[-1]
+    assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]
+    assert not lives
+
+
+@pytest.mark.parametrize(("next_row", "sizes"), [(3, [None, 7]), (None, [9])])
+def test_extra_lines_that_were_cut_short_go_on_and_what_tells_a_pose_is_explained(
+    ask,
+    begin,
+    end_in_motion,
+    dispatcher,
+    explorer,
+    resumer,
+    until,
+    run,
+    context,
+    cell,
+    next_row,
+    sizes,
+):
+    """Without a pose all are driven again, and the first Run is kept and left out."""
+    explorer.rows = [ROWS[row % 2] for row in range(9)]
+    job, resumer.next_row = end_in_motion(begin(ask())), next_row
+    dispatcher.acknowledge(job.id)
+    begin(job)
+    for size in sizes:
+        assert cell.begun.wait(5)
+        cell.begun.clear()
+        commanded = cell.order.commanded
+        is_closure = isinstance(commanded, Configurations)
+        assert is_closure if size is None else len(commanded) == size
+        cell.end()
+    ended = until(job, State.SUCCEEDED)
+    assert ended.run_ids == (run.id, job.id, ended.run_id)
+    of = ended.run_ids if next_row else (run.id, ended.run_id)
+    assert explorer.calls[-1][0] == [str(context.runs.file(i)) for i in of]
+    assert ended.has_discovery
+
+
+def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
+    run, discover, drive, explorer
+):
+    model = discover()
+    first = drive(discover(model_id=model.id))
+    second = drive(first)
+    assert second.run_ids == (run.id, first.run_id, second.run_id)
+    assert [call[2] for call in explorer.calls[-2:]] == [model.id] * 2
+    assert len(explorer.calls[-1][0]) == 3
+
+
+def test_where_nothing_is_asked_nothing_is_driven(ask, explorer):
+    explorer.rows = []
+    with pytest.raises(PlanningError, match="asks for no extra lines"):
+        ask()
+
+
+def test_a_job_without_a_discovery_is_refused(ask, dispatcher, run, until):
+    analysed = until(dispatcher.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0])
+    nobody = replace(analysed, id="nowhere")
+    for job, said in ((analysed, "has no discovery"), (nobody, "no job")):
+        with pytest.raises(NotFound, match=said):
+            ask(job)
+
+
+def test_lines_for_another_machine_are_refused(ask, explorer):
+    explorer.machine = {**explorer.machine, "name": "lathe"}
+    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
+        ask()
+
+
+def test_lines_that_leave_the_travel_or_enter_a_stated_box_are_refused(ask, explorer):
+    with pytest.raises(PlanningError, match=r"way to row 2 enters .* vice; .*keep_out"):
+        ask(keep_out=[DOOR, VICE])
+    explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
+    with pytest.raises(OutOfTravel, match="row 2: X = 501"):
+        ask()
+
+
+def test_lines_keep_clear_of_the_boxes_of_the_runs_that_they_are_to_explain(
+    ask, discover, drive, explorer, context, dispatcher
+):
+    before = drive(keep_out=[DOOR])
+    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
+    found = discover(before.run_id)
+    with pytest.raises(PlanningError, match="enters the keep-out box door"):
+        ask(found)
+    job = ask(found, keep_out=[], keep_out_replaces=True)
+    dispatcher.abort(job.id)
+    assert "workspace" not in context.store.read_plan_request(job.id)
+
+
+def test_boxes_of_an_order_hold_beside_those_of_the_runs_also_for_the_way_to_them(
+    ask, discover, drive, context, dispatcher, until
+):
+    before = drive(keep_out=[DOOR])
+    found = discover(before.run_id)
+    for stated in ([], [PRESS], [DOOR, PRESS]):
+        job = until(ask(found, keep_out=stated), State.READY)
+        hold = context.store.read_plan_request(job.id)["workspace"]
+        assert hold == {"keep_out": [DOOR, PRESS] if stated else [DOOR]}
+        dispatcher.abort(job.id)
+        until(job)

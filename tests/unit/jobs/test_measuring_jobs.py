@@ -1,0 +1,995 @@
+"""A measuring job from its creation to its end, over a cell that the test plays."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import Connection, event, text
+
+from arming import arm_at_once
+from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
+from scripted_cell import ScriptedLive, wait_until
+from truepath.catalogue.errors import (
+    CellBusy,
+    CellDown,
+    NoMachine,
+    NotResumable,
+    StaleVersion,
+    StorageUnavailable,
+)
+from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
+from truepath.catalogue.store import database as databases
+from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store.job_rows import read_job
+from truepath.catalogue.transitions import State, Verb
+from truepath.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from truepath.files.bundle.commanded_file import (
+    decode_commanded_json,
+    encode_commanded_json,
+)
+from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.jobs.kinds import workflow
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.running import active_job, cell_measurement
+from truepath.kinematics.machine.machine import Target
+from truepath.machines.cell_status import CellStatus, ControllerLevels
+from truepath.machines.conditions.conditions import ConditionType, NotInOrder
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.messages import (
+    CellState,
+    LinesDamaged,
+    MeasurementProgress,
+    RunClosed,
+)
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
+
+STANDSTILL = RequestedJob(JobKind.MEASURE_STANDSTILL)
+
+
+@pytest.fixture
+def running(begin, ready):
+    """A job whose machine moves."""
+    return begin(ready)
+
+
+@pytest.fixture
+def paused(dispatcher, running, until):
+    """A job whose machine a user holds."""
+    dispatcher.pause(running.id)
+    return until(running, "paused")
+
+
+@pytest.fixture
+def followed(context, open_dispatcher, begin):
+    """Run a job to its motion with a live estimate; return both."""
+    estimates = []
+
+    def live(order, show):
+        estimates.append(ScriptedLive(order, show))
+        return estimates[-1]
+
+    dispatcher = open_dispatcher(live=live)
+
+    def run(request):
+        return begin(dispatcher.create(request)[0], dispatcher), estimates[-1]
+
+    return run
+
+
+def read_states(context):
+    return [event.body["state"] for event in context.store.read_events_after(0)]
+
+
+@pytest.mark.database
+def test_a_measurement_ends_at_its_target_and_keeps_why_with_its_events(
+    followed, make_cell, until, context
+):
+    job, live = followed(replace(OTF, target_um=2.0))
+    values = {"lines": "4", "distance_um": 50.0}
+    off = Verdict((Reason("lines-off", "not-usable", values),))
+    for sigma_um, verdict in ((0.001, off), (0.001, off), (2.1, None)):
+        live.publish(sigma_um, done=4, verdict=verdict)
+        make_cell.cell.record(50)
+    live.publish(1.9, done=5)
+    ended = until(job, "succeeded")
+    assert make_cell.cell.heard == ["connect", "begin", "conclude"]
+    assert ended.target_um == 2.0
+    assert ended.early_end == EarlyEnd(1.9, 5, 10), "not of one that contradicts itself"
+    assert live.heard[-2:] == ["finish", "close"]
+    bodies = [event.body for event in context.store.read_events_after(0, job_id=job.id)]
+    assert bodies[0]["early_end"] is None
+    assert decode_job(bodies[-1]).early_end == EarlyEnd(1.9, 5, 10)
+
+
+def test_a_measurement_without_a_target_goes_to_its_end(followed, make_cell, until):
+    job, live = followed(OTF)
+    live.publish(0.001, done=9)
+    make_cell.cell.record(50)
+    make_cell.cell.end()
+    ended = until(job, "succeeded")
+    assert "conclude" not in make_cell.cell.heard
+    assert (ended.target_um, ended.early_end) == (None, None)
+
+
+@pytest.mark.database
+def test_a_job_is_planned_armed_measured_and_analysed(
+    dispatcher, context, running, cell, until, science
+):
+    path, rows = cell.order.commanded, [*ROWS, OFF_THE_LINE]
+    assert path.position.tolist() == [[row[f"{a}_mm"] for a in "xyz"] for row in rows]
+    assert path.feed_mm_min.tolist()[1] == 1000.0
+    cell.say(LinesDamaged(3, None))
+    cell.say(MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2))
+    cell.end()
+    job = until(running, "succeeded")
+    assert cell.heard == ["connect", "begin"]
+    assert (job.stage, job.failure, job.desired_state) == ("reporting", None, "running")
+    health = job.health
+    assert (health.samples, health.repeats, health.gaps) == (50, 1, 2)
+    run = context.runs.get(job.run_id)
+    assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
+    assert science.calls == [
+        ([str(context.runs.file(run.id))], str(context.results / job.id), False)
+    ]
+    assert (context.results / job.id / "result.json").is_file()
+    wait_until(lambda: dispatcher._under_way.get(job.id) is None)
+    assert dispatcher.abort(job.id) == job
+    for verb in (
+        dispatcher.pause,
+        lambda id: arm_at_once(dispatcher, id, job.version),
+        lambda id: dispatcher.resume(id, job.version),
+    ):
+        with pytest.raises(IllegalTransition, match="a job that is succeeded"):
+            verb(job.id)
+    with pytest.raises(NotFound):
+        dispatcher.abort("nobody")
+
+
+def test_nothing_moves_before_the_job_is_armed_once_at_the_version_that_was_read(
+    dispatcher, ready, cell
+):
+    with pytest.raises(StaleVersion):
+        arm_at_once(dispatcher, ready.id, ready.version - 1)
+    assert cell.heard == ["connect"]
+    # Its stored state counts, which its thread may not know yet.
+    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
+    assert arm_at_once(dispatcher, ready.id, ready.version).state is State.RUNNING
+    assert cell.begun.wait(5)
+    with pytest.raises(IllegalTransition, match="cannot arm a job that is running"):
+        arm_at_once(dispatcher, ready.id, ready.version)
+
+
+AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operator")
+
+
+@pytest.mark.parametrize(
+    ("cell_status", "kind", "remedy"),
+    [
+        (CellStatus("ready"), ConditionType.DEVICES_CONNECTED, "connect them"),
+        (
+            OBSERVED.cell,
+            ConditionType.CONTROLLER_FREE,
+            "end or reset it at the panel",
+        ),
+    ],
+)
+def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
+    context, open_watched, until, make_cell, cell_status, kind, remedy
+):
+    context.require_cell().start()
+
+    def observe():
+        held = ControllerLevels(AT_THE_PANEL, "", time.monotonic())
+        return replace(OBSERVED, cell=cell_status, controller=held)
+
+    dispatcher = open_watched(observe)
+    job = until(dispatcher.create(OTF)[0], "ready")
+    with pytest.raises(NotInOrder, match=remedy) as refused:
+        arm_at_once(dispatcher, job.id, job.version)
+    (obstacle,) = refused.value.obstacles
+    assert obstacle.type is kind
+    assert context.store.get(job.id) == job
+    assert not make_cell.cell.begun.is_set()
+
+
+def test_a_pause_holds_and_a_resume_of_the_version_that_was_read_goes_on(
+    dispatcher, running, cell, until
+):
+    assert dispatcher.pause(running.id).state == "pausing"
+    paused = until(running, "paused")
+    assert paused.desired_state == "paused"
+    assert dispatcher.pause(running.id).version == paused.version
+    with pytest.raises(StaleVersion):
+        dispatcher.resume(running.id, paused.version - 1)
+    assert dispatcher.resume(running.id, paused.version).state == "resuming"
+    until(running, "running")
+    assert cell.heard == ["connect", "begin", "pause", "pause", "resume"]
+    cell.end()
+    until(running, "succeeded")
+
+
+def test_a_hold_at_the_panel_or_for_a_lost_beam_says_why_and_a_users_pause_outlasts_it(
+    dispatcher, running, cell, until
+):
+    cell.say_state("paused")
+    assert until(running, "paused").failure is None
+    cell.say_state("running")
+    until(running, "running")
+    cell.fault()
+    cell.say_state("pausing")
+    cell.say_state("paused")
+    held = until(running, "paused")
+    assert (held.failure.code, held.desired_state) == ("beam-lost", "running")
+    assert "pause" not in cell.heard
+    assert dispatcher.pause(running.id).desired_state == "paused"
+    wait_until(lambda: "pause" in cell.heard, "the pause")
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_a_stop_of_the_cells_own_never_becomes_a_users_pause(
+    running, cell, until, monkeypatch, confirmed
+):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.0)
+    cell.fault("tracker-silent", "no sample", "nothing")
+    cell.say_state("pausing")
+    for _ in range(5):  # the job looks at its state before each of them
+        cell.record(10)
+    assert until(running, "pausing").desired_state == "running"
+    if confirmed:
+        cell.say_state("paused")
+        cell.say_state("resuming")
+    cell.say_state("running")
+    wait_until(lambda: until(running, "running").failure is None, "all well again")
+    assert "pause" not in cell.heard
+    cell.end()
+    until(running, "succeeded")
+
+
+def test_what_moves_again_is_not_wanted_to_stand(paused, cell, until, monkeypatch):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.0)
+    heard = cell.heard.count("pause")
+    cell.say_state("running")  # somebody has released the machine at its panel
+    assert until(paused, "running").desired_state == "running"
+    cell.say_state("pausing")
+    cell.record(10)
+    cell.say_state("running")
+    until(paused, "running")
+    assert cell.heard.count("pause") == heard
+
+
+def test_a_pause_that_came_too_early_is_repeated_and_nothing_said_before_undoes_it(
+    dispatcher, context, running, cell, until
+):
+    context.confirm_s["pausing"] = 8.0
+    cell.deaf.add("pause")
+    dispatcher.pause(running.id)
+    cell.say_state("running")
+    wait_until(lambda: cell.heard.count("pause") > 1, "a second pause")
+    cell.deaf.clear()
+    until(running, "paused")
+    states = read_states(context)
+    assert "running" not in states[states.index("pausing") :]
+
+
+@pytest.mark.parametrize(
+    ("verb", "deaf", "state"),
+    [
+        ("pause", {"pause"}, "pausing"),
+        ("abort", {"abort"}, "aborting"),
+        ("cancel", {"conclude", "abort"}, "aborting"),
+    ],
+)
+def test_what_nobody_confirms_ends_the_cell_and_is_a_fault(
+    clock, dispatcher, running, cell, make_cell, until, context, verb, deaf, state
+):
+    context.confirm_s["cancelling"] = -60.0  # the line that is planned takes some time
+    cell.deaf |= deaf
+    getattr(dispatcher, verb)(running.id)
+    job = until(running, "faulted")
+    assert job.failure.code == f"not-{state}"
+    assert "watchdog" in job.failure.detail
+    assert cell.closed
+    assert context.runs.get(job.run_id).samples == 50
+    wait_until(lambda: make_cell.cell is not cell, "another cell")
+
+
+def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason(
+    dispatcher, paused, cell, until, context
+):
+    cell.deaf.add("resume")
+    for _ in range(3):
+        version = context.store.get(paused.id).version
+        assert dispatcher.resume(paused.id, version).state == "resuming"
+        cell.fault("not-resumed", "no valid samples", "lock the beam")
+        held = until(paused, "paused")
+        assert held.desired_state == "paused"
+    failure = held.failure
+    assert (failure.code, failure.action) == ("not-resumed", "lock the beam")
+    cell.deaf.clear()
+    dispatcher.resume(paused.id, held.version)
+    job = until(paused, "running")
+    wait_until(lambda: context.store.get(job.id).failure is None, "all well again")
+    cell.end()
+    assert until(job, "succeeded").failure is None
+
+
+@pytest.mark.fault_row(34)
+def test_a_cancelled_measurement_finishes_its_line_and_keeps_its_run(
+    dispatcher, running, cell, until, science
+):
+    assert dispatcher.cancel(running.id).state is State.CANCELLING
+    ended = until(running, "cancelled")
+    assert cell.heard == ["connect", "begin", "conclude"]
+    assert (ended.run_id, ended.failure, science.calls) == (running.id, None, [])
+    assert dispatcher.cancel(running.id) == ended
+
+
+@pytest.mark.fault_row(34)
+def test_a_line_that_never_ends_after_a_cancel_is_aborted_with_the_reason(
+    clock, dispatcher, running, cell, until, context
+):
+    context.confirm_s["cancelling"] = 0.2
+    cell.deaf.add("conclude")
+
+    def is_stored():
+        cell.record(1, line_s=0.3)
+        return context.store.get(running.id).health.samples > 50
+
+    wait_until(is_stored)
+    begun_s = clock.time_s
+    dispatcher.cancel(running.id)
+    ended = until(running, "aborted")
+    assert clock.time_s - begun_s >= 0.2 + 2 * 0.3
+    assert ended.failure.code == "cancel-overdue"
+    assert "the feed was held" in ended.failure.detail
+    assert cell.heard[-1] == "abort"
+    assert ended.run_id == running.id
+
+
+@pytest.mark.parametrize(
+    ("moment", "heard"),
+    [("ready", ["connect"]), ("paused", ["connect", "begin", "pause", "abort"])],
+)
+def test_what_waits_or_is_held_is_cancelled_where_it_stands(
+    request, dispatcher, cell, until, moment, heard
+):
+    job = request.getfixturevalue(moment)
+    dispatcher.cancel(job.id)
+    assert until(job, "cancelled").run_id == (job.id if moment == "paused" else None)
+    assert list(dict.fromkeys(cell.heard)) == heard
+
+
+def test_an_abort_overtakes_a_cancelling_that_takes_long(
+    dispatcher, running, cell, until
+):
+    cell.say_state("pausing")
+    cell.deaf |= {"conclude"}
+    dispatcher.cancel(running.id)
+    dispatcher.abort(running.id)
+    assert until(running, "aborted").desired_state == "aborted"
+    with pytest.raises(IllegalTransition):
+        arm_at_once(dispatcher, running.id, 99)
+
+
+@pytest.mark.parametrize(("verb", "end"), [("cancel", "cancelled"), ("abort", None)])
+def test_a_job_that_computes_cannot_be_paused_and_ends_at_once(
+    dispatcher, running, cell, until, science, context, verb, end
+):
+    science.hold = threading.Event()
+    cell.end()
+    wait_until(lambda: science.calls, "the analysis")
+    with pytest.raises(IllegalTransition, match="nothing moves any more"):
+        dispatcher.pause(running.id)
+    getattr(dispatcher, verb)(running.id)
+    job = until(running, end or "aborted")
+    assert job.run_id == running.id
+    assert context.runs.get(job.run_id).complete
+    assert not (context.results / job.id).exists()
+
+
+@pytest.mark.fault_row(19)
+def test_a_held_machine_is_not_let_go_on_while_a_required_condition_is_wrong(
+    context, open_watched, until, begin, cell
+):
+    seen = [OBSERVED]
+    dispatcher = open_watched(lambda: seen[0])
+    job = begin(dispatcher.create(OTF)[0], dispatcher)
+    dispatcher.pause(job.id)
+    held = until(job, "paused")
+    seen[0] = replace(OBSERVED, free_bytes=0)
+    with pytest.raises(NotInOrder, match="free"):
+        dispatcher.resume(job.id, held.version)
+    assert context.store.get(job.id) == held
+    assert "resume" not in cell.heard
+    seen[0] = OBSERVED
+    dispatcher.resume(job.id, held.version)
+    until(job, "running")
+
+
+@pytest.mark.parametrize("moment", ["ready", "running", "paused"])
+def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
+    request, dispatcher, make_cell, until, context, moment
+):
+    job = request.getfixturevalue(moment)
+    # Where nothing has to stand first, it may have ended by then.
+    assert dispatcher.abort(job.id).state in ("aborting", "aborted")
+    job = until(job, "aborted")
+    assert (job.desired_state, job.failure) == ("aborted", None)
+    assert dispatcher.abort(job.id).version == job.version
+    if moment == "ready":
+        assert "begin" not in make_cell.cell.heard
+        assert job.run_id is None
+    else:
+        run = context.runs.get(job.run_id)
+        assert (run.samples, run.complete) == (50, False)
+
+
+def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, context):
+    hold = threading.Event()
+    connect = make_cell.cell.connect
+    make_cell.cell.connect = lambda: hold.wait(5) and connect()
+    job, _ = dispatcher.create(OTF)
+    until(job, "preparing")
+    dispatcher.abort(job.id)
+    hold.set()
+    until(job, "aborted")
+    assert "ready" not in read_states(context)
+
+
+def test_an_abort_on_the_heels_of_arming_begins_nothing_or_ends_it(
+    dispatcher, ready, make_cell, until
+):
+    arm_at_once(dispatcher, ready.id, ready.version)
+    dispatcher.abort(ready.id)
+    until(ready, "aborted")
+    heard = make_cell.cell.heard
+    assert "begin" not in heard or heard.index("abort") > heard.index("begin")
+
+
+def test_stop_ends_every_motion_and_leaves_computing_alone(
+    dispatcher, running, cell, until, science, context
+):
+    cell.end()
+    first = until(running, "succeeded")
+    science.hold = threading.Event()
+    computing, _ = dispatcher.create(
+        RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
+    )
+    wait_until(lambda: len(science.calls) == 2)
+    ready = until(dispatcher.create(OTF)[0], "ready")
+    assert [job.id for job in dispatcher.stop()] == [ready.id]
+    until(ready, "aborted")
+    assert context.store.get(computing.id).state == "running"
+    science.hold.set()
+    until(computing, "succeeded")
+
+
+def test_stop_reaches_the_cell_even_if_no_job_is_under_way_or_there_is_no_machine(
+    dispatcher, cell, open_dispatcher
+):
+    assert dispatcher.stop() == []
+    wait_until(lambda: cell.heard == ["abort"], "the abort")
+    without = open_dispatcher(machines=Machines())
+    assert without.stop() == []
+    with pytest.raises(NoMachine, match="machine_file"):
+        without.create(OTF)
+
+
+@pytest.mark.parametrize(
+    ("end", "fault"),
+    [
+        ("aborted", None),
+        ("failed", ("storage", "the disk is full", "free some space")),
+        ("faulted", ("motion-alarm", "servo alarm", "clear it")),
+    ],
+)
+def test_a_measurement_that_ends_at_the_machine_ends_the_job_with_the_cells_reason(
+    running, cell, until, context, end, fault
+):
+    if fault is not None:
+        cell.fault(*fault)
+    cell.end(end)
+    job = until(running, end)
+    failure = job.failure
+    assert fault == (failure and (failure.code, failure.detail, failure.action))
+    assert not context.runs.get(job.run_id).complete
+
+
+def test_a_cell_that_closes_without_a_word_fails_the_job(running, cell, until):
+    recorder, cell._recorder = cell._recorder, None
+    recorder.close("finished")
+    cell.say(RunClosed("", CellState.FAILED, 50))
+    assert "without saying why" in until(running, "failed").failure.detail
+
+
+def send_nonsense(cell):
+    def fail(_timeout_s):
+        raise ValueError("a message that nobody can read")
+
+    cell.poll = fail
+
+
+@pytest.mark.parametrize("harm", [lambda cell: cell.die(), send_nonsense])
+def test_a_cell_that_dies_or_trips_over_a_defect_faults_the_job_and_is_replaced(
+    running, cell, make_cell, until, context, dispatcher, harm
+):
+    harm(cell)
+    job = until(running, "faulted")
+    assert job.failure.code == "cell-died"
+    run = context.runs.get(job.run_id)
+    assert (run.samples, run.complete) == (50, False)
+    wait_until(lambda: make_cell.cell is not cell, "another cell")
+    assert cell.closed
+    until(dispatcher.create(OTF)[0], "ready")
+
+
+def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
+    dispatcher, make_cell, until
+):
+    make_cell.cell.refuses = ConnectionLost("no such port")
+    failure = until(dispatcher.create(OTF)[0], "failed").failure
+    assert (failure.family, failure.detail) == ("ConnectionLost", "no such port")
+
+
+def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
+    running, cell, until, context
+):
+    cell.end(spoil=b"no database at all")
+    file = context.runs.name_run_file(running.id)
+    job = until(running, "failed")
+    assert job.run_id is None
+    assert job.failure.family == "NotFound"
+    assert file.is_file()
+
+
+def test_science_that_fails_fails_the_job_and_the_run_is_kept(
+    running, cell, until, science, context
+):
+    science.raises = ValueError("matrix")
+    cell.end()
+    job = until(running, "failed")
+    assert (job.failure.family, job.failure.detail) == ("ValueError", "matrix")
+    assert context.runs.get(job.run_id).complete
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ([{"x_mm": 1.0, "y_mm": 2.0}], "row 1: z_mm is missing"),
+        ([ROWS[0], {**ROWS[1], "a_deg": 3.0}], "row 2: a_deg is no axis"),
+        ([ROWS[0]], "at least two rows"),
+        ([ROWS[0], ROWS[0]], "row 2: the line starts where it ends"),
+        ([{**row, "target": "T9"} for row in ROWS], "row 1: target 'T9' is unknown"),
+        ([ROWS[0], {**ROWS[1], "x_mm": 9999.0}], "row 2: X = 9999 mm exceeds 500 mm"),
+        (
+            [{**ROWS[0], "x_mm": float(n % 2)} for n in range(4097)],
+            "4097 rows; a controller takes 4096",
+        ),
+    ],
+    ids=lambda case: case if isinstance(case, str) else "",
+)
+def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
+    dispatcher, context, rows, problem
+):
+    error = OutOfTravel if "exceeds" in problem else PlanningError
+    with pytest.raises(error, match=problem):
+        dispatcher.create(replace(OTF, rows=rows))
+    assert context.store.list_page(10) == []
+
+
+@pytest.mark.parametrize(
+    ("request_", "kind", "feeds"),
+    [
+        (RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0), "path", {1234.0}),
+        (STANDSTILL, "points", set()),
+    ],
+)
+def test_without_rows_the_default_path_or_points_are_measured(
+    dispatcher, context, until, request_, kind, feeds
+):
+    job, _ = dispatcher.create(request_)
+    until(job, "ready")
+    plan = context.store.read_plan(job.id)
+    assert plan["kind"] == kind
+    assert len(plan["position"]) > 10
+    assert set(plan["feed_mm_min"]) == feeds
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(33)
+def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(
+    dispatcher, until
+):
+    key = IdempotencyKey("once", b"body")
+    job, is_new = dispatcher.create(OTF, key)
+    until(job, "ready")
+    again, is_new_again = dispatcher.create(OTF, key)
+    assert (again.id, is_new, is_new_again) == (job.id, True, False)
+    for other in (IdempotencyKey("twice", b"body"), None):
+        with pytest.raises(CellBusy, match=job.id):
+            dispatcher.create(OTF, other)
+
+
+def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
+    dispatcher, running, cell, context
+):
+    dispatcher.close()
+    assert "abort" in cell.heard
+    job = context.store.get(running.id)
+    assert job.state == "interrupted"
+    assert context.runs.get(job.run_id).samples == 50
+    with pytest.raises(CellDown, match="ending"):
+        dispatcher.create(OTF)
+
+
+@pytest.mark.database
+def test_after_a_restart_what_had_not_ended_is_interrupted_and_nothing_moves(
+    open_dispatcher, running, cell, context
+):
+    """The catalogue as a killed service leaves it: the job runs, the Run is torn."""
+    cell.tear()
+    heard = list(cell.heard)
+    after = open_dispatcher()
+    after.interrupt_unfinished_jobs()
+    job = context.store.get(running.id)
+    assert job.state == "interrupted"
+    assert job.failure.family == "Interrupted"
+    assert "was running" in job.failure.detail
+    assert context.runs.get(job.run_id).samples == 50
+    assert cell.heard == heard
+    after.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).version == job.version
+    cell.die()
+
+
+def test_progress_and_live_views_are_told_but_not_kept(
+    event_bus, running, cell, context, until
+):
+    heard = []
+    forget = event_bus.subscribe(heard.append)
+
+    def told():
+        # At most ten a second are passed on.
+        cell.record(10)
+        found = [n for n in heard if n.type == "progress"]
+        return [n for n in found if n.body["health"]["samples"] > 50]
+
+    notice = wait_until(told)[-1]
+    forget()
+    assert {n.type for n in heard} == {"progress", "live"}
+    assert notice.job_id == running.id
+    assert list(notice.body["progress"]["position"]) == [1.0, 2.0, 3.0]
+    assert {e.type for e in context.store.read_events_after(0)} == {"job"}
+    count = len(heard)
+    cell.end()
+    assert until(running, "succeeded").health.samples > 50
+    assert len(heard) == count
+
+
+@contextmanager
+def locked(store):
+    """Let nobody else write to the catalogue."""
+    database = store._database
+    with database.engine.connect() as raw:
+        connection: Connection = raw.execution_options(truepath_writes=True)
+        locks_whole = connection.dialect.name == "sqlite"  # by its first statement
+        lock = "LOCK TABLE jobs, events IN EXCLUSIVE MODE"
+        with database._writer:  # once nobody writes
+            connection.execute(text("SELECT 1" if locks_whole else lock))
+        yield
+        connection.rollback()
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(37)
+def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
+    clock, dispatcher, running, cell, context, until, measured
+):
+    """The machine is told first; the books follow when they can."""
+    with locked(context.store):
+        begun_s = clock.time_s
+        (answered,) = dispatcher.stop()
+        took_s = clock.time_s - begun_s
+        assert took_s < 4.0
+        measured(f"catalogue locked: stop answered after {took_s:.2f} s")
+        assert answered.id == running.id
+        wait_until(lambda: "abort" in cell.heard, "the abort")
+    assert until(running).state == "aborted"
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(37)
+def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
+    clock, dispatcher, running, cell, context, until
+):
+    with locked(context.store):
+        asks = threading.Thread(target=dispatcher.pause, args=(running.id,))
+        asks.start()
+        wait_until(lambda: "pause" in cell.heard, "the pause")
+        assert asks.is_alive()  # its answer waits for the books
+    asks.join()
+    assert until(running, "paused").wants_pause
+    dispatcher.resume(running.id, context.store.get(running.id).version)
+    until(running, "running")
+
+
+@pytest.fixture
+def failing(context):
+    """While it is set, nothing can be written down."""
+    failing, change = threading.Event(), context.store.change
+
+    def may_fail(*arguments, **options):
+        if failing.is_set():
+            raise StorageUnavailable("the disk is full")
+        return change(*arguments, **options)
+
+    context.store.change = may_fail
+    yield failing
+    failing.clear()
+
+
+def test_a_pause_that_cannot_be_stored_is_insisted_on(
+    dispatcher, running, cell, until, failing, monkeypatch, context
+):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
+    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
+    cell.deaf.add("pause")
+    failing.set()
+    with pytest.raises(StorageUnavailable):
+        dispatcher.pause(running.id)
+    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
+    failing.clear()
+    cell.deaf.clear()
+    paused = until(running, "paused")
+    dispatcher.resume(running.id, paused.version)
+    until(running, "running")
+    assert cell.heard[-1] == "resume"
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cell(
+    running, cell, until, failing, context, monkeypatch, obeys
+):
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 30.0 if obeys else 0.2)
+    if not obeys:
+        cell.deaf.add("abort")
+    failing.set()
+    cell.say_state("paused")
+    wait_until(lambda: cell.heard[-1] == "abort", "the abort")
+    wait_until(lambda: obeys or cell.closed, "the end of the cell")
+    failing.clear()
+    assert until(running, "failed").failure.family == "StorageUnavailable"
+    assert not obeys or context.runs.get(running.id).samples == 50
+
+
+def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
+    dispatcher, running, failing, context
+):
+    failing.set()
+    dispatcher.close()
+    assert context.store.get(running.id).state == "running"
+    failing.clear()
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).state == "interrupted"
+
+
+@pytest.fixture
+def full(context):
+    """While it is set, the disk of the catalogue has no room left."""
+    database, full = context.store._database, threading.Event()
+    engine = database.engine
+
+    def refuse(connection, cursor, statement, *_):
+        if full.is_set() and not statement.startswith(("SELECT", "BEGIN", "PRAGMA")):
+            raise engine.dialect.loaded_dbapi.OperationalError("the disk is full")
+
+    event.listen(engine, "before_cursor_execute", refuse)
+    yield full
+    full.clear()
+    event.remove(engine, "before_cursor_execute", refuse)
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(27)
+def test_a_full_disk_is_shown_at_once_and_the_job_ends_when_there_is_room(
+    dispatcher, running, cell, until, full, context, event_bus, measured
+):
+    heard = []
+    forget = event_bus.subscribe(heard.append)
+    full.set()
+    begun = time.monotonic()
+    cell.say_state("paused")
+
+    def shown():
+        job = dispatcher.show(context.store.get(running.id))
+        return job if job.state == "failed" else None
+
+    job = wait_until(shown)
+    took_s = time.monotonic() - begun
+    assert took_s < 5.0
+    measured(f"shown after {took_s:.2f} s")
+    assert job.failure.family == "StorageFull"
+    assert "disk is full" in job.failure.detail
+    with context.store._database.read() as connection:
+        assert read_job(connection, running.id).state == "running"
+    told = [e.body for e in heard if e.type == "job" and e.id is None]
+    assert told[-1]["state"] == "failed"
+    full.clear()
+    stored = until(running, "failed")
+    assert stored.failure.family == "StorageFull"
+    wait_until(lambda: context.store.get(running.id).run_id)
+    forget()
+
+
+VERBS = {
+    "stop": lambda d, job: d.stop()[0],
+    "stop machine": lambda d, job: d.stop(job.machine)[0],
+    "abort": lambda d, job: d.abort(job.id),
+    "cancel": lambda d, job: d.cancel(job.id),
+    "pause": lambda d, job: d.pause(job.id),
+    "resume": lambda d, job: d.resume(job.id, job.version),
+    "prepare": lambda d, job: d.prepare_arming(job.id),
+    "arm": lambda d, job: d.arm(job.id, job.version, "token"),
+    "acknowledge": lambda d, job: d.acknowledge(job.id),
+    "take control": lambda d, job: d.take_control(job.id, "anna"),
+}
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(48)
+@pytest.mark.parametrize("end", ["failed", "faulted", "aborted"])
+def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
+    dispatcher, running, cell, until, full, context, monkeypatch, end
+):
+    monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.05)
+    store = context.store
+
+    def read_states():
+        found = {dispatcher.show(store.get(running.id)).state}
+        found |= {dispatcher.show(job).state for job in store.list_page(9)}
+        found |= {
+            state for (_, state), count in store.count_by_state().items() if count
+        }
+        assert store.list_unfinished() == []
+        assert store.list_page(9, states=["running", "aborting", "paused"]) == []
+        assert [job.id for job in store.list_page(9, states=[end])] == [running.id]
+        return found
+
+    full.set()
+    if end == "failed":
+        cell.say_state("paused")
+    else:
+        cell.end(end)
+    wait_until(lambda: dispatcher.show(store.get(running.id)).state == end, end)
+    for verb in random.Random(end).sample([*VERBS] * 2, 2 * len(VERBS)):
+        with suppress(IllegalTransition, NotResumable, StorageUnavailable):
+            answered = VERBS[verb](dispatcher, running)
+            shown = answered[0] if isinstance(answered, tuple) else answered
+            assert shown.state == end, verb
+        assert read_states() == {end}, verb
+        time.sleep(0.01)
+    full.clear()
+    until(running, end)
+    assert read_states() == {end}
+
+
+@pytest.mark.fault_row(48)
+def test_a_stop_that_a_frozen_cell_hears_late_is_an_abort(
+    dispatcher, running, cell, until
+):
+    cell.deaf.add("abort")
+    dispatcher.stop()
+    cell.fault("ended-early", "the controller is aborted at X 3.000")
+    cell.end("faulted")
+    job = until(running, "aborted")
+    assert (job.failure, job.desired_state) == (None, "aborted")
+
+
+def test_a_machine_that_stands_elsewhere_before_anybody_stops_it_is_a_fault(
+    dispatcher, running, cell, until, context
+):
+    cell.deaf.add("abort")
+    cell.fault("ended-early", "the controller is aborted at X 3.000")
+    wait_until(lambda: context.store.get(running.id).failure)
+    dispatcher.stop()
+    cell.end("faulted")
+    assert until(running, "faulted").failure.code == "ended-early"
+
+
+@pytest.mark.database
+def test_progress_that_cannot_be_kept_is_shown_and_does_not_stop_the_measurement(
+    dispatcher, running, cell, context, full, until, monkeypatch
+):
+    monkeypatch.setattr(active_job, "STORE_EVERY_S", 0.0)
+
+    def shown():
+        cell.record(10)
+        return dispatcher.show(context.store.get(running.id)).failure
+
+    full.set()
+    assert wait_until(shown).family == "StorageFull"
+    full.clear()
+    wait_until(lambda: shown() is None)
+    assert dispatcher.show(context.store.get(running.id)).state == "running"
+    cell.end()
+    assert until(running, "succeeded").health.samples == cell._samples
+
+
+def test_a_full_disk_is_logged_once_not_ten_times_a_second(
+    running, cell, until, full, monkeypatch
+):
+    monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.005)
+    lines, tries = [], []
+    for module in (active_job, workflow, databases):
+        for level in ("warning", "exception"):
+            monkeypatch.setattr(module.log, level, lambda text, **_: lines.append(text))
+    full.set()
+    store_end = active_job.ActiveJob.end
+    monkeypatch.setattr(
+        active_job.ActiveJob,
+        "end",
+        lambda *given: (tries.append(1), store_end(*given))[1],
+    )
+    cell.say_state("paused")
+    wait_until(lambda: len(tries) > 20)
+    full.clear()
+    until(running, "failed")
+    assert 1 <= lines.count("job not stored") <= 2
+    assert len(lines) <= 4
+
+
+def test_a_run_that_is_not_closed_in_time_is_a_fault(
+    clock, running, cell, until, monkeypatch
+):
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
+    cell.say_state("finished")
+    assert until(running, "faulted").failure.code == "run-not-closed"
+
+
+def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
+    context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
+    ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
+    with pytest.raises(IllegalTransition, match="not under way any more"):
+        arm_at_once(dispatcher, job.id, ready.version)
+
+
+def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
+    context.runs.name_run_file(job.id).write_bytes(b"no database at all")
+    dispatcher.interrupt_unfinished_jobs()
+    job = context.store.get(job.id)
+    assert (job.state, job.run_id) == ("interrupted", None)
+
+
+def test_a_job_that_is_created_as_the_service_ends_never_begins(dispatcher, context):
+    create = context.store.create
+
+    def late(*arguments):
+        dispatcher.close()
+        return create(*arguments)
+
+    context.store.create = late
+    job, _ = dispatcher.create(OTF)
+    assert context.store.get(job.id).state == "queued"
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(job.id).state == "interrupted"
+
+
+def test_the_targets_of_rows_are_the_machines(machine):
+    offsets = {"T1": 0, "T2": 50}
+    targets = tuple(Target(name, "tool", (0, 0, z)) for name, z in offsets.items())
+    two = replace(machine, targets=targets)
+    rows = [{**ROWS[0], "target": name} for name in offsets]
+    path = command_rows(two, rows, is_path=True)
+    assert path.target == ("T1", "T2")
+    assert decode_commanded_json(encode_commanded_json(path)).target == ("T1", "T2")
+    with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
+        command_rows(two, [ROWS[0], rows[1]], is_path=True)

@@ -1,0 +1,285 @@
+"""Files and catalogue, brought together again after a full disk or a stopped cell."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+import job_builders
+from job_builders import OTF
+from scripted_cell import wait_until
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.store.job_changes import put_back
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition
+from truepath.jobs.dispatch import reconciliation as reconciling
+from truepath.jobs.dispatch.reconciliation import Reconciliation
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.machines.machine_cells import Machines
+from truepath.measurement.run_file import run_file
+
+
+@pytest.fixture
+def begin_run(context, machine):
+    """Begin the Run of a job; the caller closes it."""
+    return partial(job_builders.begin_run, context.runs, machine)
+
+
+@pytest.fixture
+def ended(context):
+    """A measurement that has ended without its Run."""
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF))
+    return context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
+
+
+@pytest.fixture
+def reconciliation(context):
+    return Reconciliation(context, lambda: False, every_s=0.01)
+
+
+@pytest.mark.database
+def test_a_run_on_disk_joins_its_job_once_while_the_service_runs(
+    context, ended, begin_run, reconciliation
+):
+    begin_run(ended.id).close("failed")
+    reconciliation.start()
+    try:
+        joined = wait_until(lambda: (job := context.store.get(ended.id)).run_id and job)
+    finally:
+        reconciliation.close()
+    assert (joined.run_id, joined.state) == (ended.id, State.FAILED)
+    reconciliation.look()
+    assert context.store.get(ended.id).version == joined.version
+    assert len(context.runs.list_page(9)) == 1
+
+
+@pytest.mark.parametrize("is_catalogued", [True, False])
+def test_a_run_that_its_job_does_not_name_is_named_at_the_next_start(
+    context, ended, begin_run, open_dispatcher, is_catalogued
+):
+    """The catalogue took the row of the Run, and then no more, or not even that."""
+    begin_run(ended.id).close("failed")
+    if is_catalogued:
+        context.runs.add_measured(ended.id)
+    dispatcher = open_dispatcher()
+    dispatcher.interrupt_unfinished_jobs()
+    joined = context.store.get(ended.id)
+    assert (joined.run_id, joined.state) == (ended.id, State.FAILED)
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(ended.id).version == joined.version
+
+
+def test_nothing_is_touched_while_a_measurement_is_under_way(
+    context, ended, begin_run, dispatcher, until
+):
+    begin_run(ended.id).close("failed")
+    reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
+    job, _ = dispatcher.create(OTF)
+    reconciliation.look()
+    assert context.runs.list_page(9) == []
+    dispatcher.abort(job.id)
+    until(job, State.ABORTED)
+    wait_until(lambda: not dispatcher.is_measuring)
+
+
+@pytest.mark.fault_row(27)
+def test_a_run_that_a_stopped_cell_held_open_is_catalogued_once_it_is_free(
+    context, ended, begin_run, open_dispatcher, monkeypatch
+):
+    monkeypatch.setattr(run_file, "BUSY_TIMEOUT_MS", 50)
+    stopped = begin_run(ended.id)
+    stopped.event("note", "the cell stands still and has its file open")
+    open_dispatcher().interrupt_unfinished_jobs()
+    assert context.store.get(ended.id).run_id is None
+    stopped.close("aborted")
+    Reconciliation(context, lambda: False).look()
+    assert context.store.get(ended.id).run_id == ended.id
+
+
+@pytest.mark.database
+def test_the_run_of_a_further_station_joins_the_job_that_its_file_names(
+    context, begin_run, reconciliation
+):
+    plan = {"kind": "path", "stations": [{"run_id": "one"}, {"run_id": "two"}]}
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan=plan)
+    context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
+    for run_id in ("one", "two", "points"):
+        begin_run(run_id, job.id).close("finished")
+        reconciliation.look()
+    found = context.store.get(job.id)
+    assert (found.run_id, found.further_run_ids) == ("one", ("two",))
+    assert context.runs.find(["points"])
+
+
+def test_a_run_of_no_known_job_is_catalogued_alone(context, begin_run, reconciliation):
+    begin_run("foreign").close("finished")
+    reconciliation.look()
+    assert context.runs.get("foreign").complete
+
+
+def test_a_file_that_is_no_run_is_told_once_and_tried_ever_more_seldom(
+    context, reconciliation, monkeypatch, hand_clock
+):
+    context.runs.name_run_file("garbage").write_bytes(b"no database at all" * 99)
+    read, told = [], []
+    fail = context.runs.read_measured
+
+    def count(_, run_id):
+        read.append(run_id)
+        return fail(run_id)
+
+    monkeypatch.setattr(type(context.runs), "read_measured", count)
+    monkeypatch.setattr(reconciling.log, "warning", lambda text, **_: told.append(text))
+    patient = Reconciliation(context, lambda: False, every_s=30.0)
+    for hand_clock.time_s in range(0, 3600, 30):
+        patient.look()
+    assert len(told) == 1
+    assert 4 < len(read) < 12
+    assert context.runs.name_run_file("garbage").is_file()
+
+
+def test_a_pass_reads_few_runs(context, begin_run, reconciliation):
+    for number in range(reconciling.MOST_RUNS + 1):
+        begin_run(f"r{number}").close("finished")
+    reconciliation.look()
+    assert len(context.runs.list_page(99)) == reconciling.MOST_RUNS
+    reconciliation.look()
+    assert len(context.runs.list_page(99)) == reconciling.MOST_RUNS + 1
+
+
+def test_a_catalogue_that_does_not_answer_ends_no_reconciliation(
+    context, ended, begin_run, reconciliation, monkeypatch
+):
+    begin_run(ended.id).close("failed")
+
+    def refuse(*_):
+        raise StorageUnavailable("locked")
+
+    with monkeypatch.context() as locked:
+        locked.setattr(type(context.runs), "list_left_behind", refuse)
+        reconciliation.look()
+    reconciliation.look()
+    assert context.store.get(ended.id).run_id == ended.id
+
+
+def test_a_run_names_the_job_that_recorded_it(context, dispatcher, begin, cell, until):
+    job = begin(dispatcher.create(OTF)[0])
+    cell.end()
+    until(job, State.SUCCEEDED)
+    file = context.runs.file(job.id)
+    moved = file.rename(file.with_name("another.sqlite"))
+    assert context.runs.read_job_id(moved.stem) == job.id
+
+
+# Jobs that compute, after a restart.
+
+
+@pytest.fixture
+def run_id(begin_run, context):
+    begin_run("measured").close("finished")
+    return context.runs.add_measured("measured").id
+
+
+@pytest.fixture
+def restart(open_dispatcher):
+    """Opens the service anew on the same catalogue."""
+
+    def make():
+        dispatcher = open_dispatcher(machines=Machines())
+        dispatcher.interrupt_unfinished_jobs()
+        return dispatcher
+
+    return make
+
+
+def leave(context, run_id, state, attempts):
+    """Leave a job in the catalogue as a killed service does."""
+    job, _ = context.store.create(Job(JobKind.ANALYSE, run_id=run_id))
+    if state is State.QUEUED:
+        return job
+    for now in (State.RUNNING, state):
+        change = {"state": now, "attempts": attempts}
+        job = context.store.change(job.id, lambda job, to=change: replace(job, **to))
+    return job
+
+
+@pytest.mark.database
+@pytest.mark.parametrize(("state", "attempts"), [("queued", 0), ("running", 1)])
+@pytest.mark.fault_row(25)
+def test_an_analysis_that_a_killed_service_left_is_done_after_the_restart(
+    context, run_id, restart, science, until, state, attempts
+):
+    job = leave(context, run_id, State(state), attempts)
+    restart()
+    done = until(job, State.SUCCEEDED)
+    assert done.attempts == attempts + 1
+    assert len(science.calls) == 1
+    assert (context.results / job.id / "result.json").is_file()
+
+
+def test_an_analysis_that_was_queued_again_in_order_has_all_its_attempts(
+    context, run_id, restart, science, until
+):
+    first = restart()
+    science.hold = threading.Event()
+    request = RequestedJob(JobKind.ANALYSE, run_ids=[run_id])
+    job, _ = first.create(request)
+    for number in range(1, 4):
+        wait_until(lambda n=number: len(science.calls) == n)
+        first.close()
+        queued = context.store.get(job.id)
+        assert (queued.state, queued.attempts) == (State.QUEUED, 0)
+        first = restart()
+    science.hold.set()
+    assert until(job, State.SUCCEEDED).attempts == 1
+
+
+@pytest.mark.fault_row(38)
+def test_a_job_that_takes_the_service_with_it_is_given_up_after_two_attempts(
+    context, run_id, restart, science
+):
+    job = leave(context, run_id, State.RUNNING, 2)
+    restart()
+    given_up = context.store.get(job.id)
+    assert given_up.state is State.FAILED
+    assert given_up.failure.family == "GivenUp"
+    assert "ended 2 times" in given_up.failure.detail
+    assert science.calls == []
+
+
+def test_a_plan_that_stood_already_is_not_planned_again(context, restart, until):
+    """Killed between the plan and its end."""
+    job, _ = context.store.create(Job(JobKind.PLAN))
+    context.store.keep_plan(job.id, {"kind": "path", "rows": []})
+    context.store.change(
+        job.id, lambda job: replace(job, state=State.RUNNING, attempts=1)
+    )
+    restart()
+    assert until(job, State.SUCCEEDED).attempts == 2
+
+
+def test_a_measurement_is_never_queued_again(context):
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF))
+    context.store.change(job.id, lambda job: replace(job, state=State.RUNNING))
+    with pytest.raises(IllegalTransition, match="measures; it is not begun again"):
+        context.store.change(job.id, put_back)
+    assert context.store.get(job.id).state is State.RUNNING
+
+
+@pytest.mark.database
+def test_jobs_are_begun_again_and_what_was_being_aborted_is_aborted(
+    context, run_id, restart, until
+):
+    aborting = leave(context, run_id, State.ABORTING, 1)
+    jobs = [leave(context, run_id, State.QUEUED, 0) for _ in range(3)]
+    restart()
+    assert context.store.get(aborting.id).state is State.ABORTED
+    for job in jobs:
+        until(job, State.SUCCEEDED)
+        result = context.results / job.id / "result.json"
+        assert json.loads(result.read_text())

@@ -1,0 +1,383 @@
+"""A job of several stations asks for the tracker, checks it and loses nothing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+
+from arming import arm_at_once
+from job_builders import OBSERVED, ROWS
+from resumption_doubles import PLACES as SEEN_MM
+from scripted_cell import wait_until
+from truepath.catalogue.job import JobKind
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition, NotFound, PlanningError
+from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.machines.cell_status import ControllerLevels
+from truepath.machines.conditions.conditions import NotInOrder
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers.interfaces.records import MotionState, MotionStatus
+
+PLACES = ([1200.0, 0.0, 0.0], [0.0, -900.0, 50.0], [-500.0, 300.0, 0.0])
+LONG = tuple({**ROWS[row % 2], "z_mm": 10.0 + row} for row in range(11))
+SHARES = [{"position_mm": place, "rows": 11, "duration_s": 9.0} for place in PLACES]
+ADVICE = {"tracker": {}, "stations": {"recommended": 3}, "at_stations": SHARES}
+CURVE = [
+    {"row": row, "time_s": float(row), "volumetric_uncertainty_um": 9.0 / row}
+    for row in (6, 15, 33)
+]
+GOOD = {"place_mm": (1.0, 2.0, 3.0)}
+BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
+
+
+class Checker:
+    """Says of each station what the test has said before."""
+
+    def __init__(self):
+        self.calls, self.answers = [], []
+
+    def __call__(
+        self, file, before, planned_mm, asked_mm, specification, *, on_progress
+    ):
+        self.calls.append((file, before, asked_mm, planned_mm))
+        return self.answers.pop(0) if self.answers else GOOD
+
+
+@pytest.fixture
+def checker():
+    return Checker()
+
+
+@pytest.fixture
+def planner(machine):
+    """A plan of as many stations as are asked for, ten lines from each."""
+
+    def plan(_, order, *, on_progress):
+        path = encode_commanded_json(command_rows(machine, LONG, is_path=True))
+        points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]
+        known = encode_commanded_json(command_rows(machine, points, is_path=False))
+        places = PLACES[: order["stations"]]
+        document = {"machine": machine_to_json(machine), **ADVICE, "curve": CURVE}
+        return {
+            **path,
+            "predicted_um": 1.0,
+            "document": document,
+            "stations": [{"position_mm": p, "duration_s": 9.0, **path} for p in places],
+            "known_points": known,
+            "specification": {},
+        }
+
+    return plan
+
+
+@pytest.fixture
+def context(context, planner, checker, resumer, closer):
+    return replace(
+        context, planner=planner, checker=checker, resumer=resumer, closer=closer
+    )
+
+
+@pytest.fixture
+def restart(dispatcher, open_dispatcher):
+    """Opens the service anew on the same catalogue, after its end or after a kill."""
+
+    def restart(*, is_killed=False):
+        if not is_killed:
+            dispatcher.close()
+        opened = open_dispatcher()
+        opened.interrupt_unfinished_jobs()
+        return opened
+
+    return restart
+
+
+@pytest.fixture
+def plan_id(dispatcher, until):
+    asked = RequestedJob(JobKind.PLAN, plan_request={"mode": "otf", "stations": 3})
+    return until(dispatcher.create(asked)[0], State.SUCCEEDED).id
+
+
+@pytest.fixture
+def prepare(dispatcher, until, plan_id):
+    """Give a job, of the plan unless it is another; return it once it can be armed."""
+
+    def prepare(dispatcher=dispatcher, **request):
+        request = request or {"plan_id": plan_id}
+        job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, **request))
+        return until(job, State.READY)
+
+    return prepare
+
+
+@pytest.fixture
+def measure(dispatcher, cell, until):
+    """Arm a job and let the cell finish so many Runs; return the job then."""
+
+    def measured(job, *runs, then=State.AWAITING_MOVE, dispatcher=dispatcher):
+        armed = arm_at_once(dispatcher, job.id, job.version)
+        for kind in runs:
+            wait_until(cell.begun.is_set, "a measurement")
+            assert type(cell.order.commanded).__name__ == kind
+            cell.begun.clear()
+            cell.end()
+        return until(armed, then)
+
+    return measured
+
+
+@pytest.fixture
+def moved(prepare, measure):
+    """A job that has measured its first station and asks for the second."""
+    return measure(prepare(), POINTS, LINES)
+
+
+POINTS, LINES = "Configurations", "Path"
+
+
+def test_stations_are_asked_for_one_after_another_and_each_is_armed(
+    prepare, measure, context, checker, science, cell
+):
+    job = prepare()
+    assert (job.station.number, job.station.total) == (1, 3)
+    for number in (2, 3):
+        job = measure(job, POINTS, LINES)
+        assert job.station.number == number
+        assert list(job.station.position_mm) == PLACES[number - 1]
+        assert len(job.run_ids) == number - 1
+        assert cell.heard.count("begin") == 2 * (number - 1)
+    job = measure(job, POINTS, LINES, then=State.SUCCEEDED)
+    assert len(set(job.run_ids)) == 3
+    assert science.calls[-1][0] == [str(context.runs.file(i)) for i in job.run_ids]
+    assert checker.calls[0][1] is None
+    assert checker.calls[0][2:] == (pytest.approx(1500.8, abs=0.1), PLACES[0])
+    assert checker.calls[1][1] == checker.calls[0][0]
+    assert checker.calls[1][2] == pytest.approx(1500.8, abs=0.1)
+
+
+def test_a_station_that_the_known_points_contradict_is_asked_for_again(
+    moved, measure, checker
+):
+    checker.answers = [BAD, GOOD]
+    again = measure(moved, POINTS)
+    assert again.station.number == 2
+    assert again.station.checks[-1].problem == "not-moved"
+    assert again.run_ids == moved.run_ids
+    last = measure(again, POINTS, LINES)
+    assert [check.problem for check in last.station.checks] == ["", ""]
+
+
+def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
+    prepare, begin, cell, until
+):
+    job = begin(prepare())
+    cell.begun.clear()
+    cell.fault("beam-lost")
+    asked = until(job, State.AWAITING_MOVE)
+    assert asked.station.checks[-1].problem == "not-seen"
+    assert "beam" in asked.station.checks[-1].text
+    assert "abort" in cell.heard
+
+
+VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
+
+
+def test_what_a_plan_avoids_is_avoided_on_the_way_to_its_rows(
+    open_watched, measure, until, cell
+):
+    behind_the_vice = (300.0, 10.0, 10.0)  # it is between here and the known points
+    place = [behind_the_vice]
+
+    def observe():
+        status = MotionStatus(MotionState.IDLE, place[0], 0, override=1.0)
+        read = ControllerLevels(status, "", time.monotonic(), ("X", "Y", "Z"))
+        return replace(OBSERVED, controller=read)
+
+    dispatcher = open_watched(observe)
+    asked = {"mode": "otf", "stations": 2, "workspace": {"keep_out": [VICE]}}
+    plan, _ = dispatcher.create(RequestedJob(JobKind.PLAN, plan_request=asked))
+    until(plan, State.SUCCEEDED)
+    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, plan_id=plan.id))
+    ready = until(job, State.READY)
+    with pytest.raises(NotInOrder, match="keep-out box vice"):
+        arm_at_once(dispatcher, ready.id, ready.version)
+    assert "begin" not in cell.heard
+    place[0] = (10.0, 300.0, 10.0)
+    waits = measure(ready, POINTS, LINES, dispatcher=dispatcher)
+    place[0] = behind_the_vice  # jogged while the tracker was moved
+    with pytest.raises(NotInOrder, match="keep-out box vice"):
+        arm_at_once(dispatcher, waits.id, waits.version)
+
+
+def test_while_the_tracker_is_moved_a_job_is_not_continued_and_can_be_aborted(
+    moved, prepare, dispatcher, until, plan_id
+):
+    with pytest.raises(IllegalTransition, match="goes on by itself"):
+        prepare(continues=moved.id)
+    with pytest.raises(NotFound, match="from stations"):
+        prepare(continues=plan_id)
+    dispatcher.abort(moved.id)
+    assert until(moved, State.ABORTED).run_ids == moved.run_ids
+
+
+@pytest.mark.database
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_service_that_ends_meanwhile_loses_nothing_and_another_job_goes_on(
+    moved, prepare, measure, restart, until, science, is_killed
+):
+    second = restart(is_killed=is_killed)
+    ended = until(moved, State.INTERRUPTED)
+    assert ended.run_ids == moved.run_ids
+    again = prepare(second, continues=moved.id)
+    assert again.station.number == 2
+    assert again.run_ids == moved.run_ids
+    again = measure(again, POINTS, LINES, dispatcher=second)
+    last = measure(again, POINTS, LINES, then=State.SUCCEEDED, dispatcher=second)
+    assert last.run_ids[0] == moved.run_ids[0]
+    assert len(science.calls[-1][0]) == 3
+    with pytest.raises(IllegalTransition, match="all stations"):
+        prepare(second, continues=last.id)
+
+
+def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_again(
+    moved, measure, restart, until
+):
+    second = restart()
+    until(moved, State.INTERRUPTED)
+    second.acknowledge(moved.id)
+    ready = until(moved, State.READY)
+    assert ready.station.number == 2
+    asked = measure(ready, POINTS, LINES, dispatcher=second)
+    assert asked.station.number == 3
+    assert len(asked.run_ids) == 2
+
+
+@pytest.fixture
+def cut_short(moved, dispatcher, cell, end_in_motion):
+    """A job that a fault has ended on the lines of its second station."""
+    arm_at_once(dispatcher, moved.id, moved.version)
+    for what in ("the known points", "the lines"):
+        wait_until(cell.begun.is_set, what)
+        cell.begun.clear()
+        if what == "the known points":
+            cell.end()
+    return end_in_motion(moved)
+
+
+@pytest.fixture
+def go_on(cut_short, dispatcher, until):
+    """Acknowledges it; returns it once it can be armed."""
+
+    def done():
+        dispatcher.acknowledge(cut_short.id)
+        return until(cut_short, State.READY)
+
+    return done
+
+
+def test_a_station_that_was_cut_short_goes_on_with_the_rest_of_its_lines(
+    go_on, measure, cell, resumer, closer, context, science
+):
+    resumer.next_row = 4
+    ready = go_on()
+    assert ready.station.number == 2
+    asked = measure(ready, POINTS, LINES)
+    assert asked.station.number == 3
+    rest = cell.order.commanded
+    assert rest.position[:, 2].tolist() == [10.0 + row for row in range(3, 11)]
+    assert closer.calls == [SEEN_MM]
+    last = measure(asked, POINTS, LINES, then=State.SUCCEEDED)
+    assert len(last.run_ids) == 4
+    assert science.calls[-1][0] == [str(context.runs.file(i)) for i in last.run_ids]
+
+
+@pytest.fixture
+def elsewhere(go_on, measure, closer):
+    """The job that asks for its second station again: it was moved meanwhile."""
+    closer.problem = "the target is 51 µm from where it was"
+    return measure(go_on(), POINTS)
+
+
+def test_a_station_that_was_moved_meanwhile_is_said_and_measured_on_as_a_new_one(
+    elsewhere, measure, closer, checker
+):
+    before = len(checker.calls)
+    (check,) = elsewhere.station.checks
+    assert (elsewhere.station.number, check.station, check.problem) == (2, 2, "moved")
+    assert closer.problem in check.text
+    assert "new station" in check.text
+    checker.answers = [{"problem": "residual", "text": "they do not fit"}, GOOD]
+    again = measure(elsewhere, POINTS)
+    assert again.station.checks[-1].problem == "residual"
+    assert measure(again, POINTS, LINES).station.number == 3
+    _, itself, asked_mm, _ = checker.calls[-1]
+    assert itself == checker.calls[before - 1][0], "its own known points before"
+    assert asked_mm == 0.0
+
+
+def test_a_station_that_is_put_back_where_it_was_is_no_new_one(
+    elsewhere, measure, closer, checker
+):
+    before = len(checker.calls)
+    assert before == 2, "of the first station and of the second"
+    closer.problem = ""
+    assert measure(elsewhere, POINTS, LINES).station.number == 3
+    assert len(checker.calls) == before
+
+
+def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_out(
+    go_on, measure, cell, resumer, science
+):
+    resumer.next_row = None
+    asked = measure(go_on(), POINTS, LINES)
+    assert len(cell.order.commanded) == len(LONG)
+    last = measure(asked, POINTS, LINES, then=State.SUCCEEDED)
+    assert len(last.run_ids) == 4
+    assert len(science.calls[-1][0]) == 3
+
+
+def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole(
+    cut_short, prepare, measure, cell
+):
+    again = prepare(continues=cut_short.id)
+    assert again.station.number == 2
+    measure(again, POINTS, LINES)
+    assert len(cell.order.commanded) == len(LONG)
+
+
+def test_a_beginning_of_a_plan_ends_at_its_last_station(prepare, plan_id, context):
+    job = prepare(plan_id=plan_id, plan_rows=15)
+    assert job.station.total == 2
+    plan = context.store.read_plan(job.id)
+    assert [len(part["position"]) for part in plan["stations"]] == [11, 4]
+    assert [part["duration_s"] for part in plan["stations"]] == [9.0, 6.0]
+    assert plan["predicted_um"] == pytest.approx(0.6)
+    shares = plan["place"]["at_stations"]
+    assert [(one["rows"], one["duration_s"]) for one in shares] == [(11, 9.0), (4, 6.0)]
+
+
+def test_a_beginning_within_the_first_station_needs_no_other(prepare, plan_id, context):
+    job = prepare(plan_id=plan_id, plan_rows=6)
+    plan = context.store.read_plan(job.id)
+    assert job.station is None
+    assert "stations" not in plan
+    assert len(plan["position"]) == 6
+
+
+def test_a_job_keeps_what_its_plan_says_of_places_and_has_no_target(
+    prepare, plan_id, context
+):
+    with pytest.raises(PlanningError, match="leave target_um out"):
+        prepare(plan_id=plan_id, target_um=1.0)
+    assert context.store.read_plan(prepare().id)["place"] == ADVICE
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"), [(34, "33 rows"), (2, "add rows"), (12, "1 place")]
+)
+def test_a_beginning_that_cannot_be_measured_is_refused(prepare, plan_id, rows, why):
+    with pytest.raises(PlanningError, match=why):
+        prepare(plan_id=plan_id, plan_rows=rows)

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+
+from truepath.catalogue.transitions import (
+    FINAL,
+    LEFT_BY_ACKNOWLEDGE,
+    TRANSITIONS,
+    VERB_SATISFIED,
+    VERB_TRANSITIONS,
+    State,
+    Verb,
+    apply_verb,
+    check_transition,
+    may_follow,
+)
+from truepath.errors import IllegalTransition
+
+
+def find_all(first, list_next):
+    """Return every state that can be reached."""
+    reached, front = {first}, {first}
+    while front:
+        front = set().union(*map(list_next, front)) - reached
+        reached |= front
+    return reached
+
+
+def test_every_state_stands_in_the_table_can_be_reached_and_has_an_end_in_reach():
+    assert set(TRANSITIONS) == set(State)
+    assert find_all(State.QUEUED, TRANSITIONS.get) == set(State)
+    assert all(state in FINAL or after & FINAL for state, after in TRANSITIONS.items())
+
+
+def test_the_six_ends_are_never_left_and_an_abort_leaves_them_as_they_are():
+    ends = {"aborted", "cancelled", "succeeded", "failed", "faulted", "interrupted"}
+    assert {str(state) for state in FINAL} == ends
+    for state in FINAL:
+        assert apply_verb(Verb.ABORT, state) is state
+        for after in set(State) if state not in LEFT_BY_ACKNOWLEDGE else ():
+            with pytest.raises(IllegalTransition):
+                check_transition(state, after)
+
+
+@pytest.mark.parametrize("state", sorted(set(State) - FINAL))
+@pytest.mark.fault_row(34)
+def test_abort_is_accepted_in_every_state_that_is_not_final(state, measured):
+    assert apply_verb(Verb.ABORT, state) is State.ABORTING
+    measured(f"abort from {state}")
+
+
+@pytest.mark.parametrize("verb", sorted(Verb))
+@pytest.mark.fault_row(34)
+def test_a_verb_leads_only_where_the_table_goes(verb):
+    for state, after in VERB_TRANSITIONS[verb].items():
+        assert may_follow(state, after)
+
+
+@pytest.mark.parametrize("verb", sorted(Verb))
+def test_a_verb_said_twice_is_said_once_or_refused(verb):
+    for state in State:
+        if state not in VERB_TRANSITIONS[verb] and state not in VERB_SATISFIED[verb]:
+            with pytest.raises(IllegalTransition, match=f"cannot {verb} a job that is"):
+                apply_verb(verb, state)
+            continue
+        once = apply_verb(verb, state)
+        assert verb is Verb.ARM or apply_verb(verb, once) is once
+
+
+def test_only_arming_starts_a_measurement():
+    starts = [verb for verb in Verb if State.READY in VERB_TRANSITIONS[verb]]
+    assert sorted(starts) == [Verb.ABORT, Verb.ARM, Verb.CANCEL]
+
+
+@pytest.mark.fault_row(34)
+def test_a_fault_or_an_interruption_is_left_only_by_acknowledging_it():
+    for state in LEFT_BY_ACKNOWLEDGE:
+        leaving = [verb for verb in Verb if state in VERB_TRANSITIONS[verb]]
+        assert leaving == [Verb.ACKNOWLEDGE]
+        assert TRANSITIONS[state] == {State.PREPARING}
+
+
+def test_a_cancelled_job_can_still_be_aborted_and_is_never_moved_again():
+    assert apply_verb(Verb.ABORT, State.CANCELLING) is State.ABORTING
+    for verb in (Verb.PAUSE, Verb.RESUME, Verb.ARM):
+        with pytest.raises(IllegalTransition):
+            apply_verb(verb, State.CANCELLING)
+
+
+def list_unarmed(state):
+    """What follows without arming: by other verbs, and by the worker itself.
+
+    It never leaves `ready` for motion, and only a person leaves what is acknowledged.
+    """
+    after = set() if state in LEFT_BY_ACKNOWLEDGE else set(TRANSITIONS[state])
+    if state in {State.READY, State.QUEUED}:
+        after.discard(State.RUNNING)
+    for verb in set(Verb) - {Verb.ARM}:
+        with suppress(IllegalTransition):
+            after.add(apply_verb(verb, state))
+    return after
+
+
+def test_nothing_moves_before_it_is_armed_whatever_is_asked_or_happens():
+    reached = find_all(State.QUEUED, list_unarmed)
+    moving = {State.RUNNING, State.PAUSING, State.PAUSED, State.RESUMING}
+    assert State.READY in reached
+    assert State.FAULTED in reached, "and what is acknowledged is armed anew"
+    assert not reached & moving

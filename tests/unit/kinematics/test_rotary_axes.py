@@ -1,0 +1,213 @@
+"""The linear form against the exact transforms of the truth machine, rotary axes too.
+
+The truth machine composes homogeneous transforms; nothing is shared with it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import (
+    ErrorMotion,
+    find_arm,
+    make_error_motion,
+)
+from truepath.kinematics.effects.location_error import (
+    list_axis_locations,
+    list_squarenesses,
+)
+from truepath.kinematics.effects.rotary_eccentricity import RotaryEccentricity
+from truepath.kinematics.effects.tool_growth import ToolGrowth
+from truepath.kinematics.machine.machine import find_local_directions
+from truepath.kinematics.machine.symbols import (
+    describe_symbol,
+    find_unit,
+    list_error_motions,
+    list_locations,
+)
+from truepath.kinematics.model import MachineModel
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.rotary_joint import local_frame
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
+
+CHAINS = [
+    "w-C-b-X-Y-Z-B-t",
+    "w-C-A-b-X-Y-Z-t",
+    "w-C-Y-b-X-Z-A-t",
+    "w-b-X-Y-Z-C-A-t",
+    "w-X-Y-Z-C-B-b-t",
+    "w-b-C-X-Y-Z-t",
+]
+INCLINED = {"B": [0.0, 1.0, 1.0], "C": [0.2, -0.1, -1.0], "A": [-1.0, 0.0, 0.0]}
+TURNING = {
+    "A": {
+        "type": "rotary",
+        "min_deg": -100,
+        "max_deg": 30,
+        "origin_mm": [200, 150, -60],
+    },
+    "B": {"type": "rotary", "min_deg": -30, "max_deg": 110, "origin_mm": [10, -20, 40]},
+    "C": {"type": "rotary", "min_deg": 0, "max_deg": 360, "origin_mm": [240, 190, -90]},
+}
+
+
+def content(chain, stands_on="workpiece", *, inclined=False):
+    made = load_machine("head-table")
+    axes = {k: v for k, v in made["axes"].items() if k in "XYZ"}
+    for name in chain.split("-"):
+        if name in TURNING:
+            direction = {"direction": INCLINED[name]} if inclined else {}
+            axes[name] = TURNING[name] | direction
+    made |= {"kinematic_chain": chain, "axes": axes}
+    made["tracker"] |= {"stands_on": stands_on}
+    return made
+
+
+def every_effect(machine):
+    motions = [
+        make_error_motion(s, axis, 48)
+        for axis in machine.axes
+        for s in list_error_motions(axis.name)
+    ]
+    places = [e for axis in machine.rotary_axes for e in list_axis_locations(axis)]
+    return MachineModel(
+        machine, (*motions, *list_squarenesses(("X", "Y", "Z")), *places)
+    )
+
+
+def theta_of(model, truth):
+    """Parameters that state the errors of the truth machine."""
+    theta = np.zeros(model.size)
+    known = truth.error_motions()
+    stated = {**truth.squareness_rad, **truth.locations()}
+    for effect in model.effects:
+        if isinstance(effect, ErrorMotion):
+            values = known[effect.symbol].at(effect.spline.knots)
+            part = np.linalg.pinv(effect.gauge) @ values
+        else:
+            part = stated[effect.name]
+        theta[model.slices[effect.name]] = part
+    return theta
+
+
+def seen(machine, q, target, observer):
+    n = len(q)
+    place = machine.target(target)
+    at = make_standstill(machine, q, np.tile(place.offset_mm, (n, 1)))
+    return at.view_from(observer, np.full(n, place.on == "workpiece"))
+
+
+@pytest.mark.parametrize(
+    ("stands_on", "inclined"), [("workpiece", False), ("base", True)]
+)
+@pytest.mark.parametrize("chain", CHAINS)
+def test_the_linear_form_is_the_exact_machine_to_second_order(
+    chain, stands_on, inclined, rng
+):
+    stated = content(chain, stands_on, inclined=inclined)
+    file, machine = parse_machine(stated), machine_from_json(stated)
+    q = rng.uniform(file.low, file.high, (25, len(file.axes)))
+    model = every_effect(machine)
+    for target in ("T2", "W1"):
+        at = seen(machine, q, target, stands_on)
+        reflector = file.reflector(target)
+
+        def rest_mm(scale, at=at, reflector=reflector):
+            truth = random_machine(file, 8, scale=scale)
+            there = truth.point_mm(q, reflector, stands_on)
+            assert np.allclose(
+                at.point_mm, truth.nominal_point_mm(q, reflector, stands_on), atol=1e-9
+            )
+            linear = model.jacobian(at) @ theta_of(model, truth)
+            size = np.abs(there - at.point_mm).max()
+            return np.abs(there - at.point_mm - linear).max(), size
+
+        rest, size = rest_mm(1.0)
+        # The knots hold the truth to a thousandth; the rest is of second order.
+        assert rest <= 2e-3 * size
+        coarse, fine = rest_mm(300.0)[0], rest_mm(100.0)[0]
+        if size > 0:
+            assert coarse < 9.5 * fine
+
+
+@pytest.mark.parametrize("chain", CHAINS[:4])
+def test_errors_and_locations_are_nothing_at_the_axis_zero(chain):
+    machine = machine_from_json(content(chain))
+    q = np.zeros((1, len(machine.axes)))
+    model = every_effect(machine)
+    names = [*(f"E{d}{a.name}" for a in machine.rotary_axes for d in "XYZABC")]
+    names += [s for a in machine.rotary_axes for s in list_locations(a.name)]
+    columns = model.jacobian(make_standstill(machine, q))
+    for name in names:
+        assert np.abs(columns[:, :, model.slices[name]]).max() < 1e-9
+
+
+def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
+    machine = machine_from_json(content(CHAINS[0]))
+    table = make_error_motion("EXC", machine.rotary_axes[1], 12)
+    head = make_error_motion("EXB", machine.rotary_axes[0], 12)
+    ends = table.rows(np.array([0.0, 360.0]))
+    assert np.allclose(ends[0], ends[1])
+    ends = head.rows(np.array([-30.0, 110.0]))
+    assert not np.allclose(ends[0], ends[1])
+
+
+def test_motions_across_the_axis_have_no_mean():
+    machine = machine_from_json(content(CHAINS[0]))
+    for axis in machine.rotary_axes:
+        s = np.linspace(axis.low, axis.high, 20_001)
+        weight = np.ones(len(s))
+        weight[[0, -1]] = 0.5
+        for symbol in list_error_motions(axis.name):
+            mean = weight @ make_error_motion(symbol, axis, 9).rows(s) / weight.sum()
+            along = {"B": "YB", "C": "ZC"}[axis.name]
+            assert (np.abs(mean).max() < 1e-7) == (symbol[1] not in along)
+
+
+def test_directions_of_symbols_are_those_of_the_truth_machine():
+    stated = content("w-C-A-b-X-Y-Z-B-t", inclined=True)
+    file, machine = parse_machine(stated), machine_from_json(stated)
+    for mine, theirs in zip(machine.rotary_axes, file.rotary_axes, strict=True):
+        assert np.allclose(find_local_directions(mine), local_frame(theirs), atol=1e-12)
+
+
+def test_symbols_of_rotary_axes_have_meanings_and_units():
+    symbols = [s for a in "BC" for s in (*list_error_motions(a), *list_locations(a))]
+    assert len({describe_symbol(s) for s in symbols}) == 20
+    meanings = {
+        "ECC": "positioning of C",
+        "EXC": "radial motion of C in X",
+        "EZC": "axial motion of C in Z",
+        "EAC": "tilt of C about X",
+        "XOC": "shift of the axis of C in X",
+    }
+    assert {symbol: describe_symbol(symbol) for symbol in meanings} == meanings
+    assert [find_unit(s) for s in ("XOC", "AOC", "EXC", "ECC")] == ["um", "urad"] * 2
+
+
+def test_a_spindle_grows_along_itself_wherever_the_head_turns_it(rng):
+    machine = machine_from_json(content("w-b-X-Y-Z-B-t"))
+    q = rng.uniform(0.0, 100.0, (20, 4))
+    at = replace(seen(machine, q, "T1", "workpiece"), time_s=np.linspace(0, 30, 20))
+    grown = ToolGrowth(10.0, 0.0).displacement_mm(at, np.array([0.005]))
+    size = 0.005 * (1.0 - np.exp(-at.time_s / 10.0))
+    B = np.radians(q[:, 3])
+    axis = np.stack([np.sin(B), np.zeros(20), np.cos(B)], axis=1)
+    np.testing.assert_allclose(grown, size[:, None] * axis, atol=1e-12)
+
+
+def test_an_eccentric_scale_moves_nothing_at_the_axis_zero(rng):
+    machine = machine_from_json(content("w-b-X-Y-Z-C-t"))
+    q = rng.uniform(0.0, 100.0, (20, 4))
+    q[0, 3] = 0.0
+    at = seen(machine, q, "T1", "workpiece")
+    effect = RotaryEccentricity(machine.rotary("C"))
+    moved = effect.displacement_mm(at, np.array([2e-5, 1e-5]))
+    C = np.radians(q[:, 3])
+    turn = 2e-5 * np.sin(C) + 1e-5 * (np.cos(C) - 1.0)
+    np.testing.assert_allclose(moved, find_arm("ECC", at) * turn[:, None], atol=1e-12)
+    assert np.abs(moved[0]).max() == 0.0

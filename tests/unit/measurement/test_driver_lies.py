@@ -1,0 +1,56 @@
+"""What a driver of somebody else breaks or lies about is found at its border."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hostile_drivers import POINTS
+from plugin_site import NAME, install
+from truepath.device_options import make_device
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
+from truepath_drivers.interfaces.records import MotionStatus
+
+pytestmark = pytest.mark.fault_row(49)
+
+
+@pytest.fixture(autouse=True)
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(install(tmp_path / "site", POINTS))
+
+
+@pytest.mark.parametrize(
+    ("device", "verb", "fault"),
+    [
+        ("tracker", "connect", "none"),
+        ("tracker", "read", "none"),
+        ("tracker", "read", "flat"),
+        ("tracker", "take_link_bytes", "tuple"),
+        ("tracker", "start", "exit"),
+        ("motion", "connect", "raise"),
+        ("motion", "connect", "unpicklable"),
+        ("motion", "status", "none"),
+        ("motion", "status", "raise"),
+        ("motion", "status", "two-axes"),
+        ("motion", "status", "texts"),
+        ("motion", "status", "tuple"),
+        ("thermometer", "read", "tuple"),
+    ],
+)
+def test_what_breaks_or_lies_is_an_error_that_names_driver_call_and_remedy(
+    device, verb, fault
+):
+    made = make_device(device, "hostile", {"verb": verb, "fault": fault})
+    given = {"read": (0.1,), "start": (500.0,)} if device == "tracker" else {}
+    with pytest.raises(DeviceError, match=rf"{NAME}.* {verb}\(\).*; update"):
+        getattr(made, verb)(*given.get(verb, ()))
+
+
+def test_what_is_of_the_drivers_own_class_arrives_as_what_everybody_knows():
+    status = make_device("motion", "hostile", {"verb": "status", "fault": "own-class"})
+    assert type(status.status()) is MotionStatus
+    lost = make_device("motion", "hostile", {"verb": "connect", "fault": "own-error"})
+    with pytest.raises(ConnectionLost, match="the cable is out") as caught:
+        lost.connect()
+    assert caught.type is ConnectionLost

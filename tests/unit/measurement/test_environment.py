@@ -1,0 +1,441 @@
+"""Sensors during a measurement: in the Run, never in the way, never wrong unsaid."""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.errors import BadInput
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.run import summarize_run
+from truepath.files.environment.refraction import choose_refraction
+from truepath.measurement.messages import BlockRecorded, FaultReported
+from truepath.measurement.monitors.channel_judge import (
+    BACK,
+    IMPLAUSIBLE,
+    NO_NUMBER,
+    SILENT,
+    STUCK,
+    ChannelJudge,
+)
+from truepath.measurement.monitors.environment_reader import EnvironmentReader
+from truepath.measurement.progress import LiveView
+from truepath.measurement.run_file.recorder import Recorder
+from truepath.measurement.run_file.run_file import RunHeader
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.numerics.air_index import find_air_index
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.interfaces.records import Identity, TrackerSamples
+from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
+from truepath_drivers.interfaces.tracker import AirExchange
+from truepath_drivers.interfaces.tracker_records import Air, Light, TrackerCapabilities
+
+pytestmark = pytest.mark.usefixtures("clock")
+
+NAMES = ("X_degC", "air_degC", "pressure_hPa", "humidity_percent")
+USUAL = dict(zip(NAMES, (20.5, 21.0, 1002.0, 45.0), strict=True))
+HENE = Light(633.0, is_group=False)
+
+
+class FakeThermometers(Thermometers):
+    """Sensors in this process."""
+
+    def __init__(self) -> None:
+        self.shows, self.faults = dict(USUAL), dict[str, str]()
+        self.dead = self.is_open = False
+        self.hangs = threading.Event()
+        self.hangs.set()
+        self.broken: Exception | None = None
+
+    @property
+    def channels(self):
+        return tuple(Channel(name) for name in NAMES)
+
+    @property
+    def period_s(self):
+        return 0.02
+
+    def connect(self):
+        if self.dead:
+            raise DeviceTimeout("no valid reply in 0.2 s; check power")
+        self.is_open = True
+        return Identity("Us", "fake thermometers", "", "")
+
+    def close(self):
+        self.is_open = False
+
+    def read(self):
+        if not self.is_open:
+            raise ConnectionLost("connect first")
+        host_clock.wait(self.hangs, 20.0)
+        if self.broken is not None:
+            raise self.broken
+        now_s = host_clock.now_s()
+        return tuple(
+            Reading(n, now_s, math.nan, self.faults[n])
+            if n in self.faults
+            else Reading(n, now_s, v)
+            for n, v in self.shows.items()
+        )
+
+
+def judged(values, *, step_s=1.0, channel=None):
+    """Return values and kinds of what is told, of readings a step apart."""
+    judge = ChannelJudge(channel or Channel("X_degC"))
+    found, told = [], []
+    for number, value in enumerate(values):
+        fault = value if isinstance(value, str) else ""
+        shown = math.nan if fault else value
+        reading = Reading("X_degC", 100.0 + step_s * number, shown, fault)
+        value, notice = judge.judge(reading)
+        found.append(value)
+        told.append("" if notice is None else notice.code)
+    return found, told
+
+
+class TestJudge:
+    @pytest.mark.fault_row(12)
+    @pytest.mark.parametrize(
+        ("wrong", "kind"),
+        [
+            (327.67, IMPLAUSIBLE),
+            (-205.0, IMPLAUSIBLE),
+            (293.15, IMPLAUSIBLE),
+            (math.inf, NO_NUMBER),
+            (math.nan, NO_NUMBER),
+        ],
+    )
+    def test_a_wrong_number_is_left_out_and_told_at_once(self, wrong, kind):
+        found, told = judged([20.0, wrong, *[20.1] * 12])
+        assert math.isnan(found[1])
+        assert (found[0], found[-1]) == (20.0, 20.1)
+        assert [told[1], *filter(None, told)] == [kind, kind, BACK]
+
+    def test_good_readings_a_lost_reply_and_a_coarse_sensor_are_no_fault(self):
+        assert judged([20.0, 20.1]) == ([20.0, 20.1], ["", ""])
+        assert judged([20.0, "no reply", 20.1])[1] == ["", "", ""]
+        coarse = Channel("X_degC", stuck_s=0.0)
+        assert not any(judged([20.0] * 5, step_s=3600.0, channel=coarse)[1])
+
+    def test_a_silence_is_told_once_and_at_once_if_it_is_from_the_beginning(self):
+        _, told = judged([20.0, *["no reply"] * 20, 20.1])
+        assert told.count(SILENT) == 1
+        assert told[-1] == BACK
+        assert told.index(SILENT) == 6
+        assert judged(["no reply"])[1] == [SILENT]
+
+    @pytest.mark.fault_row(12)
+    def test_a_stuck_sensor_is_left_out_until_it_changes(self):
+        steady = Channel("X_degC", stuck_s=10.0)
+        found, told = judged([20.0] * 15 + [20.1], channel=steady)
+        assert np.isnan(found[10:15]).all()
+        assert found[-1] == 20.1
+        assert told[10] == STUCK
+        assert told[-1] == BACK
+
+
+def swap_words(value):
+    """Return what a float32 looks like in the wrong order of its words."""
+    return float(np.array([value], ">f4").view(">u2")[::-1].copy().view(">f4")[0])
+
+
+@pytest.mark.fault_row(43)
+class TestGate:
+    def test_of_words_in_the_wrong_order_nothing_is_believed(self):
+        draws = np.random.default_rng(0).normal(20.0, 0.02, 1000)
+        found, told = judged([swap_words(value) for value in draws])
+        assert np.isfinite(found).sum() <= 1  # one that happens to look like one
+        assert IMPLAUSIBLE in told
+        assert BACK not in told
+
+    @pytest.mark.parametrize("wrong", [0.0, 2.3e-41, swap_words(20.5), -1e-9])
+    def test_nearly_nothing_is_no_temperature_however_long_it_lasts(self, wrong):
+        for values in ([wrong] * 60, [20.0, 20.1, *[wrong] * 60]):
+            found, told = judged(values)
+            assert np.isnan(found[-60:]).all()
+            assert told[-60] == IMPLAUSIBLE
+
+    def test_a_channel_stays_out_until_it_has_been_steady_for_a_while(self):
+        bad = [20.0, 1e-30, 20.0, 327.0, 20.0, 45.0, 20.0]
+        found, told = judged([*[20.0] * 30, *bad, *[20.0] * 30])
+        assert np.isnan(found[31:40]).all()
+        assert found[-15:] == [20.0] * 15
+        assert told.count(BACK) == 1
+
+    def test_a_sensor_that_keeps_coming_and_going_stays_out(self):
+        swapped = struct.unpack("<f", struct.pack(">f", 20.5))[0]  # bytes, not words
+        for bad in (0.0, swapped, -20.0, 60.0):
+            found, _ = judged([*[20.0] * 20, *[bad, 20.0, 20.0, 20.1] * 20])
+            assert np.isnan(found[20:]).all()
+
+    def test_a_new_level_is_believed_when_a_machine_can_have_come_there(self):
+        found, _ = judged([*[20.0] * 30, *[26.0] * 600])
+        first = int(np.flatnonzero(np.isfinite(found[30:]))[0])
+        assert 100 < first < 400
+
+    def test_the_air_is_colder_than_a_spindle_may_be(self):
+        assert math.isnan(judged([60.0], channel=Channel("air_degC"))[0][0])
+        assert judged([60.0], channel=Channel("spindle_degC"))[0] == [60.0]
+
+    @pytest.mark.parametrize("step_s", [0.1, 1.0, 10.0])
+    def test_what_warms_is_believed(self, step_s):
+        warms = 15.0 + 25.0 * (1.0 - np.exp(-np.arange(0.0, 900.0, step_s) / 100.0))
+        values = np.round(warms, 1) + np.random.default_rng(0).normal(0, 0.03)
+        assert np.isfinite(judged(values.tolist(), step_s=step_s)[0]).all()
+
+
+@pytest.fixture
+def sensors():
+    made = FakeThermometers()
+    yield made
+    made.hangs.set()
+
+
+@pytest.fixture
+def measure(begin, order, motion, journal):
+    def run(sensors, order=order, **given):
+        motion.speed = 100.0
+        running = begin(order, sensors=sensors, **given)
+        assert running.ended() == "finished", journal.events[-4:]
+        return running.run
+
+    return run
+
+
+def test_a_run_holds_what_its_sensors_showed(measure, sensors, tmp_path):
+    run = measure(sensors)
+    summary = summarize_run(run)
+    assert {one.name: one.mean for one in summary.sensors} == pytest.approx(USUAL)
+    assert all(one.is_used for one in summary.sensors)
+    assert run.temperature.time_s[0] >= run.tracker.device_time_s[0] - 60.0
+    assert (np.diff(run.temperature.time_s) > 0).all()
+    write_bundle(run, tmp_path / "bundle")
+    header = (tmp_path / "bundle" / "environment.csv").read_text().splitlines()[0]
+    assert header == "t_s,X_degC,air_degC,pressure_hPa,humidity_percent"
+    again = read_bundle(tmp_path / "bundle")
+    np.testing.assert_array_equal(again.temperature.celsius, run.temperature.celsius)
+    np.testing.assert_array_equal(again.air.pressure_hpa, run.air.pressure_hpa)
+
+
+def test_sensors_that_are_dead_from_the_start_cost_themselves(
+    measure, sensors, journal, motion
+):
+    sensors.dead = True
+    run = measure(sensors)
+    told = {f.text for f in journal.of(FaultReported)}
+    assert len([text for text in told if "no valid reply" in text]) == len(NAMES)
+    assert summarize_run(run).sensors_told
+    assert "hold" not in motion.calls
+    assert not any(one.is_used for one in summarize_run(run).sensors)
+
+
+@pytest.mark.fault_row(12)
+def test_a_wire_that_breaks_is_told_and_never_a_temperature(measure, sensors, journal):
+    sensors.shows["X_degC"] = 327.67
+    run = measure(sensors)
+    assert "sensor-implausible" in {f.code for f in journal.of(FaultReported)}
+    facts = {one.name: one for one in summarize_run(run).sensors}
+    assert facts["X_degC"].readings == 0
+    assert facts["air_degC"].readings > 0
+    assert "X" not in summarize_run(run).temperature_degc
+
+
+@pytest.mark.fault_row(14)
+def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
+    measure, sensors, motion
+):
+    sensors.hangs.clear()
+    begin_s = host_clock.now_s()
+    run = measure(sensors)
+    assert host_clock.now_s() - begin_s < 10.0
+    assert motion.beats == motion.looks
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert run.temperature is None
+
+
+@pytest.mark.fault_row(43)
+def test_what_was_left_out_is_counted_in_the_run_with_its_reason(measure, sensors):
+    sensors.shows["X_degC"] = swap_words(20.5)
+    sensors.shows["pressure_hPa"] = 746.0  # of mercury, in mm
+    run = measure(sensors)
+    told = summarize_run(run).sensors_told
+    for words in ("nearly 0", "a site whose altitude is not stated"):
+        assert any("readings not used" in text and words in text for text in told)
+
+
+def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path):
+    sensors.faults["X_degC"] = "no reply"
+    write_bundle(measure(sensors), tmp_path / "bundle")
+    again = read_bundle(tmp_path / "bundle")
+    assert again.temperature.names == ("air",)
+    assert any("X_degC: no reply" in t for t in summarize_run(again).sensors_told)
+
+
+def test_a_driver_with_a_defect_costs_its_readings(measure, sensors, journal):
+    sensors.broken = ZeroDivisionError("of a driver")
+    measure(sensors)
+    assert any("has failed" in f.text for f in journal.of(FaultReported))
+
+
+class WithStation(AirExchange):
+    """Makes a tracker tell its air."""
+
+    def push_air(self, air):
+        raise NotImplementedError
+
+    def read_air(self):
+        return Air(22.0, 990.0, math.nan)
+
+
+def test_the_station_of_a_tracker_is_read_where_nothing_else_is(
+    measure, sensors, tracker
+):
+    kind = type("Station", (WithStation, type(tracker)), {})
+    tracker.__class__ = kind
+    run = measure(None)
+    assert run.temperature.names == ("air",)
+    assert run.temperature.celsius[0, 0] == 22.0
+    assert run.air.pressure_hpa[0] == 990.0
+
+
+# Recording
+
+
+@pytest.fixture
+def header(mill, square) -> RunHeader:
+    return RunHeader("monday", mill, square, 500.0, {}, ("X", "Y", "Z"), NAMES)
+
+
+def block(first: int) -> TrackerSamples:
+    sequence = np.arange(first, first + 50)
+    time_s = 1000.0 + 0.002 * sequence
+    place = np.tile([3000.0, 400.0, 1200.0], (50, 1))
+    return TrackerSamples(sequence, time_s, place, np.zeros(50, np.int64))
+
+
+def record(file, header, *, blocks=4, close=True):
+    recorder = Recorder(file, header, reserve_bytes=0)
+    for number in range(blocks):
+        recorder.put_tracker(block(50 * number))
+        recorder.put_environment(host_clock.now_s(), USUAL)
+        host_clock.sleep_s(0.05)
+    recorder.put_environment(host_clock.now_s(), {"X_degC": 20.6})
+    if close:
+        recorder.close("finished")
+    return recorder
+
+
+def test_readings_come_on_the_trackers_clock_and_outlive_their_writer(tmp_path, header):
+    file = tmp_path / "run.sqlite"
+    recorder = record(file, header, close=False)
+    deadline_s = host_clock.now_s() + 5.0
+    while open_run(file).temperature is None and host_clock.now_s() < deadline_s:
+        host_clock.sleep_s(0.02)
+    assert open_run(file).temperature.names == ("X", "air")
+    recorder.close("aborted")
+    run = open_run(file)
+    handed_over_s = 1000.0 + 0.002 * (np.arange(4) * 50 + 49)
+    np.testing.assert_allclose(run.temperature.time_s[:4], handed_over_s, atol=0.05)
+    assert run.temperature.celsius[-1, 0] == 20.6
+    assert np.isnan(run.temperature.celsius[-1, 1])
+
+
+def test_a_run_of_before_has_no_sensors_and_a_reader_that_is_stopped_reads_none(
+    tmp_path, header, sensors
+):
+    file = tmp_path / "run.sqlite"
+    recorder = Recorder(file, replace(header, channels=()), reserve_bytes=0)
+    reader = EnvironmentReader([sensors], recorder, lambda _: None)
+    reader.start()
+    reader.stop()
+    reader.stop()
+    recorder.close("finished")
+    assert open_run(file).temperature is None
+
+
+# Refraction
+
+
+def corrected(tmp_path, header, light, name="run"):
+    file = tmp_path / f"{name}.sqlite"
+    first = choose_refraction(TrackerCapabilities(), light)
+    record(file, replace(header, refraction=first))
+    return open_run(file)
+
+
+def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header):
+    raw_mm = block(0).position_mm[0]
+    run = corrected(tmp_path, header, HENE)
+    air = (np.array([v]) for v in (21.0, 1002.0, 45.0))
+    index = float(find_air_index(633.0, *air, is_group=False)[0])
+    assert run.refraction.by == "truepath"
+    assert run.refraction.index == pytest.approx(index, abs=1e-12)
+    np.testing.assert_allclose(run.tracker.position_mm[0], raw_mm / index, rtol=1e-12)
+    for number in range(3):
+        write_bundle(run, tmp_path / str(number))
+        again = read_bundle(tmp_path / str(number))
+        assert again.refraction == run.refraction
+        np.testing.assert_array_equal(
+            again.tracker.position_mm, run.tracker.position_mm
+        )
+        run = again
+
+
+@pytest.mark.parametrize(
+    ("channels", "light", "by", "why"),
+    [
+        (NAMES, None, "unknown", ""),
+        (("X_degC", "air_degC"), HENE, "nobody", "pressure"),
+    ],
+)
+def test_what_is_not_corrected_is_left_and_said_with_the_reason(
+    tmp_path, header, channels, light, by, why
+):
+    run = corrected(tmp_path, replace(header, channels=channels), light)
+    assert run.refraction.by == by
+    assert why in run.refraction.why
+    np.testing.assert_array_equal(run.tracker.position_mm[0], block(0).position_mm[0])
+    write_bundle(run, tmp_path / "bundle")
+    assert read_bundle(tmp_path / "bundle").refraction == run.refraction
+
+
+def test_the_live_estimate_sees_ranges_in_usual_air(
+    measure, order, journal, calm, sensors
+):
+    run = measure(
+        sensors, replace(order, live=True), settings=replace(calm, light=HENE)
+    )
+    shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
+    kept_mm = run.tracker.position_mm[0]
+    np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)
+    assert shown_mm[2] < 3.0 * (1.0 - 200e-6)
+
+
+def test_the_light_is_that_of_the_settings_unless_the_instrument_corrects():
+    able = TrackerCapabilities(corrects_air=True)
+    assert choose_refraction(able, None).by == "instrument"
+    with pytest.raises(BadInput, match="twice"):
+        choose_refraction(able, HENE)
+    unable = TrackerCapabilities(corrects_air=False, light=Light(780.0))
+    assert choose_refraction(unable, None).light == Light(780.0)
+    assert choose_refraction(unable, HENE).light == HENE
+
+
+def test_live_points_bring_the_newest_readings_and_blocks_in_the_same_scale():
+    """What shows nothing is forgotten; ranges are as if corrected for the air."""
+    heard = []
+    view = LiveView(heard.append, reports_blocks=True, range_scale=0.9997)
+    view.show_readings({"X_degC": 21.0, "air_degC": 20.0})
+    view.show_readings({"X_degC": math.nan})
+    none, place = np.zeros(1, np.int64), np.array([[2000.0, 0.0, 10.0]])
+    view.show(TrackerSamples(none, np.array([1.0]), place, none))
+    points, recorded = heard
+    assert points.environment == {"air_degC": 20.0}
+    assert np.allclose(points.tracker_mm, 0.9997 * place)
+    assert np.allclose(recorded.block.position_mm, points.tracker_mm)

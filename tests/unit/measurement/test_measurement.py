@@ -1,0 +1,969 @@
+"""Measurements on devices in this process: procedures, verbs, faults."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measurement_fixtures import (
+    JUDGED,
+    Begin,
+    Running,
+    standing_at,
+    there_and_back,
+)
+from truepath.measurement.engine.axis_order import arrange_axes
+from truepath.measurement.faults import Fault
+from truepath.measurement.messages import (
+    CellVerb,
+    FaultReported,
+    LinesDamaged,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+)
+from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+
+pytestmark = pytest.mark.usefixtures("clock")
+
+
+@pytest.fixture
+def short_order(order) -> MeasurementOrder:
+    """Almost two seconds of motion, there and back again."""
+    return there_and_back(order, 4)
+
+
+@pytest.fixture
+def long_order(order) -> MeasurementOrder:
+    """A minute of motion: no test is so slow that it misses it."""
+    return there_and_back(order, 110)
+
+
+@pytest.fixture
+def moving(begin: Begin, long_order) -> Running:
+    """A measurement that moves, with more patience than any test."""
+    running = begin(long_order)
+    running.until_done()
+    return running
+
+
+@pytest.fixture
+def judged(begin: Begin, long_order) -> Running:
+    """A measurement that moves, with the patience of the service."""
+    running = begin(long_order, settings=JUDGED)
+    running.until_done()
+    return running
+
+
+def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
+    begin, order, motion, journal, read_link_bytes
+):
+    running = begin(order)
+    assert running.ended() == "finished"
+    run = running.run
+    assert motion.calls == ["abort", "move_to", "load", "start"]
+    np.testing.assert_array_equal(motion.loaded.position, order.commanded.position)
+    assert (run.mode, run.name, run.machine) == ("otf", "monday", order.machine)
+    assert run.provenance["outcome"] == "finished"
+    assert run.provenance["tracker"] == "Us fake tracker T1 0"
+    assert "watchdog" not in run.provenance, "it has one"
+    # 3 lines of 100, 50, 105 mm at 100 mm/s and a second at both ends.
+    assert np.ptp(run.tracker.device_time_s) > 2.55 + 2 * 0.9
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert len(read_link_bytes(order.run_file)) == len(run.tracker)
+    axes = run.axis_samples
+    assert axes.axes == ("X", "Y", "Z")
+    assert (np.diff(axes.host_time_s) > 0).all()
+    assert np.ptp(axes.position_mm[:, 0]) == pytest.approx(110.0, abs=1.0)
+    assert running.states == ["running", "finished"]
+    kinds = [type(event) for event in journal.events]
+    assert kinds[-2:] == [StateChanged, RunClosed]
+    closed = running.told(RunClosed)[0]
+    assert (closed.run_file, closed.outcome) == (order.run_file, "finished")
+    assert (closed.samples, closed.lost_samples) == (len(run.tracker), 0)
+    assert len(closed.sha256) == 64
+
+
+def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
+    begin, short_order, journal, motion
+):
+    motion.stale_looks = 3  # at the last line of the program before: not ours
+    begin(short_order).ends("finished")
+    assert motion.stale_looks == 0
+    progress = journal.of(MeasurementProgress)
+    assert [p.done for p in progress] == sorted(p.done for p in progress)
+    last = progress[-1]
+    assert (last.done, last.total, last.unit) == (7, 7, "lines")
+    assert (last.stage, last.remaining_s, last.crc_errors) == ("closing", 0.0, 2)
+    assert last.samples > 0
+    # The fake machine is twenty times faster than the 38 s that were planned.
+    half_way = next(p for p in progress if p.done >= 3)
+    assert half_way.remaining_s < 6.0
+    # Live points are a tenth of a second apart.
+    live = journal.of(LivePoints)
+    points = sum(len(body.tracker_mm) for body in live)
+    device_s = live[-1].device_time_s - 100.0
+    assert points == pytest.approx(10 * device_s, abs=3)
+    away = np.subtract(live[-1].tracker_mm[0], live[-1].axes)
+    assert away == pytest.approx([1.0, 2.0, 3.0], abs=1e-3)
+    assert len(live[-1].axes) == 3
+    assert motion.beats == motion.looks > 10
+
+
+def test_points_are_stepped_through_with_a_dwell_at_each(begin, order, square, motion):
+    running = begin(standing_at(order, square.position, 2.0))
+    assert running.ended() == "finished"
+    assert motion.calls == ["abort"] + 4 * ["move_to"]
+    run = running.run
+    assert run.mode == "standstill"
+    done = [e.text for e in run.events if e.kind == "point"]
+    assert [text.split(" until ")[0] for text in done] == [
+        f"row {i}" for i in (1, 2, 3, 4)
+    ]
+    until_s = [float(text.split()[3]) for text in done]
+    assert (np.diff(until_s) > 2.3).all()
+    last = running.told(MeasurementProgress)[-1]
+    assert (last.done, last.total, last.unit) == (4, 4, "points")
+
+
+@pytest.mark.fault_row(22)
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
+    begin, order, square, motion, calm, comes_back, measured
+):
+    """Somebody jogs the machine while it is measured where it stands."""
+    points = standing_at(order, square.position[:2], 60.0)
+    settings = calm if comes_back else replace(calm, confirm_s=0.5)
+    running = begin(points, settings=settings)
+    running.until_seen(110.0)
+    with motion._lock:
+        motion.here = motion.here + 1.0
+        left_s = running.told(LivePoints)[-1].device_time_s
+    running.until(lambda: running.told(LivePoints)[-1].device_time_s > left_s + 10.0)
+    if comes_back:
+        with motion._lock:
+            motion.here = motion.here - 1.0
+        assert running.ended() == "finished"
+        done = [e.text for e in running.run.events if e.kind == "point"]
+        assert "row 1: moved while it was measured" in done
+        until_s = float(next(t for t in done if " until " in t).split()[3])
+        assert until_s > left_s + 60.0
+        measured(f"measured anew for {until_s - left_s:.0f} s of 60 s asked for")
+    else:
+        assert running.ended() == "faulted"
+        assert running.faults == ["ended-early"]
+
+
+@pytest.mark.fault_row(20)
+def test_a_machine_that_runs_without_moving_is_told_once_and_goes_on(
+    begin, order, motion, calm
+):
+    """The feed override stands at 0 %, and the controller does not tell."""
+    running = begin(order, settings=replace(calm, stuck_s=0.1))
+    running.until_done()
+    speed, motion.speed = motion.speed, 0.0
+    running.until(lambda: bool(running.faults))
+    motion.speed = speed
+    running.ends("finished", "not-moving")
+    assert "override" in running.fault.action
+
+
+def test_pause_holds_and_resume_goes_on(moving, motion):
+    moving.obey(CellVerb.RESUME)  # without a pause it is nothing
+    moving.pause()
+    assert "resume" not in motion.calls
+    here = motion.status().position
+    assert motion.status().position == here
+    moving.obey(CellVerb.PAUSE)
+    moving.resume_to_the_end()
+    assert moving.states == [
+        "running",
+        "pausing",
+        "paused",
+        "resuming",
+        "running",
+        "finished",
+    ]
+    kinds = [e.text.split(":")[0] for e in moving.run.events if e.kind == "state"]
+    assert kinds == ["pausing", "paused", "resuming", "running"]
+
+
+def test_a_pause_in_a_dwell_makes_the_dwell_start_over(begin, order, square, motion):
+    running = begin(standing_at(order, square.position[:2], 60.0))
+    running.until_seen(110.0)
+    running.pause()
+    assert motion.calls.count("move_to") == 1
+    resumed_s = running.told(LivePoints)[-1].device_time_s
+    running.obey(CellVerb.RESUME)
+    assert running.ended() == "finished"
+    first = next(e.text for e in running.run.events if e.kind == "point")
+    assert float(first.split()[3]) > resumed_s + 59.0
+
+
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
+    if is_paused:
+        moving.pause()
+    moving.obey(CellVerb.ABORT)
+    assert moving.ended() == "aborted"
+    assert motion.calls[-1] == "abort"
+    assert motion.status().state == "aborted"
+    assert moving.run.provenance["outcome"] == "aborted"
+    assert len(moving.run.tracker) > 100
+
+
+@pytest.mark.fault_row(17)
+def test_an_abort_that_the_controller_ignores_is_a_fault(moving, motion):
+    motion.ignores_abort = True
+    moving.obey(CellVerb.ABORT)
+    assert moving.ended() == "faulted"
+    assert moving.faults[-1] == "stop-unconfirmed"
+
+
+@pytest.mark.fault_row(16)
+def test_an_abort_of_a_controller_out_of_reach_is_a_fault(moving, motion):
+    motion.out_of_reach = True
+    with pytest.raises(DeviceTimeout):
+        moving.obey(CellVerb.ABORT)
+    assert moving.ended() == "faulted"
+    assert moving.faults[-1] == "stop-unconfirmed"
+
+
+def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
+    order, tracker, motion, journal, calm
+):
+    running = Running(order, tracker, motion, journal, calm)
+    running.obey(CellVerb.PAUSE)
+    running.obey(CellVerb.RESUME)
+    running.obey(CellVerb.ABORT)
+    running.thread.start()
+    assert running.ended() == "aborted"
+    assert "start" not in motion.calls
+    running.obey(CellVerb.PAUSE)
+    running.obey(CellVerb.RESUME)
+    assert journal.states[-1] == "aborted"
+
+
+def test_enough_ends_the_path_in_order_after_the_line_under_way(moving, motion):
+    moving.obey(CellVerb.CONCLUDE)
+    assert moving.ended() == "finished"
+    assert "enough is known" in moving.told(StateChanged)[-1].text
+    assert motion.calls[-1] == "abort"
+    run = moving.run
+    (event,) = [e for e in run.events if e.kind == "concluded"]
+    assert "the rest is left out" in event.text
+    last = moving.told(MeasurementProgress)[-1]
+    assert last.stage == "closing"
+    assert 1 <= last.done < last.total
+    assert run.provenance["outcome"] == "finished"
+
+
+def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
+    begin, order, square, motion
+):
+    running = begin(standing_at(order, square.position, 30.0))
+    running.until_seen(105.0)
+    running.obey(CellVerb.CONCLUDE)
+    assert running.ended() == "finished"
+    assert motion.calls.count("move_to") == 1
+    run = running.run
+    kinds = [e.kind for e in run.events if e.kind in ("point", "concluded")]
+    assert kinds == ["point", "concluded"]
+    first = next(e.text for e in run.events if e.kind == "point")
+    assert float(first.split()[3]) > 100.0 + 30.0  # the dwell was finished
+    last = running.told(MeasurementProgress)[-1]
+    assert (last.done, last.total, last.unit) == (1, 4, "points")
+
+
+def test_enough_at_the_last_point_leaves_nothing_out(begin, order, square):
+    running = begin(standing_at(order, square.position[:1], 20.0))
+    running.until_seen(102.0)
+    running.obey(CellVerb.CONCLUDE)
+    assert running.ended() == "finished"
+    assert not [e for e in running.run.events if e.kind == "concluded"]
+
+
+def test_enough_while_paused_waits_for_resume(moving):
+    moving.pause()
+    moving.obey(CellVerb.CONCLUDE)
+    moving.look()
+    assert moving.states[-1] == "paused"
+    moving.obey(CellVerb.RESUME)
+    assert moving.ended() == "finished"
+    assert [e.kind for e in moving.run.events].count("concluded") == 1
+
+
+def test_halt_holds_the_feed_and_forgets_nothing(moving, motion):
+    moving.measurement.halt()
+    assert moving.ended() == "aborted"
+    assert motion.status().state == "held"
+
+
+@pytest.mark.fault_row(5)
+def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(judged, tracker, motion):
+    tracker.silent = True
+    judged.pass_until(lambda: "paused" in judged.states)
+    assert motion.status().state == "held"
+    missed = tracker.health.frames
+    judged.pass_until(lambda: tracker.health.frames > missed + 200)
+    tracker.silent = False
+    judged.until_state("running")
+    judged.finished_after("tracker-silent")
+    run = judged.run
+    assert (np.diff(run.tracker.sequence) > 1).sum() == 1
+    assert any(e.kind == "gap" for e in run.events)
+    assert judged.told(RunClosed)[0].lost_samples > 100
+
+
+@pytest.mark.fault_row(5)
+def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
+    judged, tracker, motion
+):
+    tracker.silent = True
+    host_clock.sleep_s(0.45)
+    tracker.silent = False
+    judged.finished_after()
+    assert "hold" not in motion.calls
+    assert judged.told(RunClosed)[0].lost_samples > 100
+    assert any(event.kind == "gap" for event in judged.run.events)
+
+
+def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
+    judged, tracker, motion
+):
+    motion.ignores_hold = True  # as one that still brakes
+    tracker.silent = True
+    judged.pass_until(lambda: judged.states[-1] == "pausing")
+    tracker.silent = False
+    judged.see()
+    assert "resume" not in motion.calls
+    motion.ignores_hold = False
+    judged.until_state("running")
+    judged.finished()
+    assert judged.states[:-1] == [
+        "running",
+        "pausing",
+        "paused",
+        "resuming",
+        "running",
+    ]
+    assert judged.faults == ["tracker-silent"]
+
+
+@pytest.mark.parametrize("who", ["operator", "watchdog"])
+@pytest.mark.parametrize("first", ["machine", "tracker"])
+def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
+    judged, tracker, motion, who, first
+):
+    if first == "machine":
+        motion.stand(who)
+        judged.until_state("paused")
+        tracker.silent = True
+        judged.pass_until(lambda: "tracker-silent" in judged.faults)
+    else:
+        motion.ignores_hold = True  # the machine's own hold comes before ours
+        tracker.silent = True
+        judged.pass_until(lambda: "tracker-silent" in judged.faults)
+        motion.stand(who)
+        judged.until_state("paused")
+        motion.ignores_hold = False
+    tracker.silent = False
+    # What it waits for now is said last, for whoever has to do it.
+    judged.until(lambda: judged.faults[-1] == "held-at-machine")
+    judged.see()
+    assert judged.states[-1] == "paused"
+    assert who in judged.fault.text
+    assert "resume" not in motion.calls
+    judged.resume_to_the_end()
+
+
+def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
+    judged, tracker, motion
+):
+    tracker.silent = True
+    judged.pass_until(lambda: judged.states[-1] == "paused")
+    motion.ignores_resume = True
+    tracker.silent = False
+    judged.until_state("resuming")
+    motion.go_on()
+    motion.stand("operator")
+    judged.until_state("paused")
+    motion.ignores_resume = False
+    resumes = motion.calls.count("resume")
+    judged.see()
+    assert motion.status().state == "held"
+    assert motion.calls.count("resume") == resumes
+    judged.resume_to_the_end()
+
+
+@pytest.mark.fault_row(30)
+def test_time_in_which_the_host_did_not_run_is_no_silence(judged, clock):
+    judged.motion.override = 1000.0  # it moved on meanwhile, and is believed
+    for _ in range(3):
+        clock.time_s += 10.0  # as after a suspension of the process
+        judged.look()
+    judged.finished_after()
+    assert judged.states == ["running", "finished"]
+
+
+@pytest.mark.fault_row(29)
+def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
+    moving, clock, measured
+):
+    for jump_s in (3600.0, -3600.0, -host_clock.wall_s()):
+        clock.wall_jump_s = jump_s
+        moving.look(9)
+    moving.finished_after()
+    told = [p for p in moving.told(MeasurementProgress) if p.stage == "measuring"]
+    elapsed_s = [each.elapsed_s for each in told]
+    assert (np.diff(elapsed_s) >= 0.0).all()
+    assert elapsed_s[-1] < 60.0
+    run = moving.run
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert (np.diff(run.axis_samples.host_time_s) > 0.0).all()
+    times_ns = [event.mono_ns for event in run.events]
+    assert times_ns == sorted(times_ns)
+    measured("+1 h, -1 h and back to 1970: no gap, order and durations as without")
+
+
+def test_a_silence_does_not_undo_a_pause(judged, tracker):
+    judged.pause()
+    tracker.silent = True
+    judged.pass_until(lambda: judged.faults == ["tracker-silent"])
+    judged.obey(CellVerb.RESUME)
+    judged.until_told("tracker-silent", "not-resumed")
+    tracker.silent = False
+    judged.see()
+    assert judged.states[-1] == "paused"
+    judged.resume_to_the_end()
+
+
+@pytest.mark.fault_row(5)
+def test_a_long_silence_is_a_fault_with_the_feed_held(judged, tracker, motion):
+    tracker.silent = True
+    judged.pass_until(lambda: len(judged.faults) == 2)
+    assert judged.ended() == "faulted"
+    assert motion.status().state == "held"
+    assert judged.faults == ["tracker-silent", "tracker-silent"]
+    assert "check the tracker and its cable" in judged.fault.action
+    assert judged.run.provenance["outcome"] == "faulted"
+
+
+@pytest.mark.fault_row(1)
+def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
+    begin, short_order, tracker, motion
+):
+    running = begin(short_order)
+    running.until_done()
+    tracker.damaged = True
+    running.until_state("paused")
+    assert "hold" in motion.calls
+    assert running.faults == ["stream-damaged"]
+    tracker.damaged = False
+    running.finished()
+    commanded = running.run.commanded.position
+    rows = len(short_order.commanded)
+    assert np.array_equal(commanded[:rows], short_order.commanded.position)
+    assert len(commanded) > rows
+    assert motion.calls.count("start") == 2
+    assert "again" in [event.kind for event in running.run.events]
+    assert "bad or lost" in running.run.provenance["stream"]
+    assert running.told(LinesDamaged)[0].again is not None
+    ends = [event for event in running.told(StateChanged) if event.state == "finished"]
+    assert "some twice" in ends[0].text
+
+
+def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
+    begin, long_order, tracker, motion, journal
+):
+    tracker.speed = motion.speed = 1.0  # as the second in which damage is counted
+    judged = begin(long_order, settings=JUDGED)
+    judged.until_done()
+    tracker.damaged = True
+    judged.until_state("paused")
+    judged.pass_until(lambda: bool(journal.of(RunClosed)))
+    assert judged.ended() == "faulted"
+    assert set(journal.faults) == {"stream-damaged"}
+    assert motion.status().state == "held"
+
+
+def test_a_damaged_stream_before_the_path_costs_no_line(
+    begin, short_order, tracker, motion
+):
+    tracker.damaged = True
+    running = begin(short_order)
+    running.until_state("paused")
+    tracker.damaged = False
+    running.finished()
+    assert motion.calls.count("start") == 1
+
+
+@pytest.mark.fault_row(9)
+def test_a_lost_beam_holds_until_somebody_resumes(judged, tracker):
+    tracker.beam = False
+    judged.pass_until(lambda: "paused" in judged.states)
+    assert judged.faults == ["beam-lost"]
+    judged.obey(CellVerb.RESUME)
+    judged.until(lambda: judged.faults[-1] == "not-resumed")
+    tracker.beam = True
+    judged.see(2)
+    assert judged.states[-1] == "paused"
+    judged.resume_to_the_end()
+    assert (judged.run.tracker.status != 0).any()
+
+
+@pytest.mark.fault_row(9)
+def test_a_dwell_in_which_the_beam_was_lost_begins_anew(begin, order, square, tracker):
+    running = begin(standing_at(order, square.position[:2], 20.0), settings=JUDGED)
+    running.until_seen(105.0)
+    tracker.beam = False
+    running.pass_until(lambda: running.states[-1] == "paused")
+    assert running.faults == ["beam-lost"]
+    tracker.beam = True
+    running.see(2)
+    running.obey(CellVerb.RESUME)
+    assert running.ended() == "finished"
+    stream = running.run.tracker
+    lost_s = stream.device_time_s[stream.status != 0].max()
+    ends = [e.text.split()[3] for e in running.run.events if e.kind == "point"]
+    assert float(ends[0]) > lost_s + 20.0
+    assert float(ends[1]) > float(ends[0]) + 20.0
+
+
+@pytest.mark.parametrize(
+    ("given", "state", "code"),
+    [
+        ({"silent": True}, "faulted", "tracker-silent"),
+        ({"beam": False}, "failed", "beam-lost"),
+        ({"refusal": Refused("500 Hz is too fast for this one")}, "failed", "refused"),
+    ],
+)
+def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
+    begin, order, tracker, motion, given, state, code
+):
+    vars(tracker).update(given)
+    running = begin(order, settings=JUDGED)
+    running.pass_until(lambda: bool(running.told(RunClosed)))
+    assert running.ended() == state
+    assert code in running.faults
+    if code == "refused":
+        assert "500 Hz is too fast" in running.fault.text
+    assert "start" not in motion.calls
+
+
+def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
+    begin, order, tracker, motion, monkeypatch
+):
+    stamps = TrackerCapabilities(clock=Clock.HOST)
+    monkeypatch.setattr(type(tracker), "capabilities", stamps)
+    begin(order).ends("failed", "no-times")
+    assert not {"move_to", "load", "start"} & set(motion.calls)
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("unplugged"), OSError("odd")])
+def test_a_tracker_that_goes_away_is_a_fault(moving, tracker, motion, error):
+    tracker.error = error
+    assert moving.ended() == "faulted"
+    assert motion.status().state == "held"
+    code = "link-lost" if isinstance(error, ConnectionLost) else "internal"
+    assert moving.faults == [code]
+
+
+def test_a_counter_that_goes_back_fails_the_run(moving, tracker):
+    tracker.restarted = True
+    assert moving.ended() == "failed"
+    assert "counter went back" in moving.fault.text
+
+
+@pytest.mark.fault_row(19)
+def test_an_alarm_is_a_fault_with_its_text(moving, motion):
+    motion.raise_alarm("1201 following error X")
+    moving.ends("faulted", "motion-alarm")
+    assert "1201 following error X" in moving.fault.text
+    assert len(moving.run.tracker) > 100
+
+
+@pytest.mark.parametrize(
+    ("told", "code", "said"),
+    [
+        ({"_state": MotionState.ESTOP}, "estop", ("stop is active", "release it")),
+        ({"_state": MotionState.UNHOMED}, "unhomed", ("not homed", "home it")),
+        ({"_state": MotionState.NOT_READY}, "not-ready", ("drives are off", "switch")),
+        ({"_state": MotionState.DOOR}, "door", ("door is open", "close it")),
+        ({"referenced": False}, "unhomed", ("", "")),
+    ],
+)
+@pytest.mark.fault_row(19)
+def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
+    begin, long_order, motion, journal, told, code, said
+):
+    vars(motion).update(told)
+    assert begin(long_order).ended() == "failed"
+    assert motion.calls == []
+    (fault,) = journal.of(FaultReported)
+    assert fault.code == f"motion-{code}"
+    assert said[0] in fault.text
+    assert said[1] in fault.action
+
+
+@pytest.mark.parametrize(
+    ("told", "noted"), [(True, "on"), (False, "off"), (None, None)]
+)
+def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told, noted):
+    motion.compensation = told
+    running = begin(order)
+    assert running.ended() == "finished"
+    assert running.run.provenance.get("control_compensation") == noted
+
+
+@pytest.mark.fault_row(19)
+@pytest.mark.parametrize(
+    ("state", "code", "said"),
+    [
+        (MotionState.ESTOP, "motion-estop", "emergency stop"),
+        (MotionState.DOOR, "motion-door", "door"),
+        (MotionState.UNHOMED, "motion-unhomed", "home"),
+    ],
+)
+def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
+    moving, motion, state, code, said
+):
+    motion._state = state
+    moving.ends("faulted", code)
+    (fault,) = moving.told(FaultReported)
+    assert said in f"{fault.text} {fault.action}".lower()
+    assert len(moving.run.tracker) > 100
+
+
+@pytest.mark.fault_row(19)
+def test_overtravel_is_told_in_the_words_of_the_controller(moving, motion):
+    motion.raise_alarm("510: X beyond its software limit")
+    assert moving.ended() == "faulted"
+    assert "510: X beyond its software limit" in moving.fault.text
+    assert len(moving.run.tracker) > 100
+
+
+@pytest.mark.fault_row(21)
+def test_a_motion_that_ends_early_is_a_fault(moving, motion):
+    motion.ends_after_s = 0.0
+    moving.ends("faulted", "ended-early")
+    assert "not at 410.000, 310.000, -210.000" in moving.fault.text
+
+
+@pytest.mark.fault_row(21)
+def test_a_machine_that_runs_on_after_its_last_row_is_a_fault(begin, order, motion):
+    motion.runs_on = True
+    running = begin(order)
+    running.ends("faulted", "runs-on")
+    text = running.fault.text
+    assert text.endswith("the controller says that it is running")
+    assert "hold" in motion.calls
+
+
+@pytest.mark.fault_row(21)
+def test_a_machine_that_moves_once_it_has_finished_is_a_fault(
+    begin, order, motion, journal, calm
+):
+    running = begin(order, settings=replace(calm, lead_s=5.0))
+    told = journal.of
+    running.until(lambda: any(p.stage == "closing" for p in told(MeasurementProgress)))
+    motion.here = motion.here + 2.0
+    running.ends("faulted", "runs-on")
+    text = running.fault.text
+    assert text.endswith("the controller says that it is finished")
+
+
+@pytest.mark.fault_row(20)
+def test_an_override_of_nothing_is_told_as_such_and_it_goes_on(
+    begin, order, motion, calm
+):
+    running = begin(order, settings=replace(calm, stuck_s=0.1))
+    running.until_done()
+    speed, motion.speed, motion.override = motion.speed, 0.0, 0.0
+    running.until(lambda: bool(running.faults))
+    motion.speed, motion.override = speed, 1.0
+    running.ends("finished", "feed-override")
+    assert "the feed override is 0 %" in running.fault.text
+
+
+@pytest.mark.fault_row(22)
+def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
+    begin, order, square, motion, calm
+):
+    """The controller says that it has finished, and stands elsewhere."""
+    points = standing_at(order, square.position[:3], 0.2)
+    motion.ends_after_s = 0.1
+    settings = replace(calm, confirm_s=0.5)
+    running = begin(points, settings=settings)
+    running.ends("faulted", "ended-early")
+    assert "not at" in running.fault.text
+    measured = [event for event in running.run.events if event.kind == "point"]
+    assert len(measured) <= 1
+
+
+@pytest.mark.fault_row(20)
+def test_a_hold_at_the_machine_is_a_pause_that_ends_there(moving, motion):
+    motion.stand("operator")
+    moving.until_state("paused")
+    assert "held at the machine: operator" in moving.told(StateChanged)[-1].text
+    moving.until_told("held-at-machine")
+    assert "operator" in moving.fault.text
+    motion.go_on()
+    moving.finished()
+    assert moving.states == ["running", "paused", "running", "finished"]
+
+
+@pytest.mark.fault_row(20)
+def test_a_hold_at_the_machine_may_last_for_hours(judged, tracker, motion, clock):
+    motion.stand("operator")
+    judged.until_told("held-at-machine")
+    left_s = judged.told(MeasurementProgress)[-1].remaining_s
+    for _ in range(4):
+        tracker._begun_s += 3600.0  # nobody looks at the samples of hours
+        clock.time_s += 3600.0
+        judged.look()
+    assert judged.told(MeasurementProgress)[-1].remaining_s == left_s
+    assert judged.states == ["running", "paused"]
+    motion.go_on()
+    judged.finished_after("held-at-machine")
+    assert "resume" not in motion.calls
+
+
+@pytest.mark.fault_row(20)
+def test_a_hold_at_the_machine_may_be_ended_by_resume(moving, motion):
+    motion.stand("watchdog")
+    moving.until_state("paused")
+    moving.resume_to_the_end()
+    assert "resume" in motion.calls
+
+
+def test_a_pause_is_kept_against_a_release_at_the_machine(moving, motion):
+    moving.pause()
+    holds = motion.calls.count("hold")
+    motion.go_on()
+    moving.until(lambda: motion.calls.count("hold") > holds)
+    moving.until(lambda: motion.status().state == "held")
+    assert moving.states[-1] == "paused"
+    moving.resume_to_the_end()
+
+
+def test_a_hold_that_is_not_obeyed_is_a_fault(judged, motion):
+    motion.ignores_hold = True
+    judged.obey(CellVerb.PAUSE)
+    judged.pass_until(lambda: "hold-unconfirmed" in judged.faults)
+    motion.ignores_hold = False
+    assert judged.ended() == "faulted"
+
+
+def test_a_resume_that_is_not_obeyed_stays_a_pause(judged, motion):
+    judged.pause()
+    motion.ignores_resume = True
+    judged.obey(CellVerb.RESUME)
+    judged.pass_until(lambda: judged.faults == ["resume-unconfirmed"])
+    judged.until_state("paused")
+    motion.ignores_resume = False
+    judged.resume_to_the_end()
+
+
+def test_a_controller_out_of_reach_for_a_moment_is_borne(moving, motion):
+    motion.out_of_reach = True
+    moving.look(2)
+    motion.out_of_reach = False
+    moving.finished_after()
+
+
+@pytest.mark.fault_row(16)
+def test_a_controller_out_of_reach_for_long_is_a_fault(judged, motion):
+    motion.out_of_reach = True
+    judged.pass_until(lambda: "no-answer" in judged.faults)
+    judged.ends("faulted", "control-late", "no-answer")
+    motion.out_of_reach = False
+
+
+def test_a_verb_that_does_not_reach_the_controller_says_so(moving, motion):
+    motion.out_of_reach = True
+    with pytest.raises(DeviceTimeout):
+        moving.obey(CellVerb.ABORT)
+    motion.out_of_reach = False
+    assert moving.ended() == "aborted"
+    assert motion.status().state == "aborted"
+
+
+@pytest.mark.fault_row(24)
+def test_nothing_moves_when_a_row_is_out_of_travel(begin, order, motion, square):
+    far = replace(square, position=square.position + np.array([450.0, 0, 0]))
+    running = begin(replace(order, commanded=far))
+    assert running.ended() == "failed"
+    assert motion.calls == []
+    assert "X = 560 mm exceeds 500 mm" in running.fault.text
+    assert running.told(RunClosed)[0].run_file == ""
+
+
+def test_a_machine_without_a_watchdog_is_moved_if_allowed_and_the_run_says_so(
+    begin, order, motion, calm, tmp_path
+):
+    motion.has_watchdog = False
+    begin(order).ends("failed", "no-watchdog")
+    assert motion.calls == []
+    motion.stops_unasked = True
+    again = replace(order, run_file=str(tmp_path / "again.sqlite"))
+    running = begin(again, settings=replace(calm, allow_no_watchdog=True))
+    running.finished()
+    assert "no-watchdog" in [event.kind for event in running.run.events]
+    assert "no watchdog" in running.run.provenance["watchdog"]
+
+
+@pytest.mark.parametrize("held", ["", "operator"])
+def test_a_program_of_somebody_else_is_left_alone(begin, order, motion, held):
+    """It runs, or somebody holds it at the panel, with the tool in the work."""
+    motion.begin_elsewhere()
+    if held:
+        motion.stand(held)
+    begin(order).ends("failed", "motion-busy")
+    assert motion.calls == []
+    motion.abort()
+
+
+@pytest.mark.parametrize("reason", ["command", "watchdog"])
+def test_what_an_earlier_measurement_has_left_held_is_called_off(
+    begin, order, motion, reason
+):
+    motion.begin_elsewhere()
+    motion.stand(reason)
+    begin(order).finished()
+    assert motion.calls[:2] == ["abort", "move_to"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "state"),
+    [
+        (OutOfTravel("X beyond 400 mm"), "out-of-travel", "failed"),
+        (Refused("too many rows"), "refused", "failed"),
+        (MotionFault("read back differs"), "motion-alarm", "faulted"),
+    ],
+)
+def test_a_path_that_the_controller_does_not_take_ends_the_order(
+    begin, order, motion, journal, monkeypatch, error, code, state
+):
+    def load(_path):
+        raise error
+
+    monkeypatch.setattr(motion, "load", load)
+    assert begin(order).ended() == state
+    assert journal.faults == [code]
+    assert "start" not in motion.calls
+
+
+def test_a_defect_of_ours_is_a_fault_not_a_hang(
+    begin, order, motion, journal, monkeypatch, caplog
+):
+    monkeypatch.setattr(motion, "load", lambda _path: 1 / 0)
+    begin(order).ends("faulted", "internal")
+    assert "ZeroDivisionError" in journal.of(FaultReported)[0].text
+    assert "defect while measuring" in caplog.text
+
+
+@pytest.mark.fault_row(27)
+def test_a_disk_that_fails_holds_the_machine_first(moving, motion, monkeypatch):
+    recorder = moving.measurement._recorder
+
+    def full(_item) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recorder, "_commit", full)
+    assert moving.ended() == "failed"
+    assert motion.status().state == "held"
+    assert moving.faults[0] == "storage"
+    assert "No space left" in moving.told(FaultReported)[0].text
+    assert len(moving.run.tracker) > 0
+
+
+@pytest.mark.fault_row(27)
+def test_a_disk_that_is_almost_full_ends_the_run_cleanly(moving, motion, monkeypatch):
+    monkeypatch.setattr("truepath.measurement.run_file.recorder.SPACE_CHECK_S", 0.0)
+    recorder = moving.measurement._recorder
+    monkeypatch.setattr(recorder, "_free_bytes", lambda: recorder._reserve_bytes - 1)
+    assert moving.ended() == "failed"
+    assert motion.status().state == "held"
+    assert "almost full" in moving.told(FaultReported)[0].text
+    assert moving.run.provenance["outcome"] == "failed"
+
+
+@pytest.mark.fault_row(28)
+def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
+    moving, monkeypatch, measured
+):
+    recorder = moving.measurement._recorder
+    slow, commit = threading.Event(), recorder._commit
+
+    def wait_then_commit(item) -> None:
+        host_clock.wait(slow, 20.0)
+        commit(item)
+
+    monkeypatch.setattr(recorder._queue, "maxsize", 24)
+    monkeypatch.setattr(recorder, "_commit", wait_then_commit)
+    moving.until_told("slow-disk")
+    moving.until_state("paused")
+    slow.set()
+    moving.finished()
+    assert moving.told(RunClosed)[0].lost_samples == 0
+    measured(f"{moving.told(RunClosed)[0].samples} samples, none lost")
+
+
+def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_path):
+    (tmp_path / "monday.sqlite").write_bytes(b"precious")
+    assert begin(order).ended() == "failed"
+    assert "exists" in journal.of(FaultReported)[0].text
+    assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
+
+
+def test_rows_are_put_into_the_axis_order_of_the_controller_or_the_axis_is_named(
+    square,
+):
+    turned = arrange_axes(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
+    np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
+    np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))
+    np.testing.assert_array_equal(turned.position[:, 2:], square.position[:, :2])
+    with pytest.raises(Fault, match="axes X, Y, none is Z"):
+        arrange_axes(square, ("X", "Y"), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("override", "can_limit", "told", "left"),
+    [
+        (None, True, [], None),
+        (1.0, True, [], 1.0),
+        (1.2, True, [], 1.0),
+        (1.2, False, ["feed-override"], 1.2),
+        (0.5, True, ["feed-override"], 0.5),
+    ],
+)
+def test_an_override_is_lowered_or_told(
+    begin, order, motion, override, can_limit, told, left
+):
+    motion.override, motion.limits_override = override, can_limit
+    running = begin(order, settings=JUDGED)
+    running.until_done()
+    assert motion.override == left
+    running.finished()
+    assert running.faults == told
+    if told:
+        said = running.fault
+        assert f"{100 * override:.0f} %" in said.text
+        assert "100 %" in said.action
+    kinds = [event.kind for event in running.run.events]
+    assert ("override" in kinds) == (override == 1.2 and can_limit)

@@ -1,0 +1,164 @@
+"""Standstill points by a tracker that is polled, on devices in this process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measurement_fixtures import NOISE_MM, PLACE_MM, QUICK, draw_rows, standing_at
+from truepath.alignment.align import align
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.run import summarize_run
+from truepath.measurement.messages import (
+    BlockRecorded,
+    CellVerb,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    RunClosed,
+)
+from truepath.measurement.time_limits import StreamTimeouts
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.errors import BeamLost, ConnectionLost, DeviceError
+from truepath_drivers.interfaces.tracker_records import TrackerEvent, TrackerEventKind
+
+pytestmark = pytest.mark.usefixtures("clock")
+
+
+@pytest.fixture
+def order(order) -> MeasurementOrder:
+    return standing_at(order, draw_rows(4), 0.03)
+
+
+def failing(error: Exception, first: int, last: int = 99) -> Callable[[int], None]:
+    """Return what raises an error at some of the points that are asked for."""
+
+    def fail(asked: int) -> None:
+        if first <= asked <= last:
+            raise error
+
+    return fail
+
+
+def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
+    measure, order, polled, motion, journal, tmp_path
+):
+    moved = []
+    polled.before = lambda _: moved.append(motion.status().state == "running")
+    state, run = measure(replace(order, live=True))
+    assert state == "finished"
+    assert moved == [False] * 4
+    assert run.points.row.tolist() == list(range(4))
+    assert (run.points.count >= 3).all()
+    off = run.tracker.position_mm - PLACE_MM - order.commanded.position
+    assert np.abs(off).max() < 5 * NOISE_MM
+    spread = np.sqrt(np.einsum("nii->ni", run.points.covariance_mm2)).mean()
+    assert spread == pytest.approx(NOISE_MM, rel=0.4)
+    assert run.temperature.celsius[:, 0].tolist() == [21.5] * 4
+    assert journal.of(RunClosed)[-1].samples == 4
+    blocks = [event.block for event in journal.of(BlockRecorded)]
+    assert [block.points.row.tolist() for block in blocks] == [[0], [1], [2], [3]]
+    told = [block.samples.position_mm[0].tolist() for block in blocks]
+    assert told == run.tracker.position_mm.tolist()
+    assert sum(len(event.tracker_mm) for event in journal.of(LivePoints)) == 4
+    # A bundle keeps rows, shots and covariances.
+    write_bundle(run, tmp_path / "bundle")
+    again = read_bundle(tmp_path / "bundle")
+    assert again.points.row.tolist() == run.points.row.tolist()
+    assert again.points.count.tolist() == run.points.count.tolist()
+    assert again.points.covariance_mm2 == pytest.approx(run.points.covariance_mm2)
+    assert again.tracker.position_mm.tolist() == run.tracker.position_mm.tolist()
+    first, second = align(run), align(again)
+    assert first.row.tolist() == second.row.tolist() == list(range(4))
+    assert first.scatter == pytest.approx(second.scatter)
+
+
+def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(
+    measure, polled, journal
+):
+    def lose(asked: int) -> None:
+        if asked == 3:
+            timer = threading.Timer(0.3, measure.running.obey, (CellVerb.RESUME,))
+            timer.start()
+            raise BeamLost("no prism in the field of view")
+
+    polled.before = lose
+    state, run = measure()
+    assert state == "finished"
+    assert "beam-lost" in journal.faults
+    assert "paused" in journal.states
+    assert run.points.row.tolist() == list(range(4))
+
+
+def test_a_link_that_is_lost_is_connected_anew(measure, polled):
+    polled.before = failing(ConnectionLost("the cable was pulled"), 2, 2)
+    state, run = measure()
+    assert (state, polled.connects) == ("finished", 2)
+    assert run.points.row.tolist() == list(range(4))
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("gone"), DeviceError("broken")])
+def test_what_does_not_come_back_is_a_fault(measure, polled, error):
+    polled.before = failing(error, 2)
+    state, run = measure()
+    assert state == "faulted"
+    assert run.points.row.tolist() == [0]
+
+
+def test_a_point_that_never_ends_is_a_fault(measure, polled, journal):
+    polled.before = lambda asked: (
+        host_clock.wait(polled.stopped, 20.0) if asked == 2 else None
+    )
+    timeouts = StreamTimeouts(point_s=0.3)
+    state, _ = measure(settings=replace(QUICK, timeouts=timeouts))
+    assert (state, journal.faults) == ("faulted", ["tracker-silent"])
+
+
+def test_a_machine_that_is_moved_meanwhile_is_measured_anew(measure, polled, motion):
+    def jog(asked: int) -> None:
+        if asked == 2:
+            here = motion.here.copy()
+            motion.here = here + 5.0
+            threading.Timer(0.1, setattr, (motion, "here", here)).start()
+
+    polled.before = jog
+    state, run = measure()
+    assert state == "finished"
+    assert run.points.row.tolist() == list(range(4))
+    off = run.tracker.position_mm - PLACE_MM - run.commanded.position
+    assert np.abs(off).max() < 5 * NOISE_MM
+
+
+def test_abort_ends_a_point_under_way_and_keeps_the_others(measure, polled):
+    def abort(asked: int) -> None:
+        if asked == 4:
+            measure.running.obey(CellVerb.ABORT)
+
+    polled.before = abort
+    state, run = measure()
+    assert state == "aborted"
+    assert run.points.row.tolist() == [0, 1, 2]
+
+
+def test_a_path_is_refused_before_anything_moves(measure, order, square, motion):
+    state, _ = measure(replace(order, commanded=square))
+    assert state == "failed"
+    assert "move_to" not in motion.calls
+
+
+@pytest.mark.fault_row(10)
+def test_warnings_of_the_instrument_are_told_and_recorded(
+    measure, polled, journal, measured
+):
+    warning = TrackerEvent(TrackerEventKind.WARNING, "battery low", "plug it in")
+    polled.before = lambda asked: polled.events.append(warning) if asked == 2 else None
+    state, run = measure()
+    assert state == "finished"
+    assert journal.of(FaultReported)[0].text == "battery low"
+    assert ("tracker-warning", "battery low") in [(e.kind, e.text) for e in run.events]
+    assert summarize_run(run).told == ("battery low",)
+    measured("1 of 1 told, in the Run and in its result")

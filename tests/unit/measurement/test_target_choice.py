@@ -1,0 +1,247 @@
+"""Several targets on one machine: the tracker chooses, and each point is checked."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measurement_fixtures import (
+    PLACE_MM,
+    QUICK,
+    FakePolledTracker,
+    FakeTracker,
+    along,
+    draw_rows,
+    standing_at,
+)
+from truepath.kinematics.machine.machine import Target
+from truepath.measurement.messages import (
+    CellVerb,
+    MeasurementOrder,
+    MeasurementProgress,
+)
+from truepath.measurement.time_limits import EngineSettings
+from truepath_drivers import host_clock
+from truepath_drivers.interfaces.errors import BeamLost, NotOffered, Refused
+from truepath_drivers.interfaces.tracker import TargetChoice
+from truepath_drivers.interfaces.tracker_records import PointMeasurement
+
+pytestmark = pytest.mark.usefixtures("clock")
+
+OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}
+TURNS = ("T1", "T2", "T2", "T1")
+
+
+class ChoosingStream(FakeTracker, TargetChoice):
+    """Streams the place of the target that it was told."""
+
+    def __init__(self, motion) -> None:
+        super().__init__()
+        self._motion, self.asked, self.on = motion, list[str](), "T1"
+        self.failure: Exception | None = None
+        self.goes_to: dict[str, str] = {}
+
+    def select_target(self, name: str) -> None:
+        self.asked.append(name)
+        if self.failure is not None:
+            raise self.failure
+        assert self._motion.status().state != "running" or len(self.asked) == 1
+        self.on = self.goes_to.get(name, name)
+
+    def _new(self):
+        samples = super()._new()
+        place = PLACE_MM + self._motion.here + OFFSET_MM[self.on]
+        return replace(samples, position_mm=np.tile(place, (len(samples), 1)))
+
+
+class ChoosingTracker(FakePolledTracker, TargetChoice):
+    """Measures the target that it was told, unless a test makes it do otherwise."""
+
+    def __init__(self, motion) -> None:
+        self.motion, self.asked, self.on = motion, list[str](), "T1"
+        self.failures = list[Exception]()
+        self.goes_to: dict[str, str] = {}
+
+    def select_target(self, name: str) -> None:
+        self.asked.append(name)
+        if self.failures:
+            raise self.failures.pop(0)
+        self.on = self.goes_to.get(name, name)
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        place = PLACE_MM + self.motion.here + OFFSET_MM[self.on]
+        return PointMeasurement.average(np.array([0.0]), place[None])
+
+
+@pytest.fixture
+def tracker(motion) -> ChoosingTracker:
+    motion.speed = 2000.0
+    return ChoosingTracker(motion)
+
+
+@pytest.fixture
+def calm() -> EngineSettings:
+    return QUICK
+
+
+@pytest.fixture
+def order(order) -> MeasurementOrder:
+    targets = tuple(Target(name, "tool", at) for name, at in OFFSET_MM.items())
+    points = standing_at(order, draw_rows(4), 0.03, TURNS)
+    return replace(points, machine=replace(order.machine, targets=targets))
+
+
+@pytest.fixture
+def measure(begin, order, journal):
+    """Measure to the end, resuming once the tracker is mended by `mend`."""
+
+    def made(mend=lambda: None, order=order, **given):
+        running = begin(order, **given)
+        while running.thread.is_alive():
+            if journal.states[-1:] == ["paused"]:
+                mend()
+                running.obey(CellVerb.RESUME)
+            host_clock.join(running.thread, 0.05)
+        return running
+
+    return made
+
+
+def assert_measured(running) -> None:
+    """Each point is of its target."""
+    assert running.journal.states[-1] == "finished"
+    run, offsets = running.run, np.array([OFFSET_MM[name] for name in TURNS])
+    places = PLACE_MM + run.commanded.position + offsets
+    np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
+
+
+def test_it_is_told_each_target_once_it_changes(measure, tracker, journal):
+    assert_measured(measure())
+    assert tracker.asked == ["T1", "T2", "T1"]
+    assert journal.faults == []
+
+
+def test_a_wrong_target_holds_and_is_never_recorded(measure, tracker, journal):
+    tracker.goes_to = {"T2": "T1"}
+
+    def aim_by_hand():
+        tracker.on = "T2"
+
+    assert_measured(measure(aim_by_hand))
+    assert journal.faults == ["wrong-target"]
+
+
+def test_one_that_cannot_choose_asks_for_another_target(measure, tracker, journal):
+    tracker.failures = [NotOffered("speaks version 1")]
+    hands = iter(("T2", "T1"))
+
+    def aim_by_hand():
+        tracker.on = next(hands)
+
+    assert_measured(measure(aim_by_hand))
+    assert tracker.asked == ["T1"]
+    assert journal.faults == ["wrong-target"] * 2
+
+
+def test_a_target_that_is_not_seen_holds_and_is_chosen_again(measure, tracker, journal):
+    tracker.failures = [BeamLost("no target near the beam")]
+    assert_measured(measure())
+    assert tracker.asked == ["T1", "T1", "T2", "T1"]
+    assert journal.faults == ["beam-lost"]
+
+
+def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
+    tracker.failures = [Refused("knows T5, T6")]
+    running = measure()
+    assert journal.states[-1] == "failed"
+    assert not len(running.run.tracker)
+
+
+class SlowTracker(ChoosingTracker):
+    """Takes 1.5 s to turn."""
+
+    def __init__(self, motion) -> None:
+        super().__init__(motion)
+        self.limit_s, self.turned = 0.0, threading.Event()
+
+    @property
+    def verb_limit_s(self) -> float:
+        return self.limit_s
+
+    def select_target(self, name: str) -> None:
+        host_clock.wait(self.turned, 1.5)
+        super().select_target(name)
+
+
+@pytest.mark.parametrize(
+    ("limit_s", "state"), [(5.0, "finished"), (-0.9, "faulted")], ids=["long", "short"]
+)
+def test_a_target_is_waited_for_as_long_as_its_driver_says(
+    begin, motion, order, journal, limit_s, state
+):
+    tracker = SlowTracker(motion)
+    tracker.limit_s, motion.speed = limit_s, 2000.0
+    assert begin(order, tracker=tracker).ended() == state
+    assert journal.faults == ([] if state == "finished" else ["tracker-silent"])
+    tracker.turned.set()
+
+
+@pytest.fixture
+def drive(measure, motion, order):
+    """Drive lines of two targets to the end."""
+    names = ("T1", "T1", "T1", "T2", "T2", "T2", "T1", "T1")
+    corners = [[10.0, 10, -10], [400, 300, -10], [400, 10, -200]]
+    rows = np.array(corners)[[0, 1, 2, 2, 0, 1, 1, 2]]
+    lines = along(order, rows, target=names)
+
+    def driven(tracker, mend=lambda: None):
+        motion.speed = 20.0
+        given = {"tracker": tracker, "settings": replace(QUICK, lead_s=0.5)}
+        return measure(mend, lines, **given)
+
+    return driven
+
+
+def test_lines_of_several_targets_need_nobody_where_the_tracker_can_choose(
+    drive, motion, journal
+):
+    tracker = ChoosingStream(motion)
+    running = drive(tracker)
+    assert journal.states == ["running", "finished"]
+    assert tracker.asked == ["T1", "T2", "T1"]
+    assert journal.faults == []
+    assert motion.calls.count("load") == motion.calls.count("start") == 3
+    assert len(running.run.commanded) == 8
+    last = journal.of(MeasurementProgress)[-1]
+    assert (last.done, last.total) == (7, 7)
+    rows = [p.done for p in journal.of(MeasurementProgress)]
+    assert rows == sorted(rows)
+
+
+def test_lines_of_several_targets_are_one_program_where_it_cannot(
+    drive, motion, journal
+):
+    tracker = ChoosingStream(motion)
+    tracker.failure = NotOffered("speaks version 1")
+    drive(tracker)
+    assert tracker.asked == ["T1"]
+    assert motion.calls.count("load") == 1
+    assert journal.states == ["running", "finished"]
+
+
+def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):
+    tracker, begun = ChoosingStream(motion), list[int]()
+    tracker.goes_to = {"T2": "T1"}
+
+    def mend():
+        begun.append(motion.calls.count("start"))
+        tracker.goes_to = {}
+
+    drive(tracker, mend)
+    assert journal.states[-1] == "finished"
+    assert journal.faults == ["wrong-target"]
+    assert set(begun) == {1}
+    assert tracker.asked == ["T1", "T2", "T2", "T1"]

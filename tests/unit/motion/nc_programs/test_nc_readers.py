@@ -1,0 +1,217 @@
+"""What the readers make of programs written by hand, and what they refuse.
+
+The programs here follow the controls' manuals, not our writers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from truepath.errors import PlanningError
+from truepath.motion.nc_programs.programs import read_program
+
+SIEMENS = """\
+; PROGRAM BY_HAND
+; PATH CHECKSUM 0123456789AB
+N5 G17 G40 G90 G94 G500 D0
+G710
+TRAFOOF
+TRANS
+FGROUP(X,Y,Z)
+G60 G601
+N1 G01 SUPA X10 Y20.5 Z-30 C0 F6000 ; row 1; by hand
+MSG("WAIT; THEN GO")
+M0
+G4 F1.5
+N2 G1 SUPA X100.25
+G04 F0.5
+G64
+FGROUP(C)
+N3 G1 G153 C90 F1800
+FGROUP(X,Y,Z)
+N4 G1 SUPA X0 C0 F300
+MSG()
+M30
+"""
+
+HEIDENHAIN = """\
+0 BEGIN PGM BY_HAND MM
+1 ; PATH CHECKSUM 0123456789AB
+2 L X+10.0 Y+20.5 Z-30.0 C+0. R0 F6000 M91 ; ROW 1
+3 STOP
+4 CYCL DEF 9.0 DWELL TIME
+5 CYCL DEF 9.1 DWELL 1.5
+6 L X+100.25 R0 M91 ; ROW 2
+7 CYCL DEF 9.0 DWELL TIME
+8 CYCL DEF 9.1 DWELL 0.5
+9 L C+90.0 R0 F1800 M91 ; ROW 3
+10 L X+0.0 C+0.0 R0 F403.16 M91 ; ROW 4
+11 M30
+12 END PGM BY_HAND MM
+"""
+
+FANUC = """\
+%
+O1234 (BY HAND)
+(PATH CHECKSUM 0123456789AB)
+G21
+G17 G40 G49 G80 G90 G94 G54
+G61
+M00
+IF [ABS[#5021-#5041] GT 0.001] THEN #3000=1 (X)
+IF [ABS[#5022-#5042] GT .001] THEN #3000=2 (Y)
+IF[ABS[#5023-#5043]GT0.001]THEN#3000=3(Z)
+IF [ABS[#5024-#5044] GT 0.001] THEN #3000=4 (C)
+N1 G01 X10. Y20500 Z-30. C0 F6000
+M0 (RECORD)
+G04 X1.5
+N2 G1 X100.25
+G4 P500
+G64
+N3 G1 C90. F1800.
+N4 G1 X0 C0 F403.16
+M30
+%
+"""
+
+LINUXCNC = """\
+(PROGRAM BY_HAND)
+(PATH CHECKSUM 0123456789AB)
+g21 g17 g40 g49 g80 g90 g94 (lower case is the same)
+G61.1
+N1 G53 G1 X10 Y20.5 Z-30 C0 F6000
+(MSG, record)
+M0
+G4 P1.5
+N2 G53 G01 X100.25
+G4 P.5
+G61
+N3 G53 G1 C90 F1800
+N4 G1 G53 X0C0F300
+M2
+anything after the end is no part of the program
+"""
+
+BY_HAND = {
+    "siemens-840d": SIEMENS,
+    "heidenhain": HEIDENHAIN,
+    "fanuc": FANUC,
+    "linuxcnc": LINUXCNC,
+}
+every_program = pytest.mark.parametrize("dialect", BY_HAND)
+
+
+@every_program
+def test_a_program_by_hand_is_read_as_its_control_would_drive_it(dialect):
+    motion = read_program(BY_HAND[dialect], dialect)
+    assert motion.axes == ("X", "Y", "Z", "C")
+    np.testing.assert_allclose(
+        motion.position,
+        [[10, 20.5, -30, 0], [100.25, 20.5, -30, 0], [100.25, 20.5, -30, 90],
+         [0, 20.5, -30, 0]],
+        atol=1e-12,
+    )  # fmt: skip
+    # The last line: 300 mm/min of X are 403.16 of X and C, a degree as a millimetre.
+    np.testing.assert_allclose(motion.feed_mm_min, [6000, 6000, 1800, 300], rtol=1e-4)
+    np.testing.assert_allclose(motion.dwell_s, [1.5, 0.5, 0, 0])
+    assert motion.exact_stop.tolist() == [True, True, False, False]
+    assert motion.row.tolist() == [1, 2, 3, 4]
+    assert motion.name == ("O1234" if dialect == "fanuc" else "BY_HAND")
+    assert motion.stated_checksum == "0123456789AB"
+    assert motion.path.axes == motion.axes
+
+
+WRONG = [
+    # Positions that are not machine coordinates.
+    ("siemens-840d", "N2 G1 SUPA", "N2 G1", "line 13.*work offset; SUPA is needed"),
+    ("linuxcnc", "N2 G53 G01", "N2 G01", "line 9.*work offset; G53 is needed"),
+    ("heidenhain", "X+100.25 R0 M91", "X+100.25 R0", "line 7.*R0, M91"),
+    ("fanuc", "#5022-#5042", "#5021-#5041", "line 12.*offset is not checked"),
+    ("fanuc", "#5023-#5043", "#5023-#5042", "line 10.*different axes"),
+    # Tools, frames, units, dimensions.
+    ("siemens-840d", " D0", "", "line 9.*the tool offset is not set; D0"),
+    ("siemens-840d", " D0", " D1", "line 9.*the tool offset is D1; D0"),
+    ("siemens-840d", "G710", "G700", "the unit is G700; G710 is needed"),
+    ("siemens-840d", " G90", " G91", "the dimension is G91"),
+    ("siemens-840d", "TRAFOOF\n", "", "the transformation is not set"),
+    ("siemens-840d", "TRAFOOF", "TRAORI", "the transformation is TRAORI"),
+    ("siemens-840d", "TRANS", "TRANS X5", "cannot be read|first motion|without G1"),
+    ("siemens-840d", "G94", "G95", "the feed is G95"),
+    ("siemens-840d", "FGROUP(C)", "FGROUP(X)", "line 17.*FGROUP.X., which does not"),
+    ("siemens-840d", "G01 SUPA", "G02 SUPA", "line 9.*G2 has no place"),
+    ("heidenhain", "PGM BY_HAND MM", "PGM BY_HAND INCH", "line 1.*INCH; MM is needed"),
+    ("heidenhain", " R0 M91 ; ROW 2", " RL M91", "line 7.*R0, M91"),
+    ("heidenhain", "9 L C+90.0", "9 L C90.0", "line 10.*signed"),
+    ("heidenhain", "9 L C+90.0", "9 L Q+90.0", "line 10.*Q is no axis"),
+    ("heidenhain", "9 L C", "8 L C", "line 10.*does not begin with block number 9"),
+    ("heidenhain", "11 M30", "11 M3", "line 12.*'M3' has no place"),
+    ("heidenhain", "12 END PGM BY_HAND", "12 END PGM HANDY", "line 13.*does not fit"),
+    ("heidenhain", "0 BEGIN PGM BY_HAND MM", "0 ; NOTHING", "BEGIN PGM|does not fit"),
+    ("fanuc", "G21", "G20", "the unit is G20"),
+    ("fanuc", " G49", "", "the tool length is not set"),
+    ("fanuc", " G49", " G43", "the tool length is G43"),
+    ("fanuc", " G54", " G55", "the work offset is G55"),
+    ("fanuc", "G04 X1.5", "G04 P1.5", "line 14.*P in milliseconds"),
+    ("fanuc", "O1234", "O0", "line 2.*O-number"),
+    ("fanuc", "M30\n", "", "line 0.*M30"),
+    ("fanuc", "%\nO1234", "O1234", "line 1.*two lines of %"),
+    ("fanuc", "N2 G1", "N2 G0", "line 15.*G0 has no place"),
+    ("fanuc", "N2 G1", "N2", "line 15.*without G1"),
+    ("linuxcnc", "g80", "g81", "the cycle is G81"),
+    ("linuxcnc", "g90", "", "the dimension is not set"),
+    ("linuxcnc", "G4 P1.5", "G4 X1.5", "line 8.*a dwell of -1"),
+    ("linuxcnc", "N2 G53 G01", "N2 G53", "line 9.*without G1"),
+    ("linuxcnc", "C90", "B90", "line 12.*B moves first here"),
+    ("linuxcnc", "F6000", "", "line 5.*without a feed"),
+    ("linuxcnc", "M2\n", "", "line 0.*M2|cannot be read"),
+    ("linuxcnc", "X10 Y", "X1O Y", "line 5.*cannot be read"),
+    ("siemens-840d", "M30\n", "", "line 0.*M30"),
+    ("siemens-840d", "M30\n", "M30\nG90\n", "line 22.*a block after M30"),
+    ("siemens-840d", "N2 G1", "N2 ", "line 13.*without G1"),
+]
+
+
+@pytest.mark.parametrize(("dialect", "old", "new", "message"), WRONG)
+@pytest.mark.fault_row(24)
+def test_what_a_measuring_path_must_not_have_is_refused_by_line(
+    dialect, old, new, message
+):
+    assert old in BY_HAND[dialect]
+    with pytest.raises(PlanningError, match=message):
+        read_program(BY_HAND[dialect].replace(old, new), dialect)
+
+
+def test_a_fanuc_integer_counts_micrometres():
+    motion = read_program(FANUC.replace("X100.25", "X100"), "fanuc")
+    assert motion.position[1, 0] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("dialect", "empty"),
+    [
+        ("siemens-840d", "M30\n"),
+        ("heidenhain", "0 BEGIN PGM A MM\n1 END PGM A MM\n"),
+        ("fanuc", "%\nO1\nM30\n%\n"),
+        ("linuxcnc", "M2\n"),
+    ],
+)
+def test_text_that_is_no_program_or_moves_nothing_is_refused(dialect, empty):
+    with pytest.raises(PlanningError, match="moves no axis"):
+        read_program(empty, dialect)
+    for text in ("", "hello\n", "<html></html>"):
+        with pytest.raises(PlanningError):
+            read_program(text, dialect)
+
+
+@every_program
+def test_line_ends_of_other_systems_change_nothing(dialect):
+    text = BY_HAND[dialect]
+    motion = read_program(text.replace("\n", "\r\n"), dialect)
+    np.testing.assert_array_equal(motion.position, read_program(text, dialect).position)
+
+
+def test_a_heidenhain_row_without_a_dwell_is_no_exact_stop():
+    text = HEIDENHAIN.replace("DWELL 0.5", "DWELL 0.0")
+    stops = read_program(text, "heidenhain").exact_stop
+    assert stops.tolist() == [True, False, False, False]

@@ -1,0 +1,194 @@
+"""Default paths and points, their order and times, the travel check, driven again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from truepath.errors import OutOfTravel, PlanningError
+from truepath.kinematics.machine.machine import LinearAxis, MotionLimits, RotaryAxis
+from truepath.motion.configurations import Configurations, append_part
+from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
+from truepath.motion.paths.by_target import cut_by_target
+from truepath.motion.paths.commanded_rows import command_rows
+from truepath.motion.paths.corner_path import corner_path
+from truepath.motion.paths.default_points import default_points
+from truepath.motion.paths.driven_again import drive_again
+from truepath.motion.paths.feeds import check_feed
+from truepath.motion.workspace.travel import check_travel
+from truepath_drivers.interfaces.records import Path
+
+
+@pytest.fixture
+def with_table(mill):
+    table = RotaryAxis("C", 10.0, 350.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    axes, side = (*mill.axes, table), ("C", *mill.workpiece_side)
+    return replace(mill, axes=axes, workpiece_side=side)
+
+
+def line(*rows, axes="XYZ", feed=6000.0, target=()) -> Path:
+    n = len(rows)
+    return Path(
+        tuple(axes), np.array(rows, float), np.full(n, feed), np.zeros(n), target
+    )
+
+
+def test_points_turn_every_rotary_axis_and_measure_every_target(with_table, trunnion):
+    machine = replace(with_table, targets=trunnion.targets, tracker=trunnion.tracker)
+    points = default_points(machine)
+    assert len(points) == 180
+    assert np.abs(np.diff(points.position[:, 3])).min() > 9.9
+    assert np.ptp(points.position[:, 3]) > 300.0
+    assert set(points.target) == {"T", "W"}
+    check_travel(machine, points)
+    np.testing.assert_array_equal(points.position, default_points(machine).position)
+
+
+def test_default_points_hold_the_corners_and_fill_the_inside_in_short_moves(mill):
+    points = default_points(mill, count=40)
+    assert len(points) == 40
+    check_travel(mill, points)
+    assert len(np.unique(points.position, axis=0)) == 40
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    corner = ((points.position == low) | (points.position == high)).all(axis=1)
+    assert corner.sum() == 8
+    share = (points.position[~corner] - low) / (high - low)
+    for column in range(3):
+        counts, _ = np.histogram(share[:, column], bins=4, range=(0, 1))
+        assert counts.min() == counts.max() == 8
+    points = default_points(mill)
+    moves = np.linalg.norm(np.diff(points.position, axis=0), axis=1).sum()
+    shuffled = np.random.default_rng(0).permutation(points.position)
+    assert moves < 0.6 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).sum()
+    with pytest.raises(PlanningError, match="8 points or more"):
+        default_points(mill, count=7)
+
+
+def test_corner_lines_join_corners_or_run_along_one_axis(mill):
+    """The path of the 2023 paper."""
+    position = corner_path(mill, 6000.0, 0.4).position
+    low, high = position.min(axis=0), position.max(axis=0)
+    corner = ((position == low) | (position == high)).all(axis=1)
+    between = corner[:-1] & corner[1:]
+    one_axis = (np.diff(position, axis=0) != 0.0).sum(axis=1) == 1
+    assert (between | one_axis).all()
+    ends = {frozenset((a.tobytes(), b.tobytes())) for a, b in pairwise(position)}
+    assert sum(between) >= 28
+    assert len(ends) >= 28
+
+
+def test_travel_time_counts_lines_stops_and_dwells():
+    path = line((0, 0, 0), (100, 0, 0), (100, 100, 0))
+    path = replace(path, dwell_s=np.array([1.0, 2.0, 3.0]))
+    # 100 mm at 100 mm/s and 1000 mm/s²: 1.0 s and 0.1 s for the two ramps.
+    assert travel_time_s(path) == pytest.approx(6.0 + 2.2)
+    np.testing.assert_allclose(row_times_s(path), [1.0, 3.1, 4.1])
+    # A line too short for its feed takes its two ramps; turning counts in degrees.
+    short = line((0, 0, 0), (4, 0, 0))
+    assert travel_time_s(short) == pytest.approx(2 * (4 / 1000) ** 0.5)
+    turn = line((0, 0, 0, 0), (0, 0, 0, 90), axes="XYZC", feed=1800.0)
+    assert travel_time_s(turn) == pytest.approx(90 / 30 + 30 / 1000)
+
+
+def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):
+    at = rng.uniform(size=(40, 2))
+    time_s = np.linalg.norm(at[:, None] - at, axis=2)
+    order = find_short_order(time_s)
+    assert order[0] == 0
+    assert sorted(order) == list(range(40))
+    length = time_s[order[:-1], order[1:]].sum()
+    assert length < 0.45 * time_s[np.arange(39), np.arange(1, 40)].sum()
+    for i in range(1, 40):
+        for j in range(i + 1, 41):
+            turned = np.r_[order[:i], order[i:j][::-1], order[j:]]
+            assert time_s[turned[:-1], turned[1:]].sum() > length - 1e-9
+
+
+@pytest.mark.fault_row(24)
+def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(
+    mill, measured
+):
+    with pytest.raises(OutOfTravel) as caught:
+        check_travel(mill, line((0, 0, 0), (612.4, 0, 0)))
+    text = str(caught.value)
+    assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
+    assert "shorten the plan" in text
+    measured(f"“{text}”")
+
+
+@pytest.mark.parametrize("feed_mm_min", [1e-9, 0.99, 8001.0, 1e6])
+def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill, feed_mm_min):
+    mill = replace(mill, motion=MotionLimits(8000.0, assumed=()))
+    rows = [{"x_mm": x, "y_mm": 0, "z_mm": 0} for x in (0, 100)]
+    rows[1]["feed_mm_min"] = feed_mm_min
+    with pytest.raises(PlanningError, match=r"row 2: a feed of .* give 1 to 8000 mm"):
+        command_rows(mill, rows, is_path=True)
+    with pytest.raises(PlanningError, match="cannot be driven by small mill"):
+        check_feed(mill, feed_mm_min)
+    rows[1]["feed_mm_min"] = 8000.0
+    assert command_rows(mill, rows, is_path=True).feed_mm_min[1] == 8000.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (line((0, 0, -301), (0, 0, 0)), r"row 1: Z = -301 mm is below -300 mm"),
+        (line((0, 0, 0), (1, np.nan, 0)), r"row 2: Y is not a finite number"),
+        (line((0, 0, 0, 355), axes="XYZC"), r"C = 355 deg exceeds 350 deg"),
+        (line((0, 0, 0, 0), axes="XYZA"), r"axis A.*its axes are X, Y, Z, C"),
+    ],
+)
+def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows, said):
+    with pytest.raises(OutOfTravel, match=said):
+        check_travel(with_table, rows)
+    points = Configurations(rows.axes, rows.position, rows.dwell_s)
+    with pytest.raises(OutOfTravel, match=said):
+        check_travel(with_table, points)
+
+
+def test_the_rounding_of_a_file_is_not_out_of_travel(mill):
+    axes = (LinearAxis("X", 0.0, 499.99996), *mill.axes[1:])
+    check_travel(replace(mill, axes=axes), line((0, 0, 0), (500.0, 0, 0)))
+
+
+def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
+    names = ("T1", "T1", "T1", "T2", "T2", "T1")
+    path = line(*np.arange(18.0).reshape(6, 3), target=names)
+    path = replace(path, feed_mm_min=np.arange(100.0, 106.0))
+    stretches = cut_by_target(path)
+    assert [stretch.row for stretch in stretches] == [0, 2, 4]
+    targets = [stretch.path.target for stretch in stretches]
+    assert targets == [("T1",) * 3, ("T2",) * 3, ("T1",) * 2]
+    driven = np.concatenate([stretch.path.feed_mm_min[1:] for stretch in stretches])
+    np.testing.assert_array_equal(driven, path.feed_mm_min[1:])
+    for before, after in pairwise(stretches):
+        np.testing.assert_array_equal(before.path.position[-1], after.path.position[0])
+    for whole in (replace(path, target=()), replace(path, target=("T1",) * 6)):
+        (stretch,) = cut_by_target(whole)
+        assert (stretch.row, stretch.path.target) == (0, whole.target)
+        np.testing.assert_array_equal(stretch.path.position, whole.position)
+
+
+def test_lines_are_driven_back_and_forth_each_at_its_own_feed(square):
+    feeds = np.array([6000.0, 1000.0, 2000.0, 3000.0])
+    path = replace(square, feed_mm_min=feeds)
+    whole = append_part(path, drive_again(path, 2))
+    assert np.array_equal(whole.position[3:], path.position[[3, 2, 1, 2, 3]])
+    assert whole.feed_mm_min[4:].tolist() == [3000.0, 2000.0, 2000.0, 3000.0]
+
+
+def test_points_are_measured_again_in_their_order_or_gone_back_to_around_a_box(square):
+    points = Configurations(square.axes, square.position, square.dwell_s)
+    assert np.array_equal(drive_again(points, 2).position, points.position[2:])
+    asked = []
+
+    def is_free(begin, end):
+        asked.append((begin.tolist(), end.tolist()))
+        return False
+
+    again = drive_again(points, 1, is_free)
+    assert np.array_equal(again.position, points.position[[2, 1, 2, 3]])
+    assert asked == [(points.position[3].tolist(), points.position[1].tolist())]

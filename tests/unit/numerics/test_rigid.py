@@ -1,0 +1,53 @@
+"""Rigid motions, small ones among them, and fits of one point set to another."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from truepath.numerics.rigid import RigidTransform, cross_matrix, fit_rigid
+
+
+@pytest.fixture
+def motion(rng):
+    rotation = Rotation.random(rng=rng).as_matrix()
+    return RigidTransform(rotation, np.array([300.0, -200.0, 50.0]))
+
+
+@pytest.fixture
+def points(rng):
+    return rng.uniform(0, 500, (10, 3))
+
+
+def test_inverse_undoes(points, motion):
+    assert np.allclose(motion.invert().apply(motion.apply(points)), points)
+
+
+def test_a_small_motion_first_moves_points_before_the_pose(points, motion):
+    rotation, translation = np.array([1e-5, -2e-5, 3e-5]), np.array([0.01, -0.02, 0.03])
+    moved = points + np.cross(rotation, points) + translation
+    assert np.allclose(
+        motion.precede_small(rotation, translation).apply(points),
+        motion.apply(moved),
+        atol=1e-6,
+    )
+
+
+def test_cross_matrix_turns_points(points, rng):
+    rotation = rng.normal(size=3)
+    assert np.allclose(cross_matrix(points) @ rotation, np.cross(rotation, points))
+
+
+def test_a_rigid_motion_is_found_from_its_points(points, motion):
+    found = fit_rigid(points, motion.apply(points))
+    assert np.allclose(found.rotation, motion.rotation, atol=1e-12)
+    assert np.allclose(found.translation_mm, motion.translation_mm, atol=1e-9)
+
+
+def test_a_mirror_image_is_fitted_only_when_asked(points, motion):
+    mirrored = motion.apply(points * [1, 1, -1])
+    proper, improper = (
+        fit_rigid(points, mirrored, mirrored=flag).apply(points) - mirrored
+        for flag in (False, True)
+    )
+    assert np.abs(improper).max() < 1e-9
+    assert np.abs(proper).max() > 10.0

@@ -1,0 +1,62 @@
+"""Planners of machines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
+from truepath.motion.motion_times import Drive
+from truepath.motion.workspace.workspace import Workspace
+from truepath.planning.design_state import DesignState
+from truepath.planning.forecast import Assumptions
+from truepath.planning.initial_design import start_design
+from truepath.planning.lines.line_design import LineDesignState
+from truepath.planning.lines.planner import Planner
+from truepath.planning.points.next_configuration import PointDesignState
+
+STAND_MM = np.array([250.0, -900.0, 100.0])
+
+
+@pytest.fixture(scope="session")
+def small_mill(mill: Machine) -> Machine:
+    """The mill with half its travel: it is planned for in little time."""
+    axes = [replace(a, low=a.low / 2.0, high=a.high / 2.0) for a in mill.linear_axes]
+    return replace(mill, axes=tuple(axes))
+
+
+@cache
+def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignState:
+    """What the estimator believes of a machine before the first line or point."""
+    if kind == "points":
+        drive = Drive.of(machine.axis_names, 1.0)
+        return start_design(PointDesignState, machine, STAND_MM, drive, target="")
+    drive = Drive.of(remove_rotary_axes(machine).axis_names, 0.4)
+    assumed = Assumptions(perpendicular_only=perpendicular_only)
+    return start_design(LineDesignState, machine, STAND_MM, drive, assumed)
+
+
+@pytest.fixture(scope="session")
+def planner() -> Callable[..., Planner]:
+    """Make a planner: planner(machine, kind, workspace=…, feeds=…)."""
+
+    def make(
+        machine: Machine,
+        kind: str = "lines",
+        *,
+        workspace: Workspace | None = None,
+        feeds: tuple[float, ...] = (6000.0,),
+        perpendicular_only: bool = False,
+    ) -> Planner:
+        return Planner(
+            machine,
+            design_of(machine, kind, perpendicular_only),
+            workspace or Workspace(),
+            feeds,
+        )
+
+    return make

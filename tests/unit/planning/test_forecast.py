@@ -1,0 +1,107 @@
+"""What a plan is said to leave unknown, against what the estimate then states."""
+
+import numpy as np
+import pytest
+
+from estimating import estimate
+from truepath.alignment.align import align
+from truepath.errors import Unidentifiable
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.planning.forecast import (
+    Assumptions,
+    forecast,
+    predict_undetermined,
+)
+from truepath_simulators.motion.program import Program
+
+
+@pytest.fixture(
+    scope="module",
+    params=[False, pytest.param(True, marks=pytest.mark.long)],
+    ids=["all", "perpendicular"],
+)
+def outcomes(record, request):
+    """Forecasts and statements for some machines, in µm."""
+    found = []
+    for seed in (1, 2):
+        run, truth = record(seed, rows=16)
+        made = estimate(align(run), perpendicular_only=request.param)
+        variance = np.sum(compute_volumetric_gram(made.model) * made.covariance)
+        stand = truth.recording.pose.position_mm
+
+        def foretold(run=run, stand=stand, **known):
+            assumed = Assumptions(perpendicular_only=request.param, **known)
+            return forecast(run.machine, run.commanded, stand, assumed)
+
+        known = {"prior_precision": made.prior_precision, "noise": made.runs[0].noise}
+        found.append((np.sqrt(variance), foretold(), foretold(**known)))
+    return found
+
+
+def test_the_forecast_agrees_with_what_estimates_state_within_15_percent(outcomes):
+    ratios = [before.volumetric_sigma_mm / stated for stated, before, _ in outcomes]
+    assert 0.85 < np.mean(ratios) < 1.15
+
+
+def test_with_prior_and_noise_known_it_agrees_on_every_machine(outcomes):
+    for stated, _, known in outcomes:
+        assert known.volumetric_sigma_mm == pytest.approx(stated, rel=0.15)
+
+
+def test_uncertainty_shrinks_from_row_to_row(outcomes):
+    _, foretold, _ = outcomes[0]
+    sigma_mm = [step.sigma_mm for step in foretold.curve]
+    rows = [step.row for step in foretold.curve]
+    assert (np.diff(sigma_mm) <= 0.0).all()
+    assert rows == sorted(set(rows))
+    assert sigma_mm[-1] == foretold.volumetric_sigma_mm
+
+
+def test_what_is_known_least_is_one_of_what_the_target_shows(outcomes):
+    _, foretold, _ = outcomes[0]
+    for step in foretold.curve:
+        shares = list(step.weakest_mm.values())
+        assert shares == sorted(shares, reverse=True)
+        assert set(step.weakest_mm) < set(foretold.motion_sigmas())
+    first, last = (foretold.curve[i].weakest_mm for i in (0, -1))
+    assert max(last.values()) < max(first.values())
+
+
+def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
+    _, foretold, _ = outcomes[0]
+    assert {text[:3] for text in foretold.unobservable} == {"EAZ", "EBZ", "ECZ", "ECY"}
+    motions = foretold.motion_sigmas()
+    assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14
+    assert {"C0Y", "B0Z", "A0Z"} < set(motions)
+    assert all(sigma > 0.0 for sigma in motions.values())
+
+
+def join_places(*places):
+    """A program that goes from place to place in the travel, each at a share of it."""
+    n = len(places)
+    position_mm = np.array([500.0, 400.0, 300.0]) * places
+    return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
+
+
+IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
+IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
+
+
+@pytest.mark.parametrize(
+    ("places", "is_determined"),
+    [(IN_SPACE[:3], False), (IN_SPACE, True), (IN_A_PLANE, False)],
+    ids=["two-lines", "three-lines", "in-a-plane"],
+)
+def test_what_the_estimate_refuses_is_foretold_in_its_words(
+    record, places, is_determined
+):
+    run, truth = record(2, program=join_places(*places))
+    stand_mm = truth.recording.pose.position_mm
+    foretold = predict_undetermined(run.machine, run.commanded, stand_mm)
+    refused = ""
+    try:
+        estimate(align(run))
+    except Unidentifiable as error:
+        refused = str(error)
+    assert foretold == refused
+    assert (foretold == "") is is_determined

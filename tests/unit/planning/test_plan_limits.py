@@ -1,0 +1,166 @@
+"""Every plan keeps to its limits, or is refused with the reason."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limit_checker import Limits, violations
+from truepath.errors import PlanningError
+from truepath.motion.workspace.line_of_sight import Box
+from truepath.motion.workspace.workspace import Workspace
+
+LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])
+OFFSET = np.array([20.0, 30.0, -150.0])
+
+
+@st.composite
+def boxes(draw, low, high):
+    share = [sorted(draw(st.tuples(*[st.floats(0.0, 1.0)] * 2))) for _ in range(3)]
+    span = np.array(share)
+    span[:, 1] = np.maximum(span[:, 1], span[:, 0] + 0.02)
+    a, b = (low + s * (high - low) for s in span.T)
+    return Box(tuple(a.tolist()), tuple(b.tolist()))
+
+
+@st.composite
+def workspaces(draw):
+    keep_out = draw(st.lists(boxes(LOW, HIGH), max_size=3))
+    tracker = np.array([draw(st.floats(-200, 700)), draw(st.floats(-1500, -300)), 0.0])
+    blocks = draw(st.lists(boxes(tracker, HIGH + OFFSET), max_size=1))
+    nearest, farthest = draw(st.floats(0, 500)), draw(st.floats(600, 2500))
+    return Workspace(
+        tuple(keep_out), tuple(tracker.tolist()), nearest, farthest, tuple(blocks)
+    )
+
+
+def limits_of(workspace):
+    def pairs(given_boxes):
+        return [(np.array(b.low_mm), np.array(b.high_mm)) for b in given_boxes]
+
+    return Limits(
+        LOW,
+        HIGH,
+        OFFSET,
+        pairs(workspace.keep_out),
+        None if workspace.tracker_mm is None else np.array(workspace.tracker_mm),
+        (workspace.nearest_mm, workspace.farthest_mm),
+        pairs(workspace.blocks_sight),
+    )
+
+
+def assert_within_limits(planner, mill, workspace, kind, seed, feed):
+    plan, refusal = None, ""
+    try:
+        plan = planner(mill, kind, workspace=workspace, feeds=(feed,)).plan(
+            30.0, seed=seed
+        )
+    except PlanningError as error:
+        refusal = str(error)
+    if plan is None:
+        assert refusal.count(";") == 1  # the reason; the remedy
+        return
+    assert violations(limits_of(workspace), plan.position) == set()
+    inner = plan.position - LOW, HIGH - plan.position
+    # At both ends 2 % of the travel are kept free, of the shortest axis 6 mm.
+    assert min(part.min() for part in inner) >= 5.0
+
+
+ANY = {
+    "workspace": workspaces(),
+    "kind": st.sampled_from(["lines", "points"]),
+    "seed": st.integers(0, 99),
+    "feed": st.floats(1500.0, 15000.0),
+}
+
+
+@given(**ANY)
+@settings(deadline=None, max_examples=5)
+def test_every_plan_passes_an_independent_checker_or_is_refused(
+    planner, mill, workspace, kind, seed, feed
+):
+    assert_within_limits(planner, mill, workspace, kind, seed, feed)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@given(**ANY)
+@settings(deadline=None, max_examples=200)
+def test_two_hundred_plans_pass_an_independent_checker_or_are_refused(
+    planner, mill, workspace, kind, seed, feed
+):
+    assert_within_limits(planner, mill, workspace, kind, seed, feed)
+
+
+@given(workspace=workspaces(), data=st.data())
+@settings(deadline=None, max_examples=100)
+def test_what_the_workspace_allows_the_checker_finds_nothing_wrong_with(
+    mill, workspace, data
+):
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))
+    begin, end = (rng.uniform(LOW, HIGH, (4, 3)) for _ in range(2))
+    allowed = workspace.allows(mill, begin, end)
+    for a, b, ok in zip(begin, end, allowed, strict=True):
+        found = violations(limits_of(workspace), np.stack([a, b]))
+        assert not (ok and found)
+
+
+def test_the_checker_finds_a_line_through_a_box():
+    limits = limits_of(
+        Workspace((Box((200.0, 150.0, -200.0), (250.0, 200.0, -100.0)),))
+    )
+    through = np.array([[0.0, 0.0, -300.0], [500.0, 400.0, 0.0]])
+    assert violations(limits, through) == {"keep-out"}
+    assert violations(limits, through[[0, 0]]) == set()
+
+
+SMALL = Box((200.0, 150.0, -200.0), (300.0, 250.0, -100.0), "probe")
+DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
+
+
+@pytest.mark.parametrize(
+    ("workspace", "reason"),
+    [
+        (Workspace((SMALL,)), "enters the keep-out box probe"),
+        (
+            Workspace(tracker_mm=(250.0, -900.0, 0.0), farthest_mm=900.0),
+            "farther than the tracker sees",
+        ),
+        (
+            Workspace(tracker_mm=(250.0, -900.0, 0.0), nearest_mm=1200.0),
+            "nearer than the tracker sees",
+        ),
+        (
+            Workspace(
+                tracker_mm=(250.0, -900.0, 0.0),
+                blocks_sight=(
+                    Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door"),
+                ),
+            ),
+            "goes behind door, out of the tracker's sight",
+        ),
+    ],
+)
+def test_a_line_that_must_not_be_is_refused_with_row_and_reason(
+    mill, planner, workspace, reason
+):
+    plan = planner(mill).plan(20.0)
+    bad = type(plan)(plan.axes, DIAGONAL, plan.feed_mm_min[:2], plan.dwell_s[:2])
+    with pytest.raises(PlanningError, match=f"the way to row 2 .*{reason}"):
+        planner(mill, workspace=workspace).check(bad)
+
+
+def test_a_volume_that_is_all_kept_out_is_refused(mill, planner):
+    all_of_it = Workspace((Box(tuple(LOW.tolist()), tuple(HIGH.tolist())),))
+    with pytest.raises(PlanningError, match="no place in the travel is free"):
+        planner(mill, workspace=all_of_it).plan(60.0)
+
+
+def test_a_time_too_short_for_any_line_is_refused(mill, planner):
+    with pytest.raises(PlanningError, match=r"fits into .* s; give more time"):
+        planner(mill).plan(1.0)
+
+
+def test_a_travel_too_short_for_a_steady_feed_is_refused(mill, planner):
+    with pytest.raises(PlanningError, match="too short for a steady feed of 60000"):
+        planner(mill, feeds=(60_000.0,)).plan(60.0)

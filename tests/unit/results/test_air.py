@@ -1,0 +1,157 @@
+"""What a result says of sensors and of the air on the beam."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.answers.verification.places.conformity import (
+    Conformity,
+    decide_conformity,
+)
+from truepath.files.bundle.run import Run, RunEvent, summarize_run
+from truepath.files.environment.refraction import (
+    Refraction,
+    correct_refraction,
+    state_length_ppm,
+    state_scale_ppm,
+)
+from truepath.results.environment_json import (
+    describe_refraction,
+    describe_scale,
+    environment_json,
+)
+from truepath.results.findings import state_findings
+from truepath.results.verdict import judge_air
+from truepath_drivers.interfaces.records import (
+    AirSamples,
+    Path,
+    TemperatureSamples,
+    TrackerSamples,
+)
+from truepath_drivers.interfaces.tracker_records import Light
+
+
+@pytest.fixture
+def run(mill, square):
+    assert isinstance(square, Path)
+    time_s = 100.0 + np.arange(0.0, 600.0, 0.5)
+    tracker = TrackerSamples(
+        np.arange(len(time_s)),
+        time_s,
+        np.ones((len(time_s), 3)),
+        np.zeros(len(time_s), np.int64),
+    )
+    at_s = np.arange(100.0, 701.0, 1.0)
+    rises = 20.0 + 0.01 * (at_s - 100.0)
+    dies = np.where(at_s < 300.0, 21.0, np.nan)
+    celsius = np.stack([rises, dies, np.full(len(at_s), np.nan)], axis=1)
+    return Run(
+        "warm",
+        mill,
+        square,
+        tracker,
+        TemperatureSamples(("X", "Y", "Z"), at_s, celsius),
+        AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan)),
+        events=(RunEvent(0, "sensor-silent", "Y_degC: no valid reply"),),
+    )
+
+
+def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run):
+    stated = environment_json(summarize_run(run))
+    sensors = {one["name"]: one for one in stated["sensors"]}
+    assert set(sensors) == {"X_degC", "Y_degC", "Z_degC", "pressure_hPa"}
+    warm, dies = sensors["X_degC"], sensors["Y_degC"]
+    assert warm["mean"] == pytest.approx(23.0)
+    assert (warm["low"], warm["high"]) == pytest.approx((20.0, 26.0))
+    assert warm["change"] == pytest.approx(6.0)
+    assert (warm["used"], dies["used"]) == (True, False)
+    assert dies["longest_without_s"] == pytest.approx(400.0, abs=2.0)
+    assert sensors["Z_degC"]["mean"] is None
+    assert stated["told"] == ["Y_degC: no valid reply"]
+
+
+def test_a_sensor_that_dies_early_in_a_short_run_is_not_used(run):
+    at_s = np.arange(100.0, 156.0, 4.0)
+    dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
+    early = replace(
+        run,
+        tracker=run.tracker.select(run.tracker.device_time_s < 155.0),
+        temperature=TemperatureSamples(("X",), at_s, dies),
+    )
+    assert not summarize_run(early).sensors[0].is_used
+
+
+def test_air_that_was_written_down_once_holds_all_the_time(run):
+    at_s = np.array([50.0])
+    once = TemperatureSamples(("air",), at_s, np.array([[21.0]]))
+    light = Light(633.0, is_group=False)
+    told, samples = correct_refraction(
+        Refraction("nobody", light),
+        run.tracker,
+        once,
+        AirSamples(at_s, np.array([1002.0]), np.array([45.0])),
+    )
+    assert told.by == "truepath"
+    assert (samples.position_mm < run.tracker.position_mm).all()
+
+
+@pytest.mark.parametrize("by", ["instrument", "truepath"])
+def test_the_scale_is_uncertain_by_what_the_air_is_mistaken(run, by):
+    corrected = replace(
+        run,
+        refraction=Refraction(
+            by, Light(633.0, is_group=False), 1.00027, (20, 1013, 50)
+        ),
+    )
+    scale = environment_json(summarize_run(corrected))["range_scale"]
+    assert scale["per_K_ppm"] == pytest.approx(0.95, abs=0.02)
+    assert scale["per_hPa_ppm"] == pytest.approx(0.27, abs=0.005)
+    assert scale["uncertainty_ppm"] == pytest.approx(np.hypot(0.95 / 2, 0.27), abs=0.05)
+    assert not scale["in_tables"]
+    assert "positioning errors of all axes" in describe_scale(corrected.refraction)
+
+
+def test_who_has_corrected_is_said_in_words():
+    light = Light(633.0, is_group=False)
+    assert "instrument" in describe_refraction(Refraction("instrument"))
+    done = Refraction("truepath", light, 1.00027137, (20.0, 1013.0, 50.0))
+    assert "271.37" in describe_refraction(done)
+    assert "NOT" in describe_refraction(Refraction("nobody", light, why="no pressure"))
+    assert "not known" in describe_refraction(Refraction())
+    assert state_scale_ppm(Refraction())[0] > 0.4
+
+
+def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
+    assert judge_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
+    (reason,) = judge_air([Refraction("nobody", why="no pressure")], ["a"]).reasons
+    assert (reason.state, reason.run) == ("doubtful", "")
+    assert "no pressure" in str(reason)
+
+
+def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
+    air_ppm = state_scale_ppm(Refraction())[0]
+    assert state_length_ppm(Refraction(), 0.0) == pytest.approx(air_ppm)
+    both = state_length_ppm(Refraction("instrument"), 0.5)
+    assert both == pytest.approx(np.hypot(air_ppm, 0.5))
+    assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0
+
+
+def test_ranges_that_nobody_corrects_decide_no_tolerance(estimate, provenance):
+    corrected, open_air = (
+        state_findings(
+            estimate,
+            replace(
+                provenance,
+                runs=tuple(replace(r, refraction=by) for r in provenance.runs),
+            ),
+        ).volumetric.before.mean
+        for by in (Refraction("instrument"), Refraction("nobody", why="no pressure"))
+    )
+    for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
+        decided = [
+            decide_conformity(one.value_um, 2.0 * one.uncertainty_um, tolerance_um)
+            for one in (corrected, open_air)
+        ]
+        assert decided[0] is not Conformity.UNDECIDED
+        assert decided[1] is Conformity.UNDECIDED

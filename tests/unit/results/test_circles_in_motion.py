@@ -1,0 +1,317 @@
+"""Circles driven on the fly, on simulated machines whose effects are known."""
+
+import numpy as np
+import pytest
+
+from results_fixtures import load_small
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import ArcDrive
+from truepath.answers.verification.circles.circle_figures import (
+    FIGURES,
+    SECTORS,
+    CommandedCircle,
+    compute_figures,
+    fit_centre,
+    list_sector_angles,
+    reduce_to_sectors,
+    state_figures,
+    take_centre_off,
+)
+from truepath.answers.verification.circles.circles_in_motion import read_commanded
+from truepath.answers.verification.places.measured_places import correlate_means
+from truepath.answers.verification.verification import verify
+from truepath.answers.verification.verification_report import write_verification
+from truepath.estimation.problem.noise import NoiseModel
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.motion.configurations import append_part
+from truepath.motion.paths.circle_path import make_circle_path
+from truepath.motion.paths.driven_again import drive_arcs_again
+from truepath.numerics.rigid import RigidTransform
+from truepath.service.api.models.results.verification import VerificationOut
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.hidden.dynamics import ServoMismatch
+from truepath_simulators.hidden.guides import Squareness
+from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds import synthetic
+
+BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
+HIDDEN = (
+    Backlash("X", BACKLASH_UM),
+    ServoMismatch("Z", LAG_MS),
+    Squareness("A0Z", LEAN_URAD),
+)
+ANGLE = np.radians(list_sector_angles())
+
+
+def drive(machine, *, hidden=(), holds=(), seed=7, setting=None, again=()):
+    """Return the Run of the circle path on a machine that errs by these effects.
+
+    again : rows of circles that are driven a second time at its end
+    """
+    path = make_circle_path(machine)
+    if again:
+        path = append_part(path, drive_arcs_again(path, again))
+    arcs = tuple(
+        arc
+        and Arc(
+            tuple("XYZ".index(name) for name in arc.axes),
+            arc.centre_mm,
+            float(np.radians(arc.turn_deg)),
+        )
+        for arc in path.arc
+    )
+    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs)
+    setting = setting or synthetic.Setting(
+        error_scale=0.0, hidden=hidden, defects=synthetic.Defects(holds=holds)
+    )
+    recording = synthetic.record(load_small(), program, seed, "otf", setting)
+    samples = TrackerSamples(
+        np.arange(len(recording)),
+        recording.time_s,
+        recording.position_mm,
+        recording.status,
+    )
+    return Run("circles", machine, path, samples)
+
+
+def evaluate(run):
+    """Return the figures of each plane, and the rows whose circle is not whole."""
+    seen = align(run)
+    noise = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 0.0)  # of the simulated air
+    planes, whole = {}, set()
+    for arc in seen.arcs:
+        commanded = read_commanded(run, run.commanded, arc.row)
+        inside = slice(arc.first, arc.last)
+        stream = run.tracker.device_time_s[inside], run.tracker.position_mm[inside]
+        driven = reduce_to_sectors(
+            commanded, arc, *stream, seen.pose, noise, run.machine.tracker
+        )
+        if driven is not None:
+            whole.add(arc.row)
+            planes.setdefault(commanded.plane, {})[commanded.sense] = driven
+    stated = {
+        plane: state_figures(
+            {sense: one.radial_mm for sense, one in senses.items()},
+            {sense: one.covariance_mm2 for sense, one in senses.items()},
+        )
+        for plane, senses in planes.items()
+    }
+    arcs = {row for row, arc in enumerate(run.commanded.arc) if arc}
+    return planes, stated, arcs - whole
+
+
+@pytest.fixture(scope="module")
+def demo():
+    """The machine of the recordings."""
+    content = {**load_small(), "kinematic_chain": "w-b-X-Y-Z-t"}
+    return machine_from_json(content, file="machine.json")
+
+
+@pytest.fixture
+def measured_again(calibrated):
+    """Drive the circles on the machine that was calibrated."""
+
+    def measure(holds=(), again=()):
+        defects = synthetic.Defects(holds=holds)
+        setting = synthetic.Setting(machine_seed=1, defects=defects)
+        return drive(calibrated.machine, seed=12, setting=setting, again=again)
+
+    return measure
+
+
+def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo):
+    planes, stated, broken = evaluate(drive(demo, hidden=HIDDEN))
+    assert not broken
+    assert set(planes) == {"XY", "YZ", "ZX"}
+
+    def check(plane, name, expected_um):
+        error_um = abs(stated[plane].value_um[name] - expected_um)
+        assert error_um <= 2.0 * stated[plane].uncertainty_um[name], (plane, name)
+
+    one = planes["YZ"]["counterclockwise"]
+    assert one.feed_mm_min == pytest.approx(one.commanded.feed_mm_min, rel=1e-3)
+    lag_um = LAG_MS * one.commanded.feed_mm_min / 60.0
+    lean_um = 1e-3 * LEAN_URAD * one.commanded.radius_mm
+    # Radii by the angle t: lean r sin t cos t, and lag v sin t cos t by the sense.
+    check("XY", "H", BACKLASH_UM)
+    check("YZ", "H", lag_um)
+    senses = sorted(
+        stated["YZ"].value_um[f"G_{s}"] for s in ("clockwise", "counterclockwise")
+    )
+    assert senses[0] == pytest.approx(abs(lean_um - lag_um), abs=2.0)
+    assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
+
+
+def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
+    calibrated, measured_again, tmp_path
+):
+    found = verify(calibrated, measured_again())
+    assert found.consistency.is_consistent
+    document = VerificationOut.model_validate(write_verification(found, tmp_path))
+    assert [one.plane for one in document.circles_in_motion] == ["XY", "YZ", "ZX"]
+    assert document.circles_missing == []
+    for one in document.circles_in_motion:
+        mean = np.mean(list(one.radial_um.values()), axis=0)
+        columns = np.column_stack([np.cos(ANGLE), np.sin(ANGLE), np.ones(SECTORS)])
+        fitted = np.linalg.lstsq(columns, mean)[0]
+        assert one.centre_um is not None
+        assert one.centre_um["measured"] == pytest.approx(fitted[:2])
+    within = [
+        difference.within
+        for one in document.circles_in_motion
+        for difference in one.difference_um.values()
+    ]
+    assert sum(within) >= len(within) - 1
+    sizes = [one.figures_um["G"] for one in document.circles_in_motion]
+    assert max(sizes) > 10.0
+    assert "Circles in motion" in (tmp_path / "report.html").read_text()
+
+
+def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
+    _, stated, _ = evaluate(drive(demo))
+    for one in stated.values():
+        assert one.own_um["H"] > 1.0
+        assert one.value_um["H"] <= 2.0 * one.uncertainty_um["H"]
+        assert one.value_um["G"] <= 2.0 * one.uncertainty_um["G"]
+
+
+def test_a_circle_that_was_driven_again_whole_is_not_missing(
+    calibrated, measured_again
+):
+    holds = ((30.0, 2.0),)
+    run = measured_again(holds)
+    lost = verify(calibrated, run).circles
+    (row,) = lost.broken  # with a stop in it; the others stand
+    driven = {one.commanded.plane: len(one.driven) for one in lost.circles}
+    assert driven["".join(run.commanded.arc[row].axes)] == 1
+    assert sum(driven.values()) == 5
+    found = verify(calibrated, measured_again(holds, {row})).circles
+    assert found.broken == ()
+    assert [one.commanded.plane for one in found.circles] == ["XY", "YZ", "ZX"]
+    first = found.circles[0]
+    assert set(first.driven) == {"counterclockwise", "clockwise"}
+    assert max(first.row.values()) >= len(make_circle_path(calibrated.machine))
+    assert "H" in first.measured.value_um
+
+
+def _noise():
+    time_s = 0.16 * np.arange(SECTORS)
+    shared = correlate_means(time_s, np.full(SECTORS, 0.16), 0.6)
+    return 1e-6 * (0.25 * np.eye(SECTORS) + 0.36 * shared)
+
+
+@pytest.mark.parametrize(
+    ("there_um", "back_um"),
+    [
+        (0.0 * ANGLE, 0.0 * ANGLE),
+        (2.0 * np.cos(2 * ANGLE), 2.0 * np.cos(2 * ANGLE)),
+        (
+            5.0 * np.cos(2 * ANGLE) + np.sign(np.sin(ANGLE)),
+            5.0 * np.cos(2 * ANGLE) - np.sign(np.sin(ANGLE)),
+        ),
+        (
+            6.0 * np.exp(-(ANGLE % np.pi) / 0.2),
+            -6.0 * np.exp(-((np.pi - ANGLE) % np.pi) / 0.2),
+        ),
+    ],
+    ids=["exact", "ellipse", "lost-motion", "spikes-at-reversals"],
+)
+def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
+    true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
+    exact = compute_figures({name: one[:, None] for name, one in true.items()})
+    covariance = _noise()
+    factor = np.linalg.cholesky(covariance)
+    inside, trials = 0, 12
+    for _ in range(trials):
+        seen = {
+            name: one + factor @ rng.standard_normal(SECTORS)
+            for name, one in true.items()
+        }
+        found = state_figures(seen, dict.fromkeys(true, covariance))
+        inside += sum(
+            abs(found.value_um[name] - 1e3 * exact[name][0])
+            <= 2.0 * found.uncertainty_um[name]
+            for name in FIGURES
+        )
+    assert inside >= 0.92 * trials * len(FIGURES)
+
+
+def reduced(demo, places_mm, duration_s, turn_deg, radius_mm):
+    """What comes of a circle about the origin that was driven without noise."""
+    commanded = CommandedCircle(
+        "XY", np.zeros(3), np.eye(2, 3), radius_mm, 0.0, turn_deg, 3000.0
+    )
+    time_s = np.arange(0.0, duration_s, 2e-3)
+    points = np.column_stack([places_mm(time_s / time_s[-1]), np.zeros(len(time_s))])
+    pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
+    noise = NoiseModel((1.0, 1.0), (0.1, 0.1), 1.0, 0.0)
+    arc = ArcDrive(2, 0, len(time_s))
+    stream = time_s, pose.apply(points)
+    return reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_circle_driven_in_the_other_sense_tells_nothing(demo, sense):
+    def drive_round(share):
+        turned = sense * np.radians(732.0) * share
+        return 50.0 * np.column_stack([np.cos(turned), np.sin(turned)])
+
+    driven = reduced(demo, drive_round, 12.0, 732.0, 50.0)
+    assert (driven is not None) == (sense > 0.0)
+
+
+def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0)):
+    """Return the sectors of a circle driven without noise, by its radius at an angle.
+
+    radial_mm : radius less the commanded one by the angle, rad; it grows by 50 µm over
+        run-in and run-out, so that these would be seen
+    """
+
+    def drive_round(share):
+        turned = np.radians(turn_deg) * share
+        radius = 100.0 + radial_mm(turned)
+        out = np.abs(np.degrees(turned - 0.5 * np.radians(turn_deg))) > 180.5
+        radius[out] += 0.05
+        round_it = np.column_stack([np.cos(turned), np.sin(turned)])
+        return radius[:, None] * round_it + centre_mm
+
+    driven = reduced(demo, drive_round, 24.0, turn_deg, 100.0)
+    assert driven is not None
+    return driven.radial_mm
+
+
+@pytest.mark.parametrize("turn_deg", [732.0, -732.0])
+def test_an_ellipse_is_in_the_sectors_it_belongs_to_and_run_in_is_in_none(
+    demo, turn_deg
+):
+    radial = turn(demo, lambda t: 0.005 * np.cos(2 * t), turn_deg=turn_deg)
+    # The first sector and the last one meet: a little of what is driven past is there.
+    assert np.allclose(radial, 0.005 * np.cos(2 * ANGLE), atol=1e-4)
+
+
+def test_a_spike_at_a_reversal_is_in_the_sectors_after_the_quadrant(demo):
+    def spike(t):
+        return 0.006 * np.exp(-(np.degrees(t) % 180.0) / 5.0)  # X turns back at 0, 180
+
+    for sign, first in ((1.0, 0), (-1.0, SECTORS - 1)):
+        radial = turn(demo, lambda t, s=sign: spike(s * t), turn_deg=sign * 732.0)
+        step = int(sign)
+        for quadrant in (first, (first + SECTORS // 2) % SECTORS):
+            seen = radial[quadrant + step * np.arange(3)]
+            assert seen == pytest.approx([4.51e-3, 2.48e-3, 1.36e-3], rel=0.03)
+            assert abs(radial[(quadrant - step) % SECTORS]) < 1e-4
+
+
+def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
+    at = (0.012, -0.02)
+    both = [
+        turn(demo, lambda t: 0.0 * t, centre_mm=at, turn_deg=turn_deg)
+        for turn_deg in (732.0, -732.0)
+    ]
+    centre = fit_centre(np.mean(both, axis=0)[:, None])
+    assert centre[:, 0] == pytest.approx(at, abs=1e-4)
+    for one in both:
+        assert np.abs(take_centre_off(one[:, None], centre)).max() < 2e-4

@@ -1,0 +1,228 @@
+"""A disturbed measurement gives the right result or says that it does not."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from results_fixtures import shorten
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.hidden.setup import TableDrift
+from truepath_simulators.hidden.tracker import TrackerRangeOffset
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_points
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
+
+TRAVEL_MM = 150.0
+
+
+def shifted(run, first, last, shift_mm):
+    moved = run.tracker.position_mm.copy()
+    moved[first:last] += shift_mm
+    return replace(run, tracker=replace(run.tracker, position_mm=moved))
+
+
+@pytest.fixture(scope="module")
+def clean(record):
+    return record(21, rows=40, travel_mm=TRAVEL_MM)[0]
+
+
+@pytest.fixture(scope="module")
+def found(clean):
+    return analyse(clean)
+
+
+def test_a_clean_measurement_is_usable_and_keeps_all(found):
+    assert found.verdict.state == "usable"
+    # One line is too short for a constant feed.
+    assert {r.kind for r in found.verdict.reasons} <= {"lines-without-data"}
+    assert found.knocks == ()
+    content = result_json(found)
+    assert {each["cause"] for each in content["left_out"]} <= {"no-pass"}
+    assert content["setup_steps"] == []
+
+
+@pytest.mark.parametrize(("samples", "off_mm"), [(50, 5.0), (700, 0.1)])
+@pytest.mark.fault_row(12)
+def test_a_burst_is_left_out_and_named_by_its_time(
+    clean, found, samples, off_mm, measured
+):
+    first = len(clean.tracker) // 3
+    spoilt = analyse(shifted(clean, first, first + samples, [0.0, off_mm, 0.0]))
+    time_s = clean.tracker.device_time_s[[first, first + samples - 1]]
+    told = [each for each in result_json(spoilt)["left_out"] if each["samples"]]
+    assert told
+    assert min(each["from_s"] for each in told) < time_s[1]
+    assert max(each["to_s"] for each in told) > time_s[0]
+    assert max(each["distance_um"] for each in told) > 500.0 * off_mm
+    assert spoilt.verdict.state == "usable"
+    stated_um = spoilt.volumetric.before.mean.value_um
+    clean_um = found.volumetric.before.mean.value_um
+    assert stated_um == pytest.approx(clean_um, rel=0.02)
+    measured(
+        f"{samples} samples {off_mm:g} mm off: {stated_um:.2f} µm stated, "
+        f"{clean_um:.2f} µm without them"
+    )
+
+
+@pytest.mark.fault_row(11)
+def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
+    first = int(0.55 * len(clean.tracker))
+    spoilt = analyse(shifted(clean, first, None, [0.03, -0.03, 0.02]))
+    (knock,) = spoilt.knocks
+    assert abs(knock.time_s - clean.tracker.device_time_s[first]) < 3.0
+    assert 1e3 * knock.moved_mm == pytest.approx(46.9, abs=2.0)
+    assert [run.part for run in spoilt.runs] == [1, 2]
+    assert "set-up-moved" in {reason.kind for reason in spoilt.verdict.reasons}
+    assert spoilt.verdict.state == "usable"
+    assert spoilt.volumetric.before.mean.value_um == pytest.approx(
+        found.volumetric.before.mean.value_um, rel=0.02
+    )
+
+
+def test_a_drift_is_no_knock_and_is_not_passed_over(record):
+    drift = TableDrift((0.1, -0.1, 0.08))
+    told = analyse(
+        record(22, rows=40, travel_mm=TRAVEL_MM, setting=Setting(hidden=(drift,)))[0]
+    )
+    assert told.knocks == ()
+    assert told.verdict.state != "usable"
+    assert "loop-open" in {reason.kind for reason in told.verdict.reasons}
+
+
+@pytest.mark.fault_row(12)
+def test_a_frozen_tracker_is_said(clean):
+    first = len(clean.tracker) // 2
+    moved = clean.tracker.position_mm.copy()
+    moved[first : first + 1000] = moved[first]
+    spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
+    assert "frozen" in {each.cause for each in spoilt.left_out[0]}
+    assert spoilt.verdict.state == "usable"
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(12)
+def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
+    rows = np.random.default_rng(5).choice(len(clean.tracker), 40, replace=False)
+    moved = clean.tracker.position_mm.copy()
+    moved[rows] *= [-1.0, 1.0, 1.0]
+    spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
+    told = [each for each in result_json(spoilt)["left_out"] if each["samples"]]
+    assert sum(each["samples"] for each in told) >= 30  # others are in no pass
+    assert spoilt.verdict.state == "usable"
+    assert spoilt.volumetric.before.mean.value_um == pytest.approx(
+        found.volumetric.before.mean.value_um, rel=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("offset_um", "state", "how", "most_um"),
+    [
+        (-60.0, "doubtful", {"rows": 30, "travel_mm": 300.0}, 12.0),
+        pytest.param(-40.0, "doubtful", {"rows": 60}, 6.0, marks=pytest.mark.long),
+        pytest.param(250.0, "not-usable", {"rows": 60}, 6.0, marks=pytest.mark.long),
+    ],
+)
+def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
+    record, offset_um, state, how, most_um
+):
+    setting = Setting(hidden=(TrackerRangeOffset(offset_um),))
+    verdict = analyse(record(31, **how, setting=setting)[0]).verdict
+    (reason,) = (one for one in verdict.reasons if one.kind == "range-off")
+    assert reason.state == state
+    found, within = reason.values["distance_um"], reason.values["within_um"]
+    assert abs(found - offset_um) < 1.5 * within
+    assert within < most_um
+
+
+_POINTS = 96
+KNOCK_MM = np.array([0.012, -0.008, 0.014])
+SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
+
+
+@pytest.fixture(scope="module")
+def content():
+    content = shorten(load_machine("trunnion"))
+    content["tracker"]["stands_on"] = "base"
+    return content
+
+
+@pytest.fixture(scope="module")
+def program(content):
+    """Points of one target after the other."""
+    return turning_points(parse_machine(content), 5, _POINTS, dwell_s=0.4)
+
+
+@pytest.fixture(scope="module")
+def made(content, program):
+    """A trunnion at standstills, one target after the other."""
+    return synthetic.record(content, program, 5, "standstill")
+
+
+@pytest.fixture(scope="module")
+def made_again(content, program):
+    """The same with the first target at the end as well, at its first points."""
+    own = program.target.index("T2") // 2
+    position = np.vstack([program.position[:-4], program.position[:4]])
+    target = program.target[own:] + program.target[:own]
+    order = replace(program, position=position, target=target)
+    seated = copy.deepcopy(content)
+    seated["targets"]["W1"]["offset_mm"] = (
+        np.array(content["targets"]["W1"]["offset_mm"]) + SEAT_MM
+    ).tolist()
+    return replace(synthetic.record(seated, order, 5, "standstill"), content=content)
+
+
+@pytest.fixture(scope="module")
+def change(made):
+    """The first point of the first target on the table."""
+    return made.program.target.index("W1")
+
+
+def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is_none(
+    made, run_of, change
+):
+    run, amid = run_of(made), change + 8
+    status = np.where(np.isin(made.row, (change, amid)), 1, run.tracker.status)
+    verdict = analyse(replace(run, tracker=replace(run.tracker, status=status))).verdict
+    values = {reason.kind: reason.values for reason in verdict.reasons}
+    assert verdict.state == "doubtful"
+    assert values["points-without-data"] == {"points": f"{change}, {amid}"}
+    near = values["knock-unseen"]["rows"].split(", ")
+    assert (str(change) in near, str(amid) in near) == (True, False)
+
+
+@pytest.mark.long
+def test_a_run_that_ends_without_its_first_target_says_that_a_knock_would_not_show(
+    made, run_of, change
+):
+    kinds = {r.kind: r.values for r in analyse(run_of(made)).verdict.reasons}
+    assert str(change) in kinds["not-measured-again"]["rows"].split(", ")
+
+
+@pytest.mark.long
+def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
+    made_again, run_of
+):
+    """Targets sit where they are found on both sides of it."""
+    first = made_again.program.target.index("W1")
+    knock_s = made_again.time_s[made_again.row >= first][0]
+    run = run_of(made_again)
+    late = (run.tracker.device_time_s >= knock_s)[:, None]
+    moved = run.tracker.position_mm + late * KNOCK_MM
+    knocked = analyse(replace(run, tracker=replace(run.tracker, position_mm=moved)))
+    (knock,) = knocked.knocks
+    assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
+    seats = [
+        seat
+        for part in knocked.runs
+        for seat in part.estimate.seats
+        if seat.target.name == "W1"
+    ]
+    assert seats
+    for seat in seats:
+        assert (np.abs(seat.shift_mm - SEAT_MM) < 3.0 * seat.sigma_mm).all()

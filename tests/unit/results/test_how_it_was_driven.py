@@ -1,0 +1,163 @@
+"""A CNC without a link: what its operator did is recognised in the recording alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.alignment.align import align, drop_measured_elsewhere
+from truepath.alignment.observations.observations import Driving
+from truepath.errors import AlignmentError
+from truepath.files.earlier.verdict import Verdict
+from truepath.motion.configurations import select_rows
+from truepath.results.analysis import analyse
+from truepath.results.verdict import judge_driving
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.worlds.synthetic import Defects, Setting
+
+
+def said_of(run) -> Verdict:
+    return judge_driving([align(run).driving], ["run"])
+
+
+def at_feed(run, share):
+    """The same recording, of a path whose feeds were so much higher."""
+    commanded = run.commanded
+    return replace(
+        run, commanded=replace(commanded, feed_mm_min=commanded.feed_mm_min / share)
+    )
+
+
+def values_of(verdict):
+    return {reason.kind: reason.values for reason in verdict.reasons}
+
+
+def held(record, lines=(5, 12), stood_s=(2.0, 0.8)):
+    """The recording of a machine that stood in the middle of lines."""
+    run, _ = record(6, travel_mm=200.0)
+    passes = {each.row: each for each in align(run).passes}
+    time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
+    middles = [time_s[(passes[k].first + passes[k].last) // 2] for k in lines]
+    later_s = np.concatenate([[0.0], np.cumsum(stood_s)[:-1]])
+    holds = tuple(zip(middles + later_s, stood_s, strict=True))
+    setting = Setting(defects=Defects(holds=holds))
+    return record(6, travel_mm=200.0, setting=setting)[0]
+
+
+def lengthened(path, rng, rows=6):
+    """A path that goes on where the machine was stopped."""
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    more = rng.uniform(low, high, (rows, len(low)))
+    return Path(
+        path.axes,
+        np.vstack([path.position, more]),
+        np.append(path.feed_mm_min, np.full(rows, path.feed_mm_min[-1])),
+        np.append(path.dwell_s, np.full(rows, path.dwell_s[-1])),
+    )
+
+
+def ended_at(run, rows, share):
+    """The same recording, of a path that ends so far on the way to its last row."""
+    path = run.commanded
+    position = path.position[:rows].copy()
+    position[-1] = position[-2] + share * (position[-1] - position[-2])
+    commanded = replace(
+        path,
+        position=position,
+        feed_mm_min=path.feed_mm_min[:rows],
+        dwell_s=path.dwell_s[:rows],
+    )
+    return replace(run, commanded=commanded)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_of_a_path_that_was_driven_as_commanded_nothing_is_said(record, seed):
+    run, _ = record(seed)
+    assert said_of(run).reasons == ()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.2])
+def test_an_override_is_told_in_percent(record, share):
+    run, _ = record(6)
+    values = values_of(said_of(at_feed(run, share)))["other-feed"]
+    percents = [values["lowest_percent"], values["highest_percent"]]
+    assert percents == pytest.approx([100 * share] * 2, abs=1.0)
+
+
+def test_an_override_of_some_lines_names_these_lines(record):
+    run, _ = record(6)
+    feed = run.commanded.feed_mm_min.copy()
+    feed[8:11] /= 0.7
+    turned = replace(run, commanded=replace(run.commanded, feed_mm_min=feed))
+    lines = values_of(said_of(turned))["other-feed"]["lines"].split(", ")
+    assert set(lines) <= {"8", "9", "10"}
+
+
+def test_an_early_stop_and_a_late_begin_say_how_much_is_missing(record, rng):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    values = values_of(said_of(replace(run, commanded=planned)))["path-not-whole"]
+    assert values == {"first": 1, "last": 23, "lines": 29}
+    late = Setting(defects=Defects(late_start_s=15.0))
+    values = values_of(said_of(record(6, setting=late)[0]))["path-not-whole"]
+    assert values["first"] > 1
+    assert values["last"] == values["lines"] == 23
+
+
+@pytest.mark.parametrize(("driven", "missing"), [(6, False), (4, True)])
+def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
+    record, rng, driven, missing
+):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    first, rest = (
+        replace(run, commanded=select_rows(planned, rows))
+        for rows in (slice(None), slice(23, None))
+    )
+    seen = align(first)
+    further = replace(
+        seen, row=seen.row.clip(max=driven), driving=Driving(0, driven, 7, {}, ())
+    )
+    found = drop_measured_elsewhere([first, rest], [seen, further])
+    said = judge_driving([found[0].driving, None], ["first", "rest"]).reasons
+    assert [reason.values for reason in said] == (
+        [{"first": 1, "last": 23 + driven, "lines": 29}] if missing else []
+    )
+
+
+@pytest.mark.fault_row(21)
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_what_is_driven_beyond_the_last_row_is_taken_for_no_line(
+    record, share, measured
+):
+    """It goes on to further places, or through the last one without a stop."""
+    run, _ = record(6)
+    whole = {each.row: each for each in align(run).passes}
+    begun = {each.row: each for each in align(ended_at(run, 18, share)).passes}
+    last = 17 if share == 1.0 else 16
+    measured(f"{len(begun)} of {len(whole)} lines taken, {last} driven")
+    assert sorted(begun) == list(range(1, last + 1))
+    for row, each in begun.items():
+        assert (each.first, each.last) == (whole[row].first, whole[row].last)
+
+
+@pytest.mark.parametrize("other", [7, 8])
+@pytest.mark.fault_row(21)
+def test_another_program_is_refused(record, other):
+    run, _ = record(6)
+    wrong, _ = record(other)
+    with pytest.raises(AlignmentError, match="recording belongs to this path"):
+        align(replace(run, commanded=wrong.commanded))
+
+
+def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
+    stood = held(record)
+    values = values_of(said_of(stood))["held-on-the-way"]
+    assert (values["times"], values["lines"]) == (2, "5, 12")
+    assert values["longest_s"] == pytest.approx(2.0, abs=0.3)
+    verdict = analyse(at_feed(stood, 0.8)).verdict
+    assert {"held-on-the-way", "other-feed"} <= values_of(verdict).keys()
+    assert verdict.state == "usable"  # all the same
+    text = " ".join(map(str, verdict.reasons))
+    assert "stood still in the middle of lines: 2 times" in text
+    assert "80.0 % of the feed of the path" in text

@@ -1,0 +1,215 @@
+"""History and comparison of machines: what has changed between two calibrations."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.answers.history.machine_change import (
+    CHANCE,
+    find_changes,
+    list_significant,
+)
+from truepath.answers.history.machine_documents import (
+    Calibration,
+    comparison_json,
+    history_json,
+    judge_tolerance,
+)
+from truepath.answers.history.machine_history import Entry, list_differing
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.machine.machine import Target
+from truepath.results.result_json import result_json
+
+SYMBOL = "EYX"
+
+
+def draw_result(estimate, seed, shift=0.0):
+    """A result whose parameters miss the truth as its covariance says.
+
+    shift : of all parameters of EYX, in their standard uncertainties
+    """
+    rng = np.random.default_rng(seed)
+    off = rng.multivariate_normal(np.zeros(estimate.model.size), estimate.covariance)
+    theta = estimate.theta + off
+    part = estimate.model.slices[SYMBOL]
+    sigma = np.sqrt(np.diag(estimate.covariance)[part])
+    signs = np.resize([1.0, -1.0], sigma.shape)
+    theta[part] += shift * sigma * signs
+    runs = [{"name": f"run {seed}", "input_sha256": f"{seed:064d}"}]
+    provenance = {"runs": runs}
+    return CalibrationResult(
+        estimate.model, theta, estimate.covariance, provenance=provenance
+    )
+
+
+def count_false(estimate, pairs):
+    """How many pairs of an unchanged machine are said to have changed."""
+    return sum(
+        find_changes(
+            draw_result(estimate, 2 * k), draw_result(estimate, 2 * k + 1)
+        ).is_significant
+        for k in range(pairs)
+    )
+
+
+@pytest.mark.timeout(120)
+def test_a_machine_that_has_not_changed_is_rarely_said_to_have(estimate):
+    # Of 20 pairs more than 4 would come with a chance of 0.3 % where 5 % are stated.
+    assert count_false(estimate, 20) <= 4
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_one_in_twenty_unchanged_machines_at_most_is_said_to_have_changed(estimate):
+    pairs = 100
+    allowed = CHANCE * pairs + 2.0 * np.sqrt(pairs * CHANCE * (1.0 - CHANCE))
+    assert count_false(estimate, pairs) <= allowed
+
+
+def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
+    change = find_changes(draw_result(estimate, 1), draw_result(estimate, 2, shift=8.0))
+    assert change.is_significant
+    named = list(list_significant(change))
+    worst = named[0]
+    assert abs(worst.difference) > change.factor * worst.uncertainty
+    assert worst.chance < CHANCE / 2.0
+    quiet = {e.symbol for e in change.entries if not e.is_significant}
+    assert "EZZ" in quiet
+    assert {e.symbol for e in named} == {SYMBOL}
+    # Many entries are held against more than one number would be.
+    assert len(change.entries) > 100
+    assert 2.5 < change.factor < 4.5
+
+
+def test_results_that_share_a_run_are_not_held_against_each_other(estimate):
+    with pytest.raises(BadInput, match="come from one Run"):
+        find_changes(draw_result(estimate, 1), draw_result(estimate, 1))
+
+
+def test_results_of_different_targets_are_not_held_against_each_other(
+    estimate, construct
+):
+    other = construct((Target("", "tool", (20.0, 30.0, -250.0)),))
+    with pytest.raises(BadInput, match="different targets"):
+        find_changes(draw_result(estimate, 1), draw_result(other, 2))
+
+
+def test_where_the_tracker_stood_is_no_change(estimate):
+    """A rigid motion of the whole volume alone changes no entry and no volume."""
+    before = draw_result(estimate, 1)
+    digest = [{"name": "later", "input_sha256": "f" * 64}]
+    change = find_changes(before, replace(before, provenance={"runs": digest}))
+    assert not change.is_significant
+    assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
+    assert change.volume.change_um == 0.0
+
+
+def stretch(result, scale, stated_ppm):
+    """The result of the same machine by lengths that are all too long."""
+    theta = result.theta.copy()
+    for effect in result.model.effects:
+        motion = effect.motion
+        if motion is not None and effect.iso_symbol in ("EXX", "EYY", "EZZ"):
+            axis = motion.axis
+            at = np.linspace(axis.low, axis.high, 50)
+            wanted = scale * (at - (0.0 if axis.low <= 0.0 <= axis.high else axis.low))
+            part = result.model.slices[effect.name]
+            theta[part] += np.linalg.lstsq(motion.rows(at), wanted, rcond=None)[0]
+    provenance = {**result.provenance, "length_scale_ppm": stated_ppm}
+    return replace(result, theta=theta, provenance=provenance)
+
+
+def test_another_scale_of_the_air_is_no_change_of_the_machine(estimate):
+    certain = replace(estimate, covariance=1e-4 * estimate.covariance)
+    before = draw_result(certain, 1)
+    # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
+    pair = (
+        stretch(before, 0.0, stated_ppm=20.0),
+        stretch(draw_result(certain, 2), 40e-6, stated_ppm=20.0),
+    )
+    assert not find_changes(*pair).is_significant
+    blind = [replace(one, provenance={"runs": one.provenance["runs"]}) for one in pair]
+    change = find_changes(*blind)
+    assert change.volume.is_significant
+    assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
+
+
+@pytest.fixture(scope="module")
+def content(found):
+    return json.loads(json.dumps(result_json(found)))
+
+
+@pytest.fixture
+def calibrate(content, tmp_path):
+    """Keep a result of a machine; its p95 may be another than the constructed one."""
+
+    def keep(machine, number, p95=None):
+        stated = json.loads(json.dumps(content))
+        if p95 is not None:
+            figure = {"value_um": p95, "uncertainty_um": 0.5}
+            stated["volumetric_error"]["before"]["p95"] = figure
+        file = tmp_path / f"{machine}-{number}.json"
+        file.write_text(json.dumps(stated), encoding="utf-8")
+        job_id, when = f"job-{number}", f"2026-01-0{number}T08:00:00.000Z"
+        return Calibration(machine, job_id, (job_id,), when, 1, "usable", file)
+
+    return keep
+
+
+def test_history_states_each_entry_as_the_results_do(calibrate, content):
+    made = [calibrate("mill", 1), calibrate("mill", 2)]
+    history = history_json("mill", made, "EXX", None)
+    table = content["error_tables"]["EXX"]
+    assert [e["position"] for e in history["entries"]] == table["position_mm"]
+    for point in history["calibrations"]:
+        assert point["value"] == table["value_um"]
+        assert point["uncertainty"] == table["uncertainty_um"]
+    one = history_json("mill", made, "EXX", table["position_mm"][2])
+    assert one["calibrations"][0]["value"] == [table["value_um"][2]]
+
+
+def test_history_of_the_volume_has_its_three_figures_and_what_is_none_is_refused(
+    calibrate,
+):
+    made = [calibrate("mill", 1, p95=9.0)]
+    history = history_json("mill", made, "volumetric", None)
+    assert [e["label"] for e in history["entries"]] == ["mean", "p95", "largest"]
+    assert history["calibrations"][0]["value"][1] == 9.0
+    with pytest.raises(BadInput, match="is no quantity"):
+        history_json("mill", made, "QQQ", None)
+    with pytest.raises(BadInput, match=r"has no entry at 33\.3; it has"):
+        history_json("mill", made, "EXX", 33.3)
+
+
+@pytest.mark.parametrize(
+    ("p95", "state"), [(8.0, "within"), (9.5, "not-sure"), (12.0, "over")]
+)
+def test_a_tolerance_is_judged_with_the_uncertainty(calibrate, p95, state):
+    judged = judge_tolerance(calibrate("mill", 1, p95=p95), 10.0)
+    assert judged.state == state
+    assert "tolerance of 10 µm" in judged.text
+
+
+def test_machines_are_compared_by_what_is_sure(calibrate):
+    newest = [
+        calibrate("mill", 1, p95=20.0),
+        calibrate("lathe", 2, p95=9.0),
+        calibrate("press", 3, p95=9.5),
+    ]
+    found = comparison_json(newest, "volumetric", None, {"mill": 15.0})
+    assert [m["machine"] for m in found["machines"]] == ["lathe", "press", "mill"]
+    more = {m["machine"]: m["is_more_than"] for m in found["machines"]}
+    assert more == {"lathe": [], "press": [], "mill": ["lathe", "press"]}
+    with pytest.raises(BadInput, match="give the position of one"):
+        comparison_json(newest, "EXX", None, {})
+
+
+def test_the_more_machines_the_more_two_have_to_differ():
+    entries = [Entry("", None, "", 0.0, 1.0)] * 2
+    two, _ = list_differing(entries)
+    eight, _ = list_differing(entries * 4)
+    assert 1.9 < two < 2.0
+    assert eight > 3.0

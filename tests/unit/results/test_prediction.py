@@ -1,0 +1,216 @@
+"""The map from a result: what it must not depend on, and how sure it is; by files."""
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.answers.calibration.points_csv import encode_predictions, read_points
+from truepath.errors import BundleError
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.results import prediction
+from truepath.results.prediction import Prediction, predict
+
+
+@pytest.fixture
+def free_gauge(loaded):
+    """The same machine with splines that no gauge holds, and θ to match."""
+    model = loaded.model
+    effects, theta = [], []
+    for effect in model.effects:
+        part = loaded.theta[model.slices[effect.name]]
+        if isinstance(effect, ErrorMotion):
+            effects.append(replace(effect, gauge=np.eye(effect.spline.size)))
+            theta.append(effect.gauge @ part)
+        else:
+            effects.append(effect)
+            theta.append(part)
+    free = MachineModel(model.machine, tuple(effects))
+    theta = np.concatenate(theta)
+    return replace(
+        loaded, model=free, theta=theta, covariance=np.zeros((free.size, free.size))
+    )
+
+
+def rigid_motion(model, shift_mm, turn_rad):
+    """Return θ of a machine whose whole volume moves by a shift and a turn.
+
+    X stands first in the chain: its own turns move all that stands right of it, and
+    straightness in proportion to its position moves X itself.
+    """
+    theta = np.zeros(model.size)
+    for i, (d, t) in enumerate(zip("XYZ", "ABC", strict=True)):
+        motion = next(e for e in model.effects if e.name == f"E{d}X")
+        carried = np.cross(turn_rad, np.array([1.0, 0.0, 0.0]))[i]
+        theta[model.slices[f"E{d}X"]] = shift_mm[i] + carried * motion.spline.knots
+        theta[model.slices[f"E{t}X"]] = turn_rad[i]
+    return theta
+
+
+def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction(
+    free_gauge, travel_points, rng
+):
+    # So small that motions add up.
+    moved_by = rigid_motion(
+        free_gauge.model, 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
+    )
+    at = make_standstill(free_gauge.machine, travel_points)
+    assert np.abs(free_gauge.model.jacobian(at) @ moved_by).max() > 0.5e-3
+    plain = predict(free_gauge, travel_points)
+    moved = predict(
+        replace(free_gauge, theta=free_gauge.theta + moved_by), travel_points
+    )
+    assert moved.error_um == pytest.approx(plain.error_um, abs=1e-6)
+
+
+def test_not_knowing_the_rigid_motion_adds_no_uncertainty(free_gauge, travel_points):
+    blind = [rigid_motion(free_gauge.model, e, 0 * e) for e in np.eye(3)]
+    blind += [rigid_motion(free_gauge.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
+    covariance = np.sum([np.outer(b, b) for b in blind], axis=0)
+    predicted = predict(replace(free_gauge, covariance=covariance), travel_points)
+    assert predicted.uncertainty_um.max() < 1e-3
+
+
+def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
+    """The mean of the map over the travel, and its mean turn, are zero."""
+    machine = loaded.machine
+    nodes = [np.linspace(a.low, a.high, 41) for a in machine.linear_axes]
+    middle = [0.5 * (n[1:] + n[:-1]) for n in nodes]
+    grid = np.stack([g.ravel() for g in np.meshgrid(*middle, indexing="ij")], axis=1)
+    error = predict(loaded, grid).error_um
+    arm = grid - grid.mean(axis=0)
+    largest = np.abs(error).max()
+    assert np.abs(error.mean(axis=0)).max() < 1e-3 * largest
+    assert (
+        np.abs(np.cross(arm, error).mean(axis=0)).max()
+        < 1e-3 * largest * np.abs(arm).max()
+    )
+
+
+def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
+    loaded, travel_points, rng
+):
+    at = make_standstill(loaded.machine, travel_points)
+    J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
+    drawn = rng.multivariate_normal(
+        loaded.theta, loaded.covariance, 4000, method="eigh"
+    )
+    spread = np.std(J @ drawn.T, axis=2)
+    predicted = predict(loaded, travel_points)
+    assert predicted.uncertainty_um == pytest.approx(spread, rel=0.06)
+    assert predicted.error_um == pytest.approx(J @ loaded.theta)
+    assert predicted.warnings == ()
+
+
+def test_predictions_do_not_depend_on_the_size_of_the_blocks(
+    loaded, travel_points, monkeypatch
+):
+    whole = predict(loaded, travel_points)
+    monkeypatch.setattr(prediction, "_BLOCK", 7)
+    cut = predict(loaded, travel_points)
+    assert cut.error_um == pytest.approx(whole.error_um, abs=1e-12)
+    assert cut.uncertainty_um == pytest.approx(whole.uncertainty_um, abs=1e-12)
+
+
+def test_beyond_the_travel_errors_go_on_straight_and_the_user_is_told(loaded):
+    x = np.array([300.0, 350.0, 400.0, 450.0])
+    points = np.column_stack([x, np.full(4, 100.0), np.full(4, 100.0)])
+    predicted = predict(loaded, points)
+    assert np.diff(predicted.error_um, 2, axis=0) == pytest.approx(0.0, abs=1e-9)
+    assert (np.diff(predicted.uncertainty_um[1:].max(axis=1)) > 0).all()
+    end = np.array([[300.0 + 1e-5, 400.0, 310.0]])  # rounded
+    assert predict(loaded, end).warnings == ()
+    (told,) = predicted.warnings
+    assert told.startswith("3 of 4 points lie beyond the travel (X -200 to 300, Y")
+
+
+def test_each_point_is_predicted_for_its_target(construct, load, three_targets, rng):
+    result = load(construct(three_targets))
+    points = rng.uniform([-200, 10, 0], [300, 400, 310], (9, 3))
+    names = ("short", "long", "aside") * 3
+    mixed = predict(result, points, names)
+    for name in set(names):
+        mine = [i for i, n in enumerate(names) if n == name]
+        alone = predict(result, points[mine], [name] * len(mine))
+        assert mixed.error_um[mine] == pytest.approx(alone.error_um)
+    assert mixed.error_um[0] != pytest.approx(predict(result, points).error_um[1])
+    plain = predict(result, points)
+    named = predict(result, points, ["short"] * len(points))
+    assert plain.error_um == pytest.approx(named.error_um)
+    assert plain.warnings == (
+        "the points name no target: short is meant, the first of the machine",
+    )
+    assert named.warnings == ()
+
+
+HEADER = "x_mm,y_mm,z_mm"
+
+
+@pytest.fixture
+def machine(loaded):
+    return loaded.machine
+
+
+def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
+    asked = f'{HEADER},label\n10.50,20,30,first\n-1e2,4e+01,0.5,"a, b"\n'
+    points = read_points(asked.encode(), machine)
+    predicted = predict(loaded, points.position)
+    rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
+    assert rows[0] == [
+        *("x_mm", "y_mm", "z_mm", "label"),
+        *("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um"),
+    ]
+    assert rows[1][:4] == ["10.50", "20", "30", "first"]
+    assert rows[2][:4] == ["-1e2", "4e+01", "0.5", "a, b"]
+    numbers = np.array([row[4:] for row in rows[1:]], float)
+    expected = np.hstack([predicted.error_um, predicted.uncertainty_um])
+    assert numbers == pytest.approx(expected, abs=1e-5)
+
+
+def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded, machine):
+    points = read_points(b"z_mm,note,x_mm,y_mm\n3,n,1,20\n", machine)
+    assert points.position.tolist() == [[1.0, 20.0, 3.0]]
+    once = encode_predictions(points, predict(loaded, points.position))
+    again = read_points(once.encode(), machine)
+    assert encode_predictions(again, predict(loaded, again.position)) == once
+    nothing = Prediction(np.full((1, 3), -1e-9), np.zeros((1, 3)), ())
+    assert "-0.00000" not in encode_predictions(points, nothing)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "p.csv, row 1: has no header"),
+        ("x_mm,y_mm\n1,2\n", "p.csv, column z_mm: is missing"),
+        (f"{HEADER}\n", "p.csv: has no rows"),
+        (f"{HEADER}\n1,20,3\n1,nan,3\n", "p.csv, row 3, column y_mm: is empty or NaN"),
+        (f"{HEADER}\n1,20,\n", "p.csv, row 2, column z_mm: is empty or NaN"),
+        (f"{HEADER}\n1,20,inf\n", "p.csv, row 2, column z_mm: is infinite"),
+        (f"{HEADER}\n1,left,3\n", "p.csv, row 2, column y_mm: is 'left', not a number"),
+        (f"{HEADER}\n1,20\n", "p.csv, row 2: has 2 cells, the header 3"),
+        (f"{HEADER}\n1e9,20,3\n", "p.csv, row 2, column x_mm: is 1e+09, no position"),
+        (f"{HEADER},x_mm\n1,20,3,4\n", "column x_mm: appears more than once"),
+    ],
+)
+def test_bad_points_are_one_clear_error(machine, text, said):
+    with pytest.raises(BundleError) as caught:
+        read_points(text.encode(), machine, file="p.csv")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_point_may_name_its_target(machine, construct, three_targets):
+    asked = f"{HEADER},target\n1,20,3,"
+    of_three = construct(three_targets).model.machine
+    assert read_points(f"{asked}long\n".encode(), of_three).target == ("long",)
+    with pytest.raises(BundleError, match=r"row 2, column target: is 'T9', unknown"):
+        read_points(f"{asked}T9\n".encode(), of_three)
+    # A machine without named targets passes the column on.
+    points = read_points(f"{asked}T9\n".encode(), machine)
+    assert points.target == ()
+    assert "target" in points.table.names

@@ -1,0 +1,237 @@
+"""Errors over temperature, on results that are drawn about a constructed truth."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truepath.answers.temperature.combined_results import combine_results
+from truepath.answers.temperature.temperature_json import temperature_json
+from truepath.answers.temperature.temperature_model import (
+    CHANCE,
+    ResultAtTemperature,
+    study_temperature,
+)
+from truepath.errors import BadInput
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.temperature_file import temperature_model_from_json
+from truepath.results.error_tables import choose_table_positions
+
+DEGC = (18.0, 25.0, 20.0, 22.0)
+SMALL = 1e-3  # of the constructed covariance: U of a coefficient is then what matters
+SHIFTED = "EXX"
+
+
+class World:
+    """A machine with a true line, and results drawn about it."""
+
+    def __init__(self, estimate):
+        self.estimate = estimate
+        self.model = estimate.model
+        self.covariance = SMALL * estimate.covariance
+        self.root = np.linalg.cholesky(self.covariance)
+        self.coefficient = np.zeros(self.model.size)
+
+    def grow(self, um_per_m_k):
+        """X grows: the straight shape of its positioning."""
+        motion = next(m for m in self.model.identifiable_motions if m.symbol == SHIFTED)
+        at_mm = choose_table_positions(motion.axis)
+        wanted_mm = 1e-6 * um_per_m_k * at_mm
+        found = np.linalg.lstsq(motion.rows(at_mm), wanted_mm, rcond=None)[0]
+        self.coefficient[self.model.slices[SHIFTED]] = found
+        return self
+
+    def draw(self, seed, degc=DEGC, *, sigma_k=0.1, scatter=0.0, times=None):
+        """Results at temperatures; scatter is of EXX, in its standard uncertainties."""
+        rng = np.random.default_rng(seed)
+        found = []
+        for k, celsius in enumerate(degc):
+            off = self.root @ rng.standard_normal(self.model.size)
+            part = self.model.slices[SHIFTED]
+            off[part] *= np.hypot(1.0, scatter)
+            theta = self.estimate.theta + (celsius - 20.0) * self.coefficient + off
+            runs = [{"name": f"{k}", "input_sha256": f"{seed}-{k}"}]
+            result = CalibrationResult(
+                self.model, theta, self.covariance, provenance={"runs": runs}
+            )
+            shown = celsius + sigma_k * rng.standard_normal()
+            time_s = None if times is None else times[k]
+            found.append(ResultAtTemperature(f"r{k}", result, shown, sigma_k, time_s))
+        return found
+
+
+@pytest.fixture
+def world(estimate):
+    return World(estimate)
+
+
+def name_dependent(study):
+    return {one.symbol for one in study.dependences if one.is_significant}
+
+
+def count_false(world, rounds, **how):
+    return sum(
+        bool(name_dependent(study_temperature(world.draw(k, **how))))
+        for k in range(rounds)
+    )
+
+
+def find_expansion(study):
+    return next(one for one in study.expansions if one.axis == "X")
+
+
+def count_within_u(world, truth, rounds, **how):
+    found = [
+        find_expansion(study_temperature(world.draw(k, **how))) for k in range(rounds)
+    ]
+    return sum(
+        abs(one.value_um_per_m_k - truth) < 2.0 * one.uncertainty_um_per_m_k
+        for one in found
+    )
+
+
+@pytest.mark.parametrize("scatter", [0.0, 3.0])
+def test_a_machine_is_said_to_depend_and_to_grow_as_it_does(world, scatter):
+    # Of 8 more than 2 would come with a chance of 0.6 % where 5 % are stated.
+    assert count_false(world, 8, scatter=scatter) <= 2
+    world.grow(11.0)
+    assert count_within_u(world, 11.0, 8, scatter=scatter) >= 6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scatter", [0.0, 3.0])
+def test_stated_rates_hold_over_many_machines(world, scatter):
+    rounds = 150
+    allowed = CHANCE * rounds + 2.0 * np.sqrt(rounds * CHANCE * (1.0 - CHANCE))
+    assert count_false(world, rounds, scatter=scatter) <= allowed
+    world.grow(11.0)
+    missed = rounds - count_within_u(world, 11.0, rounds, scatter=scatter)
+    assert missed <= allowed
+
+
+def test_only_what_depends_on_temperature_is_named(world):
+    study = study_temperature(world.grow(11.0).draw(1))
+    assert name_dependent(study) == {SHIFTED}
+    assert study.model.grows == {"X"}
+
+
+def test_a_wide_scatter_of_set_ups_is_not_taken_for_temperature(world):
+    steady = study_temperature(world.draw(3))
+    loose = study_temperature(world.draw(3, scatter=30.0))
+    assert name_dependent(loose) == set()
+    assert (
+        find_expansion(loose).uncertainty_um_per_m_k
+        > 3.0 * find_expansion(steady).uncertainty_um_per_m_k
+    )
+
+
+def test_an_unseen_temperature_is_told_better_by_the_line_than_by_the_mean(world):
+    results = world.grow(11.0).draw(5, (18.0, 25.0, 20.0))
+    at = study_temperature(results).model.at(23.5)
+    truth = world.estimate.theta + 3.5 * world.coefficient
+    mean = np.mean([one.result.theta for one in results], axis=0)
+    part = world.model.slices[SHIFTED]
+    line_off, mean_off = (
+        float(np.linalg.norm((theta - truth)[part])) for theta in (at.theta, mean)
+    )
+    assert line_off < 0.3 * mean_off
+
+
+def test_fewer_than_three_temperatures_are_refused(world):
+    with pytest.raises(BadInput, match="2 different temperatures"):
+        study_temperature(world.draw(1, (20.0, 20.1, 24.0), sigma_k=0.0))
+
+
+def test_temperatures_too_close_to_tell_are_refused(world):
+    world.covariance *= 50.0
+    world.root *= 50.0**0.5
+    with pytest.raises(BadInput, match="measure further apart in temperature"):
+        study_temperature(world.draw(1, (19.6, 20.4, 20.0), sigma_k=0.0))
+
+
+def test_results_that_share_a_run_are_refused(world):
+    first, second, third = world.draw(1, (18.0, 20.0, 22.0))
+    same = replace(third.result, provenance=first.result.provenance)
+    with pytest.raises(BadInput, match="share a Run"):
+        study_temperature([first, second, replace(third, result=same)])
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        (None, "is not known"),
+        ((0.0, 30.0, 10.0, 20.0), "rise from result to result"),
+        ((0.0, 10.0, 20.0, 30.0), ""),
+    ],
+)
+def test_a_drift_over_time_that_would_look_the_same_is_named(world, times, words):
+    study = study_temperature(world.draw(1, times=times))
+    said = " ".join(study.cautions)
+    assert (words in said) if words else not said
+    doubtful = study.model.reference.verdict.state == "doubtful"
+    assert doubtful == words.startswith("rise")
+
+
+def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
+    results = world.draw(1, sigma_k=0.0)
+    with pytest.raises(BadInput, match="is beyond the 18"):
+        study_temperature(results).model.at(27.0)
+    wide = study_temperature(results, range_degc=(15.0, 30.0)).model
+    at = {celsius: wide.at(celsius).covariance.trace() for celsius in (21.0, 27.0)}
+    assert at[27.0] > 2.0 * at[21.0]
+
+
+def test_a_file_gives_back_the_machine_at_any_temperature(world):
+    study = study_temperature(world.grow(11.0).draw(2))
+    model = study.model
+    content = json.loads(json.dumps(temperature_json(study)))
+    again = temperature_model_from_json(content, file="temperature.json")
+    for celsius in (19.0, 24.0):
+        one, other = model.at(celsius), again.at(celsius)
+        np.testing.assert_allclose(other.theta, one.theta, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            other.covariance, one.covariance, rtol=1e-6, atol=1e-20
+        )
+    assert again.grows == {"X"}
+
+
+KINDS = {  # tables, their uncertainties, and the name of one of them
+    "half_difference_um": ("half_difference_u_um", "X"),
+    "half_turn_urad": ("half_turn_u_urad", "C"),
+    "half_across": ("half_across_u", "EYX"),
+}
+AT, OWN = np.array([0.0, 100.0]), 0.5
+
+
+@pytest.fixture
+def results(estimate):
+    """Three results whose lost motion of every kind is 1, 2 and 3."""
+    first = CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
+    return [state(first, half) for half in (1.0, 2.0, 3.0)]
+
+
+def state(result, half):
+    tables = {key: {name: (AT, np.full(2, half))} for key, (_, name) in KINDS.items()}
+    sigmas = {sigma: {name: np.full(2, OWN)} for sigma, name in KINDS.values()}
+    return replace(result, **tables, **sigmas)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(results, kind):
+    joined = combine_results(results).result
+    of_sigma, name = KINDS[kind]
+    at, value = getattr(joined, kind)[name]
+    np.testing.assert_array_equal(at, AT)
+    np.testing.assert_allclose(value, 2.0)
+    expected = np.sqrt((OWN**2 + 1.0) / 3.0)  # 1 is the scatter of 1, 2 and 3
+    np.testing.assert_allclose(getattr(joined, of_sigma)[name], expected)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lost_motion_that_one_result_lacks_is_left_out_and_said(results, kind):
+    lacking = replace(results[1], **{kind: {}, KINDS[kind][0]: {}})
+    combined = combine_results([results[0], lacking, results[2]])
+    assert getattr(combined.result, kind) == {}
+    ((_, words),) = combined.left_out
+    assert words.rstrip(".").endswith(f" {KINDS[kind][1]}")

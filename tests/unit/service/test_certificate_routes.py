@@ -1,0 +1,257 @@
+"""Of a result over REST: certificates, comparisons, its volumetric error."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from api_builders import edited, set_verdict
+from truepath.answers.certificate import kept_certificates
+from truepath.catalogue.job import Job, JobKind
+from truepath.files.earlier.result_file import read_result
+from truepath.results.prediction import predict
+from truepath.service.api.models.base import PREFIX
+from truepath.service.api.routes import certificates
+from truepath.service.api.security.route_roles import LEAST_ROLES
+from truepath.users.roles import Role
+
+HEADER = "error,position_mm,direction,value,unit\n"
+
+
+@pytest.fixture
+def place(with_result):
+    """Address of the certificates of a job with a real result."""
+    return f"/api/v1/jobs/{with_result}/certificates"
+
+
+class Here:
+    """Calls what a process of its own would compute."""
+
+    def __init__(self, name):
+        pass
+
+    def call(self, function):
+        return function()
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def quick_print(monkeypatch):
+    """Certificates are issued without the process that lays out their PDF."""
+    monkeypatch.setattr(certificates, "WorkerProcess", Here)
+    monkeypatch.setattr(kept_certificates, "require_printer", lambda: None)
+    monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
+
+
+def test_what_the_registry_or_a_certificate_has_stated_need_not_be_stated_again(
+    client, service, place, quick_print
+):
+    service.setup.registry.change("default", serial_number="4711", place="Hall 3")
+    known = {"machine_serial": "4711", "place": "Hall 3"}
+    assert client.get(place).json()["identity"] == known
+    stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
+    first = client.post(place, json={"identity": stated}).json()
+    assert first["identity"] == {"machine_serial": "4711", **stated}
+    record = service.setup.registry.get("default")
+    assert (record.place, record.stated) == ("Hall 4", {"operator": "A. Weiß"})
+    client.patch("/api/v1/machines/default", json={"serial_number": "4712"})
+    second = client.post(place, json={}).json()
+    assert second["number"] != first["number"]
+    kept = {"machine_serial": "4712", "place": "Hall 4", "operator": "A. Weiß"}
+    listed = client.get(place).json()
+    assert second["identity"] == listed["identity"] == kept
+    numbers = [one["number"] for one in listed["items"]]
+    assert numbers == [first["number"], second["number"]]
+
+
+def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
+    client, service, with_result, place, is_problem, quick_print
+):
+    for asked, status, code in (
+        ({"as_left_job": "019a3f6b"}, 404, "not-found"),
+        ({"as_left_job": with_result}, 422, "bundle"),  # it is no machine as left
+    ):
+        problem = is_problem(client.post(place, json=asked), status, code)
+    assert "measure again with the compensation active" in json.dumps(problem)
+    set_verdict(service, with_result, "not-usable")
+    is_problem(client.post(place, json={}), 422, "not-usable")
+    assert client.get(place).json()["items"] == []
+    taken = client.post(place, json={"accept_verdict": True}).json()
+    assert taken["verdict"] == "not-usable"
+    assert "NOT TO BE USED" in client.get(taken["links"]["html"]).text
+    (service.results / with_result / "result.json").unlink()
+    is_problem(client.post(place, json={}), 404, "not-found")
+
+
+@pytest.mark.usefixtures("few_places")
+def test_the_files_of_a_verification_are_stated_without_being_named_again(
+    client, service, with_result, place, quick_print
+):
+    at = f"/api/v1/jobs/{with_result}/compensations"
+    kept = client.post(at, json={"format": "json"}).json()
+    asked = {"result_id": with_result, "compensation_id": kept["id"]}
+    proof, _ = service.store.create(Job(JobKind.VERIFY), plan={"request": asked})
+    folder = service.results / proof.id
+    folder.mkdir()
+    active = {"format": "json", "files_sha256": kept["files_sha256"]}
+    content = {"schema": "verification/1", "compensated": True, "compensation": active}
+    (folder / "verification.json").write_text(json.dumps(content))
+    order = {"verification_job": proof.id}
+    page = client.get(client.post(place, json=order).json()["links"]["html"]).text
+    assert "With the files, as the control reads them" in page
+    shutil.rmtree(service.results / with_result / "compensations")
+    page = client.get(client.post(place, json=order).json()["links"]["html"]).text
+    assert "these files of the format json active" in page
+
+
+def test_metrologists_issue_and_everybody_reads():
+    route = f"{PREFIX}/jobs/{{job_id}}/certificates"
+    assert LEAST_ROLES[f"POST {route}"] is Role.METROLOGIST
+    assert LEAST_ROLES[f"GET {route}"] is Role.VIEWER
+
+
+def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(
+    client, with_result, analysed, is_problem
+):
+    at = f"/api/v1/jobs/{with_result}/comparisons"
+
+    def send(rows, **query):
+        file = {"reference": ("reference.csv", (HEADER + rows).encode())}
+        return client.post(at, files=file, params=query)
+
+    result = json.loads((analysed / "result.json").read_text())
+    table = result["error_tables"]["EXX"]
+    pairs = zip(table["position_mm"], table["value_um"], strict=True)
+    rows = "".join(f"EXX,{at},{d},{v},um\n" for at, v in pairs for d in "+-")
+    made = send(rows, reference_um=0.5)
+    assert made.status_code == 201, made.text
+    content = made.json()
+    assert content["errors"]["EXX"]["largest_difference_um"] < 0.1
+    assert made.headers["location"] == content["links"]["self"]
+    assert client.get(content["links"]["self"]).json() == content
+    page = client.get(content["links"]["report_html"])
+    assert "sandbox" in page.headers["content-security-policy"]
+    assert send(rows, reference_um=0.5).json()["id"] == content["id"]
+    assert send(rows, reference_um=1.0).json()["id"] != content["id"]
+    said = is_problem(send("EXX,one,+,1,um\n"), 422, "bundle")
+    assert said["detail"].startswith("reference.csv, row 2")
+    is_problem(send("EXQ,1,+,1,um\n"), 422, "bad-input")
+    is_problem(client.get(f"{at}/nothing"), 404, "not-found")
+
+
+@pytest.fixture
+def at(with_result):
+    """Address of a real result."""
+    return f"/api/v1/jobs/{with_result}/result"
+
+
+def lengths(found):
+    return np.linalg.norm(found["error_um"], axis=1)
+
+
+def test_the_map_is_the_prediction_and_a_full_correction_leaves_the_uncertainty(
+    client, at, analysed
+):
+    found = client.get(f"{at}/volumetric-map?grid=3").json()
+    result = read_result(analysed / "result.json")
+    predicted = predict(result, np.array(found["position"]))
+    assert found["axes"] == ["X", "Y", "Z"]
+    assert len(found["position"]) == 27
+    np.testing.assert_allclose(found["error_um"], predicted.error_um, atol=1e-3)
+    u = predicted.uncertainty_um
+    np.testing.assert_allclose(found["uncertainty_um"], u, atol=1e-3)
+    np.testing.assert_allclose(found["length_um"], lengths(found), atol=1e-3)
+    stated = client.get(f"{at}/volumetric-error").json()["after_expected"]
+    found = client.get(f"{at}/volumetric-map?state=after").json()
+    assert lengths(found).max() == 0.0
+    mean_um = np.mean(found["length_um"])
+    assert mean_um == pytest.approx(stated["mean"]["value_um"], rel=0.02)
+
+
+def test_files_leave_what_their_format_does_not_carry(client, at):
+    made = client.post(
+        at.replace("/result", "/compensations"), json={"format": "linuxcnc"}
+    ).json()
+    address = f"{at}/volumetric-map?state=after&compensation={made['id']}"
+    found = client.get(address).json()
+    before = client.get(f"{at}/volumetric-map").json()
+    said = made["volumetric_error_um"]
+    assert 0.0 < lengths(found).mean() < lengths(before).mean()
+    # Its account is of the even travel, where ends of a grid count half.
+    each = np.r_[0.5, np.ones(found["points"] - 2), 0.5]
+    weight = np.multiply.outer(np.multiply.outer(each, each), each).ravel()
+    mean_um = np.average(found["length_um"], weights=weight)
+    assert mean_um == pytest.approx(said["after"]["mean"], rel=0.1)
+
+
+def test_a_map_is_computed_once_and_one_that_cannot_be_says_why(
+    client, service, at, with_result
+):
+    first = client.get(f"{at}/volumetric-map?grid=2").json()
+    kept = service.results / with_result / "maps" / "before-2.json"
+    with edited(kept) as content:
+        content["target"] = "the kept one"
+    again = client.get(f"{at}/volumetric-map?grid=2").json()
+    assert again == {**first, "target": "the kept one"}
+    for query, status, said in (
+        ("grid=1", 422, "grid"),
+        ("grid=12", 422, "grid"),
+        ("state=cured", 422, "state"),
+        ("compensation=linuxcnc-10-hold", 422, "state=after"),
+        ("state=after&compensation=linuxcnc-10-hold", 404, "linuxcnc-10-hold"),
+        ("state=after&compensation=..%2F..", 422, "compensation"),
+    ):
+        answer = client.get(f"{at}/volumetric-map?{query}")
+        assert answer.status_code == status
+        assert said in json.dumps(answer.json())
+
+
+def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines(
+    client, at
+):
+    states = "before", "after_expected"
+
+    def read(level, **query):
+        found = client.get(f"{at}/volumetric-error", params=query).json()
+        return [found[state][level] for state in states], found["machine_tolerance_um"]
+
+    neither = [None, None]
+    assert read("conformity") == read("conformity_p95") == (neither, None)
+    for figure, level in (("mean", "conformity"), ("p95", "conformity_p95")):
+        (before, after), _ = read(figure)
+        between_um = 0.5 * (before["value_um"] + after["value_um"])
+        near_um = before["value_um"] + before["uncertainty_um"]
+        for limit_um, said in ((between_um, "outside"), (near_um, "undecided")):
+            query = {"tolerance_um": limit_um}
+            if figure == "p95":
+                changed = client.patch("/api/v1/machines/default", json=query)
+                assert changed.status_code == 200
+                assert read("conformity") == (neither, pytest.approx(limit_um))
+                query = {}
+            assert read(level, **query)[0] == [said, "within"]
+
+
+def test_a_certificate_is_numbered_kept_listed_and_never_changed(
+    client, service, with_result, place, quick_print
+):
+    asked = {"language": "de", "identity": {"operator": "A. Weiß", "warm_up": "2 h"}}
+    answer = client.post(place, json=asked)
+    assert answer.status_code == 201, answer.text
+    first = answer.json()
+    assert answer.headers["location"] == first["links"]["self"]
+    page = client.get(first["links"]["html"])
+    assert "Kalibrierschein" in page.text
+    assert first["number"] in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    printed = client.get(first["links"]["pdf"]).content
+    assert printed.startswith(b"%PDF")
+    set_verdict(service, with_result, "doubtful")
+    assert client.get(first["links"]["self"]).json() == first
+    assert client.get(first["links"]["pdf"]).content == printed
+    assert client.put(first["links"]["self"], json={}).status_code == 405
+    assert client.delete(first["links"]["self"]).status_code == 405

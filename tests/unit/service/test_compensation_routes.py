@@ -1,0 +1,260 @@
+"""Compensation files over REST: made of a result, given to a simulated control."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import pytest
+
+from api_builders import edited, set_verdict
+from truepath.answers.history.machine_documents import Calibration, changes_json
+from truepath.compensation.export import export_files
+from truepath.compensation.tables.unmeasured import Unmeasured
+from truepath.machines.setup.simulated_controls import SimulatedControls
+
+pytestmark = pytest.mark.usefixtures("few_places")
+TABLES = "/api/v1/machines/default/simulated-tables"
+
+
+@pytest.fixture
+def place(with_result):
+    """Address of the compensations of a job with a real result."""
+    return f"/api/v1/jobs/{with_result}/compensations"
+
+
+def test_formats_say_what_each_carries_and_asks(client):
+    items = client.get("/api/v1/compensation-formats").json()["items"]
+    known = {item["name"]: item for item in items}
+    assert known["linuxcnc"]["carries"].startswith("positioning of each axis")
+    assert known["linuxcnc"]["sign"]["verified"]
+    assert not known["heidenhain"]["sign"]["verified"]
+    assert known["siemens"]["most_rows"] == 500
+    by_axis = {name: one["by_axis"] for name, one in known.items()}
+    assert by_axis["siemens"] == by_axis["siemens-lec"] == ["measuring_system"]
+    assert by_axis["linuxcnc"] == by_axis["siemens-cec"] == []
+
+
+def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_given(
+    client, place, analysed, tmp_path, is_problem
+):
+    choices = {"measuring_system": "X=2,Y=1"}
+    order = {"format": "siemens", "unmeasured": "fade", "choices": choices}
+    answer = client.post(place, json={**order, "spacing_mm": 25})
+    assert answer.status_code == 201
+    made = answer.json()
+    at = made["links"]["self"]
+    assert answer.headers["location"] == at
+    account = export_files(
+        analysed / "result.json",
+        "siemens",
+        tmp_path / "compensation",
+        spacing_mm=25,
+        unmeasured=Unmeasured.FADE,
+        choices=choices,
+    )
+    own = {"files", "verdict", "schema", "id", "links"}
+    shared = (set(made) & set(account)) - own
+    assert shared >= {"volumetric_error_um", "left_um", "tables", "unmeasured", "note"}
+    told = {key: account[key] for key in shared - {"provenance"}}
+    del told["basis"]["active"]  # whole files
+    assert {key: made[key] for key in told} == json.loads(json.dumps(told))
+    assert made["verdict"] == account["verdict"]["state"]
+    assert client.get(at).json() == made
+    error = made["volumetric_error_um"]
+    assert 0.0 < error["after"]["mean"] < error["before"]["mean"]
+    assert error["after"]["mean_uncertainty"] > 0.0
+    assert made["left_um"]["not_carried"] > made["left_um"]["rounding"]
+
+    assert len(made["files"]) == len(account["files"]) > 1
+    for name, file in zip(made["files"], account["files"], strict=True):
+        taken = client.get(f"{at}/files/{name}")
+        assert taken.content == (tmp_path / file).read_bytes()
+        assert name in taken.headers["content-disposition"]
+    lec = client.get(f"{at}/files/compensation-lec.ini")
+    assert "$AA_ENC_COMP[1,0,X1]" in lec.text
+    packed = client.get(made["links"]["archive"])
+    with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
+        assert set(archive.namelist()) == {*made["files"], "compensation.json"}
+    for name in ("result.json", "..%2F..%2Fresult.json", "compensation-Q.tbl"):
+        is_problem(client.get(f"{at}/files/{name}"), 404, "not-found")
+    is_problem(client.get(f"{place}/linuxcnc-11-hold"), 404, "not-found")
+    is_problem(client.get(f"{place}/..%2F..%2F../archive"), 404, "not-found")
+
+
+def test_files_are_kept_with_the_result_and_made_once_for_each_spacing(client, place):
+    for spacing_mm in (12.345678, 12.345681, 12.345678):
+        order = {"format": "fanuc", "spacing_mm": spacing_mm}
+        assert client.post(place, json=order).status_code == 201
+    items = client.get(place).json()["items"]
+    ids = ["fanuc-12.345678-hold", "fanuc-12.345681-hold"]
+    assert [item["id"] for item in items] == ids
+
+
+def test_what_cannot_be_made_says_why_and_what_is_not_to_be_used_has_to_be_accepted(
+    client, service, place, with_result, is_problem
+):
+    for name in ("vcs", "../linuxcnc"):
+        refusal = is_problem(
+            client.post(place, json={"format": name}), 422, "bad-input"
+        )
+        assert "installed: csv, etalon" in json.dumps(refusal)
+    for word in ("X=3", "A=2"):
+        order = {"format": "siemens", "choices": {"measuring_system": word}}
+        is_problem(client.post(place, json=order), 422, "bad-input")
+    set_verdict(service, with_result, "not-usable")
+    asked = {"format": "linuxcnc"}
+    refusal = is_problem(client.post(place, json=asked), 422, "not-usable")
+    assert "accept_verdict" in refusal["action"]
+    assert client.get(place).json()["items"] == []
+    taken = client.post(place, json={**asked, "accept_verdict": True})
+    assert taken.status_code == 201
+    assert taken.json()["verdict"] == "not-usable"
+
+
+def say_on(file, active=None):
+    """Let the control say that it compensated, by these files where it is told."""
+    with edited(file) as content:
+        for one in (content["provenance"], *content["runs"]):
+            one["source"] = {**one["source"], "control_compensation": "on"}
+        content["provenance"]["active_tables"] = active
+
+
+def test_files_that_would_undo_unknown_tables_are_refused_until_these_are_given(
+    client, service, with_result, place, is_problem
+):
+    file = service.results / with_result / "result.json"
+
+    def make(**more):
+        return client.post(place, json={"format": "linuxcnc", **more})
+
+    first = make().json()
+    assert first["basis"]["holds"] == "as-measured"
+    at = f"{place}/{first['id']}/files"
+    texts = {name: client.get(f"{at}/{name}").text for name in first["files"]}
+    say_on(file)
+    is_problem(make(), 422, "active-tables-unknown")
+    given = make(active_files=texts).json()
+    assert given["basis"]["holds"] == "combined"
+    part = make(difference=True).json()
+    assert part["basis"]["holds"] == "difference"
+    assert len({first["id"], given["id"], part["id"]}) == 3
+    bad = {**texts, "compensation-X.tbl": "no table"}
+    is_problem(make(active_files=bad), 422, "bad-input")
+    is_problem(make(active_files={"../x.tbl": "0 0 0"}), 422, "validation")
+    say_on(file, first["files_sha256"])  # those that the service has loaded
+    made = make().json()
+    assert made["basis"]["holds"] == "combined"
+    assert made["id"].startswith("linuxcnc-10-hold-combined-")
+
+
+def test_a_compensation_that_was_loaded_is_no_change_of_the_machine(analysed, tmp_path):
+    before, after = tmp_path / "before.json", tmp_path / "after.json"
+    for file in (before, after):
+        file.write_bytes((analysed / "result.json").read_bytes())
+    with edited(before) as content:
+        for run in content["provenance"]["runs"]:
+            run["input_sha256"], run["sketch"] = "0" * 64, ""
+        for one in (content["provenance"], *content["runs"]):
+            one["source"] = {**one["source"], "control_compensation": "off"}
+        for one in content["model"]["effects"]:  # by far more than its uncertainty
+            if "values_um" in one:
+                one["values_um"] = [1.5 * value for value in one["values_um"]]
+    say_on(after)
+    since, until = (
+        Calibration("m", name, (), "2026-03-02T08:00:00Z", 1, "usable", file)
+        for name, file in (("a", before), ("b", after))
+    )
+    found = changes_json(since, until)
+    assert found["has_changed"] is False
+    assert "compensation of the control was another" in found["text"][0]
+
+
+class Control:
+    """A control that keeps what it is given, or refuses it."""
+
+    def __init__(self):
+        self.given, self.rules, self.refusal = [], {}, ""
+
+    def load_compensation(self, compensation, rules=None):
+        if self.refusal:
+            raise ValueError(self.refusal)
+        self.given, self.rules = [place.name for place in compensation], rules
+
+
+@pytest.fixture
+def control():
+    return Control()
+
+
+@pytest.fixture
+def simulate(service, control):
+    """Let the machine have a simulated control from now on."""
+
+    def begin():
+        service.setup.simulated_controls = SimulatedControls({"default": control})
+
+    return begin
+
+
+@pytest.fixture
+def name_files(client, with_result, place):
+    """Make files of a result; return what names them."""
+
+    def make(**order):
+        made = client.post(place, json=order).json()["id"]
+        return {"job_id": with_result, "compensation_id": made}
+
+    return make
+
+
+def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away(
+    client, control, simulate, name_files, is_problem, until
+):
+    asked = name_files(format="linuxcnc")
+    assert client.get(TABLES).json()["simulated"] is False
+    for answer in (client.put(TABLES, json=asked), client.delete(TABLES)):
+        is_problem(answer, 409, "not-simulated")
+    simulate()
+    wrong = {**asked, "compensation_id": "none"}
+    is_problem(client.put(TABLES, json=wrong), 404, "not-found")
+    is_problem(client.put(TABLES, json={"job_id": "any"}), 422, "validation")
+    elsewhere = TABLES.replace("default", "other")
+    is_problem(client.put(elsewhere, json=asked), 404, "not-found")
+    control.refusal = "the axes move; load tables while they stand"
+    is_problem(client.put(TABLES, json=asked), 422, "bad-input")
+    made = client.post("/api/v1/jobs", json={"kind": "measure-otf"}).json()
+    control.refusal = ""
+    is_problem(client.put(TABLES, json=asked), 409, "busy")
+    is_problem(client.delete(TABLES), 409, "busy")
+    client.post(f"/api/v1/jobs/{made['id']}/abort")
+    until(made, "aborted")
+    assert client.get(TABLES).json()["compensation_id"] is None
+    assert control.given == []
+
+    answer = client.put(TABLES, json=asked)
+    assert answer.status_code == 200, answer.text
+    files = [f"compensation-{axis}.tbl" for axis in "XYZ"]
+    told = {"machine": "default", "simulated": True, **asked, "files": files}
+    assert answer.json() == told
+    assert (control.given, control.rules) == (files, {})
+    assert client.get(TABLES).json() == answer.json()
+    assert client.delete(TABLES).status_code == 204
+    assert control.given == client.get(TABLES).json()["files"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "choices"),
+    [
+        ("heidenhain", {"backlash_reading": "difference"}),
+        ("siemens-lec", {"measuring_system": "2"}),
+    ],
+)
+def test_the_control_is_set_as_the_files_were_made(
+    client, control, simulate, name_files, name, choices
+):
+    simulate()
+    asked = name_files(format=name, choices=choices)
+    assert client.put(TABLES, json=asked).status_code == 200
+    assert control.rules == choices

@@ -1,0 +1,260 @@
+"""The interface as it describes itself: enough to generate a client from it."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import runpy
+import sys
+from itertools import chain
+from urllib.parse import urljoin
+
+import pytest
+from pydantic import TypeAdapter
+
+from described_answers import DOCUMENT, list_errors, read_document, resolve
+from truepath import errors as app_errors
+from truepath.catalogue import errors as job_errors
+from truepath.catalogue.job import Failure, Job, JobKind
+from truepath.catalogue.transitions import VERB_TRANSITIONS, State, Verb
+from truepath.service.api import problems
+from truepath.service.api.job_description import describe_job
+from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.problems import find_kind_of_status
+from truepath.service.api.security.route_roles import LEAST_ROLES
+from truepath_drivers.interfaces import errors as device_errors
+
+
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
+def test_the_checked_in_description_is_what_its_command_writes(tmp_path, monkeypatch):
+    module, file = "truepath.service.api.application", tmp_path / "openapi.json"
+    monkeypatch.setattr(sys, "argv", [module, str(file)])
+    runpy.run_module(module, run_name="__main__")
+    command = f"python -m {module} docs/openapi.json"
+    assert file.read_bytes() == DOCUMENT.read_bytes(), command
+
+
+def test_the_service_hands_out_the_same_description(client):
+    assert client.get("/api/v1/openapi.json").json() == read_document()
+
+
+def test_the_examples_of_a_job_are_taken():
+    examples = read_document()["components"]["schemas"]["JobRequest"]["examples"]
+    assert len(examples) >= 3
+    for example in examples:
+        TypeAdapter(JobRequest).validate_python(example)
+
+
+def test_the_only_documentation_comes_from_the_service_itself(client, is_problem):
+    page = client.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    addresses = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    assert len(addresses) == 4
+    for address in addresses:
+        if address != "data:,":
+            own = urljoin("/docs", address)
+            assert own.startswith("/docs/")
+            assert client.get(own).status_code == 200
+    assert "<script>" not in page.text
+    assert "/api/v1/openapi.json" in client.get("/docs/begin.js").text
+    is_problem(client.get("/redoc"), 404, "not-found")
+
+
+def families(module):
+    return [
+        kind
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if issubclass(kind, Exception) and kind.__module__ == module.__name__
+    ]
+
+
+NO_ANSWER = {
+    "TruepathError",  # the root
+    "JobError",  # likewise
+    "Aborted",  # no failure
+    "Cancelled",  # likewise
+    "TaskFailed",  # told by the family of what the task raised
+    "InUse",  # likewise
+}
+
+
+def test_every_family_of_errors_is_a_kind_of_problem():
+    all_families = (families(m) for m in (app_errors, job_errors, device_errors))
+    without = {
+        family.__name__
+        for family in chain.from_iterable(all_families)
+        if not any(one in problems.PROBLEM_KINDS for one in family.__mro__)
+    }
+    assert without == NO_ANSWER
+
+
+def test_codes_and_titles_read_well():
+    kinds = [
+        *problems.PROBLEM_KINDS.values(),
+        *problems.BY_STATUS.values(),
+        problems.INTERNAL,
+    ]
+    for kind in kinds:
+        assert re.fullmatch(r"[a-z]+(-[a-z]+)*", kind.code)
+        assert not kind.title.endswith(".")
+        assert kind.action.endswith((".", '"<version>".'))
+        assert 400 <= kind.status < 600
+
+
+def test_a_failure_of_a_job_is_a_problem_of_its_family_with_its_own_code_and_way_out():
+    content = problems.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
+    assert content["code"] == "bundle"
+    assert content["detail"] == "tracker.csv: NaN"
+    assert "status" not in content
+    text = "127.0.0.1:5000 streams at up to 400 Hz, not at 500 Hz"
+    failure = Failure("MeasurementEnded", text, "refused", "check the rate")
+    content = problems.describe_failure(failure)
+    assert content["detail"] == text
+    assert content["title"] == "The measurement ended before its path did"
+    assert (content["code"], content["action"]) == ("refused", "check the rate")
+    failure = Failure("MachineFault", "the beam is lost", "beam-lost", "lock it")
+    content = problems.describe_failure(failure)
+    assert (content["code"], content["action"]) == ("beam-lost", "lock it")
+    assert content["type"] == "/problems/beam-lost"
+    assert content["title"] == "Machine, tracker or link failed"
+
+
+def test_an_error_or_status_nobody_foresaw_is_of_the_nearest_kind_and_tells_nothing():
+    content = problems.describe_error(KeyError("secret"))
+    assert (content["status"], content["code"]) == (500, "internal-error")
+    assert "secret" not in str(content)
+    assert problems.find_kind(KeyError) is problems.INTERNAL
+    for status, code, shown in (
+        (418, "bad-request", 418),
+        (599, "internal-error", 500),
+    ):
+        kind = find_kind_of_status(status)
+        assert (kind.code, kind.status) == (code, shown)
+
+
+OPERATIONS = {
+    operation["operationId"]: operation
+    for operations in read_document()["paths"].values()
+    for operation in operations.values()
+}
+SCHEMAS = read_document()["components"]["schemas"]
+
+
+def list_answers():
+    for name, operation in OPERATIONS.items():
+        for status, answer in operation["responses"].items():
+            if status < "300":
+                yield name, status, resolve(answer)
+
+
+def walk(part, path=""):
+    if isinstance(part, dict):
+        yield path, part
+        for key, value in part.items():
+            yield from walk(value, f"{path}/{key}")
+    elif isinstance(part, list):
+        for index, value in enumerate(part):
+            yield from walk(value, f"{path}/{index}")
+
+
+def test_every_operation_and_each_of_its_parameters_is_described():
+    tags = {tag["name"] for tag in read_document()["tags"]}
+    for name, operation in OPERATIONS.items():
+        assert re.fullmatch(r"[a-z]+(_[a-z]+)+", name)
+        assert operation["summary"], name
+        assert operation["description"].endswith("."), name
+        assert set(operation["tags"]) <= tags, name
+        assert "default" not in operation["responses"], name
+        for parameter in operation.get("parameters", ()):
+            assert parameter.get("description"), (name, parameter["name"])
+            assert {"type", "anyOf", "$ref"} & set(parameter["schema"])
+
+
+def test_paths_have_versions_reading_no_conflicts_and_every_refusal_is_a_problem():
+    listed = [
+        (path, method, operation)
+        for path, methods in read_document()["paths"].items()
+        for method, operation in methods.items()
+    ]
+    assert len(OPERATIONS) == len(listed)
+    probes = {path for path, _, _ in listed if not path.startswith("/api/v1/")}
+    assert probes == {"/healthz", "/metrics", "/readyz"}
+    for path, method, operation in listed:
+        assert method != "get" or "409" not in operation["responses"], path
+        for status, answer in operation["responses"].items():
+            if status >= "400":
+                refused = f"#/components/responses/Problem{status}"
+                assert answer == {"$ref": refused}, path
+
+
+def test_every_answer_that_succeeds_has_a_type_and_an_example_of_it():
+    missing = []
+    for name, status, answer in list_answers():
+        if status == "204":
+            continue
+        for media_type, content in answer["content"].items():
+            if media_type == "text/event-stream":
+                assert "event: job" in content["example"]
+            elif "schema" not in content or "example" not in content:
+                missing.append((name, media_type))
+            else:
+                missing += [
+                    (name, each)
+                    for each in list_errors(content["schema"], content["example"])
+                ]
+    assert not missing
+
+
+def test_every_request_body_has_an_example_that_its_schema_takes():
+    for name, operation in OPERATIONS.items():
+        for content in operation.get("requestBody", {}).get("content", {}).values():
+            schema = resolve(content["schema"])
+            given = [content["example"]] if "example" in content else []
+            examples = given or schema.get("examples", [])
+            assert examples, name
+            for example in examples:
+                assert not list_errors(content["schema"], example), name
+
+
+def test_no_object_is_left_open_and_what_may_grow_or_moves_the_machine_says_so():
+    left_open = [
+        f"{name}{path}"
+        for name, schema in SCHEMAS.items()
+        for path, part in walk(schema)
+        if part.get("type") == "object"
+        and "properties" not in part
+        and part.get("additionalProperties", True) is True
+    ]
+    assert not left_open
+    for name, schema in SCHEMAS.items():
+        if schema.get("additionalProperties") is True:
+            assert re.search(r"[Ff]urther|[Mm]ore keys", schema["description"]), name
+    for name in ("State", "JobKind", "Stage", "Verb"):
+        assert "More may be added" in SCHEMAS[name]["description"]
+    for name in ("arm_job", "resume_job"):  # what moves the machine
+        parameters = {one["name"]: one for one in OPERATIONS[name]["parameters"]}
+        assert parameters["if-match"]["required"]
+
+
+def test_every_problem_has_an_example_of_each_of_its_codes():
+    for name, answer in read_document()["components"]["responses"].items():
+        (content,) = answer["content"].values()
+        assert content["examples"]
+        for code, example in content["examples"].items():
+            assert example["value"]["code"] == code
+            assert example["value"]["status"] == int(name.removeprefix("Problem"))
+            assert not list_errors(content["schema"], example["value"])
+
+
+def test_a_job_names_the_verbs_that_its_state_allows_each_with_its_address():
+    for state in State:
+        job = Job(JobKind.MEASURE_OTF, id="7", state=state, desired_state="ready")
+        for verb, address in describe_job(job).links.verbs.items():
+            assert address == f"/api/v1/jobs/7/{verb}"
+            assert f"POST /api/v1/jobs/{{job_id}}/{verb}" in LEAST_ROLES
+        legal = {verb for verb, states in VERB_TRANSITIONS.items() if state in states}
+        if state is State.RUNNING:
+            legal.discard(Verb.PAUSE)  # its stage is not the measuring
+        assert set(job.allowed_verbs) == legal
+    computing = Job(JobKind.ANALYSE, state=State.RUNNING)
+    assert computing.allowed_verbs == (Verb.CANCEL, Verb.ABORT)

@@ -1,0 +1,256 @@
+"""Machines over REST: who they are, their configurations, their devices."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from arming import arm_over_http
+from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.transitions import State
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.machines.setup.machine_setup import show_devices
+from truepath.service.api.routes.machines import NewMachine
+from truepath_simulators.scenario import load_machine
+
+pytestmark = pytest.mark.database
+BASE = "/api/v1/machines"
+DEVICES = {
+    "tracker_options": {"port": "/dev/tracker-7"},
+    "motion_options": {"host": "192.0.2.7"},
+}
+
+
+def add(client, machine_id="mill-3", name="mill 3"):
+    content = load_machine("demo") | {"name": name}
+    body = {"id": machine_id, "machine_file": content, "identity": {"place": "hall 3"}}
+    return client.post(BASE, json=body)
+
+
+@pytest.fixture
+def chosen(client, service):
+    """A machine that was added, with devices chosen; its cell ends with the test."""
+    assert add(client).status_code == 201
+    answer = client.put(f"{BASE}/mill-3/devices", json=DEVICES)
+    assert answer.status_code == 200, answer.text
+    yield answer.json()
+    for cell in service.machines.list_all():
+        if cell.id == "mill-3":
+            cell.close()
+
+
+def test_the_only_machine_is_listed_and_its_identity_asked_once_and_kept(
+    client, is_problem
+):
+    (one,) = client.get(BASE).json()["items"]
+    assert (one["id"], one["name"], one["version"]) == ("default", "demo", 1)
+    assert (one["cell"], one["current_job"]) == ("disconnected", None)
+    detail = client.get(f"{BASE}/default").json()
+    assert detail["machine_file"]["kinematic_chain"]
+    assert detail["devices"] == {"simulated": True}
+    assert len(detail["versions"][0]["sha256"]) == 64
+    body = {"serial_number": "4711", "customer": "Example Ltd", "tolerance_um": 15}
+    changed = client.patch(f"{BASE}/default", json=body).json()
+    assert (changed["serial_number"], changed["tolerance_um"]) == ("4711", 15.0)
+    again = client.patch(f"{BASE}/default", json={"tolerance_um": None}).json()
+    assert (again["customer"], again["tolerance_um"]) == ("Example Ltd", None)
+    is_problem(client.patch(f"{BASE}/press", json=body), 404, "not-found")
+    is_problem(client.patch(f"{BASE}/default", json={"id": "x"}), 422, "validation")
+
+
+def test_what_is_not_printed_identifies_no_machine(client, is_problem):
+    """A certificate would state it."""
+    as_json = {"content-type": "application/json"}
+    machine = json.dumps(load_machine("demo") | {"name": "NAME"})
+    for code in ("0000", "000a", "202e", "2066", "d800"):
+        text = f'"a\\u{code}b"'
+        file = machine.replace('"NAME"', text)
+        for method, address, body, said in (
+            ("PATCH", "machines/default", f'{{"serial_number": {text}}}', "validation"),
+            (
+                "POST",
+                "jobs/any/certificates",
+                f'{{"identity": {{"machine_serial": {text}}}}}',
+                "validation",
+            ),
+            ("POST", "machines", f'{{"id": "m-9", "machine_file": {file}}}', "bundle"),
+        ):
+            answer = client.request(
+                method, f"/api/v1/{address}", content=body, headers=as_json
+            )
+            is_problem(answer, 422, said)
+
+
+def test_a_changed_machine_file_or_device_is_a_new_version(service):
+    registry = MachineRegistry(service.database)
+    content = machine_to_json(service.machines.first.machine)
+    note = registry.note
+    assert note("default", "settings", content, {"simulated": True}) == 1
+    longer = content | {"travel": "changed"}
+    assert note("default", "settings", longer, {"simulated": True}) == 2
+    assert note("default", "settings", longer, {"tracker_driver": "geocom"}) == 3
+    versions = registry.get("default").versions
+    assert [v.number for v in versions] == [3, 2, 1]
+    assert len({v.sha256 for v in versions}) == 3
+    assert versions[2].machine_file == content
+
+
+def test_devices_are_chosen_for_a_machine_that_was_added(chosen, client):
+    assert [v["number"] for v in chosen["versions"]] == [2, 1]
+    assert chosen["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
+    listed = client.get(BASE).json()["items"]
+    assert [one["id"] for one in listed] == ["default", "mill-3"]
+    assert listed[1]["place"] == "hall 3"
+
+
+def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem):
+    is_problem(add(client), 409, "machine-known")
+    same_name = add(client, "mill-4", name="mill 3")
+    assert "both named" in is_problem(same_name, 409, "machine-known")["detail"]
+    assert add(client, "mill-4", name="mill 4").status_code == 201
+    shared = client.put(f"{BASE}/mill-4/devices", json=DEVICES)
+    assert "tracker-7" in is_problem(shared, 409, "machine-known")["detail"]
+    unknown = {**DEVICES, "tracker_options": {"prot": 3}}
+    wrong = client.put(f"{BASE}/mill-4/devices", json=unknown)
+    assert "did you mean port" in is_problem(wrong, 422, "bad-input")["detail"]
+    is_problem(add(client, "current", name="x"), 422, "validation")
+
+
+def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
+    chosen, client, service, is_problem
+):
+    content = load_machine("demo") | {"name": "mill 3"}
+    content["axes"]["X"]["max_mm"] += 25.0
+    at, body = f"{BASE}/mill-3/machine-file", {"machine_file": content}
+    before = service.machines.get("mill-3")
+    stale, newest = ({"If-Match": f'"{number}"'} for number in (1, 2))
+    for address, sent in ((at, body), (f"{BASE}/mill-3/devices", DEVICES)):
+        refused = client.put(address, json=sent, headers=stale)
+        is_problem(refused, 412, "stale-version")
+    changed = client.put(at, json=body, headers=newest).json()
+    assert [v["number"] for v in changed["versions"]] == [3, 2, 1]
+    axis = changed["machine_file"]["axes"]["X"]
+    assert axis["max_mm"] == content["axes"]["X"]["max_mm"]
+    assert changed["devices"] == chosen["devices"]
+    now = service.machines.get("mill-3")
+    assert (now.version, now is before) == (3, False)
+    assert client.put(at, json=body).json()["version"] == 3
+    assert service.machines.get("mill-3") is now
+    content["axes"]["X"]["max_mm"] = -1e4
+    wrong = is_problem(client.put(at, json=body), 422, "bundle")
+    assert "axes.X" in wrong["detail"]
+    taken = {"machine_file": load_machine("demo")}
+    is_problem(client.put(at, json=taken), 409, "machine-known")
+    for path, sent in (("devices", DEVICES), ("machine-file", taken)):
+        answer = client.put(f"{BASE}/default/{path}", json=sent)  # of the settings
+        is_problem(answer, 409, "set-elsewhere")
+
+
+def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
+    def read_change():
+        row = client.get("/api/v1/audit").json()["items"][0]
+        return row["old"], row["new"]
+
+    old, new = read_change()
+    assert (old["version"], new["version"]) == (1, 2)
+    assert new["devices.tracker_options"] == '{"port": "/dev/tracker-7"}'
+    client.patch(f"{BASE}/mill-3", json={"tolerance_um": 15, "place": "hall 4"})
+    assert read_change() == (
+        {"place": "hall 3", "tolerance_um": None},
+        {"place": "hall 4", "tolerance_um": 15.0},
+    )
+    content = load_machine("demo") | {"name": "mill 3b"}
+    client.put(f"{BASE}/mill-3/machine-file", json={"machine_file": content})
+    old, new = read_change()
+    assert (old["machine_file.name"], new["machine_file.name"]) == ("mill 3", "mill 3b")
+    headers = {"If-Match": f'"{new["version"]:.0f}"'}
+    assert client.delete(f"{BASE}/mill-3", headers=headers).status_code == 204
+    assert read_change()[0]["machine_file.name"] == "mill 3b"
+
+
+def test_drivers_are_listed_with_the_options_that_a_choice_may_give(client):
+    items = client.get("/api/v1/drivers").json()["items"]
+    assert {one["device"] for one in items} == {"tracker", "motion", "thermometer"}
+    (streaming,) = [one for one in items if one["name"] == "streaming"]
+    options = {option["name"]: option for option in streaming["options"]}
+    assert options.keys() >= DEVICES["tracker_options"].keys()
+    assert options["port"]["is_required"]
+
+
+def test_a_trial_says_what_the_tracker_sends_unless_its_machine_measures(
+    client, make_cell, order, take, is_problem
+):
+    trial = f"{BASE}/default/devices:try"
+    answer = client.post(trial)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["text"] == "42 samples, 0 lost, target 1.2 m away"
+    assert make_cell.cell.heard == ["connect", "try"]
+    job = take("ready", **order)
+    assert arm_over_http(client, job).status_code == 202
+    assert make_cell.cell.begun.wait(5)
+    problem = is_problem(client.post(trial), 409, "busy")
+    assert problem["current_job"].endswith(job["id"])
+
+
+def test_one_machine_is_stopped_by_its_name(client, armed, until, is_problem):
+    is_problem(client.post(f"{BASE}/press/stop"), 404, "not-found")
+    stopped = client.post(f"{BASE}/default/stop")
+    assert [job["id"] for job in stopped.json()["jobs"]] == [armed["id"]]
+    until(armed, "aborted")
+
+
+def test_no_password_of_a_device_is_shown():
+    options = {"host": "192.0.2.7", "password": "EMC", "enable_password": "x"}
+    shown = show_devices({"motion_driver": "linuxcnc", "motion_options": options})
+    assert shown["motion_options"] == {
+        "host": "192.0.2.7",
+        "password": "***",
+        "enable_password": "***",
+    }
+
+
+def remove(client, machine_id="mill-3", version=None):
+    if version is None:
+        version = client.get(f"{BASE}/{machine_id}").json()["version"]
+    headers = {"If-Match": f'"{version}"'}
+    return client.delete(f"{BASE}/{machine_id}", headers=headers)
+
+
+def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
+    client, service, is_problem
+):
+    (example,) = NewMachine.model_config["json_schema_extra"]["examples"]
+    answer = client.post(BASE, json=example)  # of the description
+    assert answer.status_code == 201, answer.text
+    assert client.put(f"{BASE}/mill-3/devices", json=DEVICES).status_code == 200
+    assert remove(client).status_code == 204
+    assert [one["id"] for one in client.get(BASE).json()["items"]] == ["default"]
+    assert "mill-3" not in [one.id for one in service.machines.list_all()]
+    assert client.get(f"{BASE}/mill-3").json()["origin"] == "removed"
+    assert client.get(f"{BASE}/mill-3/standing").status_code == 200
+    order = {"kind": "measure-otf", "machine": "mill-3"}
+    is_problem(client.post("/api/v1/jobs", json=order), 404, "not-found")
+    is_problem(client.put(f"{BASE}/mill-3/devices", json=DEVICES), 404, "not-found")
+    again = add(client)
+    assert again.status_code == 201
+    assert (again.json()["origin"], again.json()["version"]) == ("catalogue", 3)
+
+
+def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
+    client, service, chosen, is_problem
+):
+    is_problem(client.delete(f"{BASE}/mill-3"), 428, "version-required")
+    stale = remove(client, version=chosen["version"] - 1)
+    assert is_problem(stale, 412, "stale-version")["current_version"] == 2
+    is_problem(remove(client, "press", version=1), 404, "not-found")
+    is_problem(remove(client, "default"), 409, "set-elsewhere")
+    job, _ = service.store.create(Job(JobKind.MEASURE_OTF, machine="mill-3"), None, {})
+    is_problem(remove(client), 409, "busy")
+    service.store.change(job.id, lambda one: replace(one, state=State.FAILED))
+    cell = service.machines.get("mill-3").cell
+    cell.status = replace(cell.status, state="running")
+    moving = is_problem(remove(client), 409, "illegal-transition")
+    assert "is running" in moving["detail"]

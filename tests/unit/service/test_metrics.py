@@ -1,0 +1,147 @@
+"""`GET /metrics`, read by the parser of Prometheus' own library."""
+
+from __future__ import annotations
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from starlette.testclient import TestClient
+
+from scripted_cell import wait_until
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.machines.cell_counters import CellCounters
+from truepath.measurement.durations import BOUNDS_S, Durations
+from truepath.measurement.messages import (
+    CellState,
+    CellVerb,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
+from truepath.service.api.application import create_application
+
+
+@pytest.fixture
+def scrape(client):
+    """Read the metrics as a dictionary of samples by name and labels."""
+
+    def read(http=client):
+        answer = http.get("/metrics")
+        assert answer.status_code == 200, answer.text
+        assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+        return {
+            (sample.name, *sorted(sample.labels.items())): sample.value
+            for family in text_string_to_metric_families(answer.text)
+            for sample in family.samples
+        }
+
+    return read
+
+
+def progress(samples, lost=0, crc=0, gaps=0, commits=None):
+    return MeasurementProgress(
+        1,
+        2,
+        "lines",
+        "measuring",
+        1.0,
+        1.0,
+        samples=samples,
+        lost_samples=lost,
+        crc_errors=crc,
+        gaps=gaps,
+        queue_depth=3,
+        commits=commits or Durations(),
+    )
+
+
+@pytest.mark.database
+def test_the_format_is_that_of_prometheus_and_names_the_machine(
+    scrape, service, monkeypatch
+):
+    found = scrape()
+    machine = ("machine", "default")
+    assert found["truepath_cell_up", machine] == 1
+    assert found["truepath_cell_connected", machine] == 0
+    assert found["truepath_catalogue_up",] == 1
+    assert found["truepath_disk_free_bytes",] > 0
+    assert found["truepath_event_streams",] == 0
+    info = ("simulated", "true"), ("version", "1.2.3")
+    assert found[("truepath_info", *info)] == 1
+    assert found["truepath_tracker_crc_errors_total", machine] == 0
+    assert found["process_resident_memory_bytes",] > 1e6
+
+    def refuse(_):
+        raise StorageUnavailable("away")
+
+    monkeypatch.setattr(type(service.store), "count_by_state", refuse)
+    assert scrape()["truepath_catalogue_up",] == 0  # a number and no failure
+
+
+def test_a_request_is_counted_by_the_template_of_its_route_by_its_service_alone(
+    client, service, scrape
+):
+    client.get("/api/v1/jobs/019a0000-0000-7000-8000-000000000000")
+    client.get("/nowhere/019a")
+    found = scrape()
+    template = ("route", "/api/v1/jobs/{job_id}"), ("status", "404")
+    key = ("truepath_request_seconds_count", ("method", "GET"), *template)
+    assert found[key] == 1
+    none = ("method", "GET"), ("route", "none"), ("status", "404")
+    assert found[("truepath_request_seconds_count", *none)] == 1
+    assert not [name for name in found if "019a" in str(name)]
+    with TestClient(create_application(service), base_url="http://localhost") as other:
+        routes = {dict(key[1:]).get("route") for key in scrape(other)}
+    assert "/api/v1/jobs/{job_id}" not in routes
+
+
+@pytest.mark.database
+def test_an_aborted_measurement_is_counted_and_times_its_commands(
+    client, armed, scrape, make_cell, until
+):
+    client.post(f"/api/v1/jobs/{armed['id']}/abort")
+    until(armed, "aborted")
+    machine = ("machine", "default")
+    count = "truepath_cell_command_seconds_count"
+    found = wait_until(
+        lambda: (now := scrape()).get((count, ("command", "abort"), machine)) and now,
+        "the abort",
+    )
+    key = ("kind", "measure-otf"), ("state", "aborted")
+    assert found[("truepath_jobs", *key)] == 1
+    assert found[count, ("command", "begin"), machine] == 1
+    assert found[count, ("command", "abort"), machine] == 1
+    upto = [
+        number
+        for (name, *labels), number in found.items()
+        if name == count.replace("count", "bucket") and ("command", "abort") in labels
+    ]
+    assert len(upto) == len(BOUNDS_S) + 1
+    assert upto == sorted(upto)
+    assert (upto[-1], {*upto}) == (1, {0, 1}), "cumulative, as of a histogram"
+
+
+def test_counts_of_measurements_add_up_and_never_fall():
+    counters = CellCounters()
+    commits = Durations().add(0.02)
+    counters.begin_measurement()
+    counters.count(progress(100, lost=2, crc=5, gaps=1, commits=commits))
+    counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
+    counters.begin_measurement()
+    counters.count(progress(50, lost=1, crc=6, gaps=1, commits=commits))
+    found = counters.read()
+    assert (found.samples, found.lost_samples, found.gaps) == (160, 3, 2)
+    assert found.crc_errors == 6, "those of a connection, not of a measurement"
+    assert sum(found.commits.counts) == 2
+    counters.count(progress(60, crc=1))  # connected anew
+    assert counters.read().crc_errors == 7
+
+
+def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
+    counters = CellCounters()
+    for hand_clock.time_s in (10.0, 11.0):
+        counters.expect_answer(CellVerb.PAUSE)
+    hand_clock.time_s = 12.5
+    counters.count(StateChanged(CellState.PAUSED))
+    counters.count(StateChanged(CellState.PAUSED))
+    (pause,) = counters.read().commands.values()
+    assert (sum(pause.counts), pause.total_s) == (1, 2.5)

@@ -1,0 +1,255 @@
+"""Plans over REST: made by the real planner, checked, taken away, driven."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from arming import arm_over_http
+from scripted_cell import wait_until
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.running.plan_orders import plan_measurement
+from truepath.motion.nc_programs.programs import read_program
+from truepath_simulators.scenario import load_machine
+
+MACHINE = machine_from_json(load_machine("demo"))
+SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
+USUAL = {"perpendicular_only": False, "corner_path": False}
+BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
+
+
+@pytest.fixture(scope="module")
+def plans_made(short_plan):
+    """What was planned, by its order."""
+    return {name_plan(SHORT): short_plan}
+
+
+def name_plan(order):
+    chosen = {key: value for key, value in order.items() if value}
+    return json.dumps(chosen, sort_keys=True)
+
+
+@pytest.fixture
+def planner(plans_made):
+    """The real one, which is asked for each plan once."""
+
+    def plan(machine, order, *, on_progress):
+        key = name_plan(order)
+        if key not in plans_made:
+            made = plan_measurement(machine, order, on_progress=on_progress)
+            plans_made[key] = made
+        return copy.deepcopy(plans_made[key])
+
+    return plan
+
+
+@pytest.fixture
+def planned(client):
+    """Ask for a plan and wait until its job has ended."""
+
+    def make(request):
+        answer = client.post("/api/v1/plans", json=request)
+        assert answer.status_code == 202, answer.text
+        address = answer.headers["location"]
+
+        def ended():
+            now = client.get(address).json()
+            return now if now["state"] in ("succeeded", "failed") else None
+
+        return wait_until(ended, "the plan")
+
+    return make
+
+
+@pytest.fixture
+def plan(planned):
+    made = planned(SHORT)
+    assert made["state"] == "succeeded", made["error"]
+    return made
+
+
+def test_a_plan_says_what_it_will_leave_unknown(plan, client):
+    assert plan["request"] == {**SHORT, **USUAL}
+    rows = plan["commanded"]
+    assert rows["kind"] == "path"
+    assert len(rows["position"]) == plan["document"]["rows"] > 4
+    assert plan["document"]["duration_s"] <= 30.0
+    predicted = plan["document"]["predicted"]
+    assert {"EXX", "EBX", "C0Y"} <= set(predicted["errors"])
+    assert predicted["volumetric_uncertainty_um"] > 0.0
+    curve = [step["volumetric_uncertainty_um"] for step in plan["document"]["curve"]]
+    assert curve[-1] == predicted["volumetric_uncertainty_um"]
+    assert curve == sorted(curve, reverse=True)
+    assert isinstance(plan["document"]["unobservable"], list)
+    assert plan["document"]["grade"]["verdict"] in ("good", "usable", "poor")
+    job = client.get(plan["links"]["job"]).json()
+    assert (job["kind"], job["state"], job["result"]) == ("plan", "succeeded", None)
+
+
+def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
+    found = client.get(plan["links"]["curve"]).json()
+    points, document = found["points"], plan["document"]
+    assert [p["row"] for p in points] == sorted({p["row"] for p in points})
+    assert points[-1]["row"] == document["rows"]
+    assert points[-1]["time_s"] == pytest.approx(document["duration_s"])
+    numbers = [p["grade"]["number"] for p in points]
+    assert numbers == sorted(numbers, reverse=True)
+    # From geometry alone and in few shapes it is about the same.
+    assert numbers[-1] == pytest.approx(document["grade"]["number"], rel=0.5)
+    assert points[0]["grade"]["verdict"] == "poor"
+    for point in points:
+        at_tool = [weak["at_tool_um"] for weak in point["weakest"]]
+        assert at_tool == sorted(at_tool, reverse=True)
+        assert len(at_tool) == 3
+    assert found["tracker_mm"] == document["tracker"]["position_mm"]
+
+
+def test_a_job_drives_the_beginning_that_the_curve_shows(plan, client, take):
+    point = client.get(plan["links"]["curve"]).json()["points"][3]
+    order = {"plan_id": plan["id"], "plan_rows": point["row"]}
+    job = take("ready", kind="measure-otf", **order)
+    driven = client.get(f"/api/v1/jobs/{job['id']}/plan").json()
+    assert driven["position"] == plan["commanded"]["position"][: point["row"]]
+    assert driven["predicted_um"] == point["volumetric_uncertainty_um"]
+
+
+@pytest.mark.long
+def test_a_target_is_a_standard_uncertainty_and_boxes_are_kept_out_of(planned):
+    order = {"mode": "otf", "target_um": 12.0, "workspace": {"keep_out": [BOX]}}
+    made = planned(order)
+    assert made["state"] == "succeeded", made["error"]
+    document, commanded = made["document"], made["commanded"]
+    assert document["target"]["expanded_volumetric_uncertainty_um"] == 24.0
+    assert document["target"]["reached"]
+    assert document["predicted"]["volumetric_uncertainty_um"] <= 12.0
+    assert commanded["predicted_um"] <= commanded["target_um"] == 12.0
+    assert commanded["keep_out"] == [BOX]
+
+
+def test_a_plan_is_driven_as_it_is_shown_and_given_as_a_program(
+    plan, client, take, until, make_cell
+):
+    job = take("ready", kind="measure-otf", plan_id=plan["id"], target_um=1.0)
+    driven = client.get(job["links"]["plan"]).json()
+    assert driven["position"] == plan["commanded"]["position"]
+    predicted = plan["document"]["predicted"]["volumetric_uncertainty_um"]
+    assert driven["predicted_um"] == predicted
+    assert job["target_um"] == 1.0
+    arm_over_http(client, job)
+    assert make_cell.cell.begun.wait(5)
+    stops = make_cell.cell.order.commanded.position
+    np.testing.assert_array_equal(stops, plan["commanded"]["position"])
+    make_cell.cell.end()
+    until(job, "succeeded")
+    answer = client.get(plan["links"]["nc_program"], params={"dialect": "heidenhain"})
+    motion = read_program(answer.text, "heidenhain")
+    np.testing.assert_allclose(motion.position, stops)
+
+
+@pytest.mark.long
+def test_points_are_planned_and_driven_as_points(planned, client, take):
+    made = planned({"mode": "standstill", "minutes": 0.3})
+    assert made["commanded"]["kind"] == "points"
+    job = take("ready", kind="measure-standstill", plan_id=made["id"])
+    assert len(client.get(job["links"]["plan"]).json()["position"]) > 4
+
+
+def test_a_plan_is_driven_in_its_mode_on_the_machine_it_is_for_alone(
+    plan, client, service, is_problem
+):
+    def refused(kind):
+        answer = client.post("/api/v1/jobs", json={"kind": kind, "plan_id": plan["id"]})
+        return is_problem(answer, 422, "plan")["detail"]
+
+    assert "one for measure-otf" in refused("measure-standstill")
+    axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
+    changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
+    service.machines.put(dataclasses.replace(service.machines.first, machine=changed))
+    assert "plan again" in refused("measure-otf")
+
+
+def test_what_is_no_plan_has_no_curve_and_cannot_be_driven_as_one(
+    client, ready, is_problem
+):
+    client.post("/api/v1/stop")
+    order = {"kind": "measure-otf", "plan_id": ready["id"]}
+    is_problem(client.post("/api/v1/jobs", json=order), 404, "not-found")
+    for path in ("", "/curve"):
+        answer = client.get(f"/api/v1/plans/{ready['id']}{path}")
+        is_problem(answer, 404, "not-found")
+
+
+def test_a_plan_that_cannot_be_ends_with_the_reason(planned):
+    axes = MACHINE.linear_axes
+    everything = {
+        "min_mm": [axis.low - 1.0 for axis in axes],
+        "max_mm": [axis.high + 1.0 for axis in axes],
+    }
+    made = planned({**SHORT, "workspace": {"keep_out": [everything]}})
+    assert made["state"] == "failed"
+    assert made["error"]["code"] == "plan"
+    assert "keep-out" in made["error"]["detail"]
+    assert made["commanded"] is None
+    assert made["document"] is None
+
+
+@pytest.mark.database
+def test_the_same_key_makes_one_plan(client):
+    headers = {"Idempotency-Key": "plan-1"}
+    first, again = (
+        client.post("/api/v1/plans", json=SHORT, headers=headers).json()
+        for _ in range(2)
+    )
+    assert first["id"] == again["id"]
+
+
+def test_rows_that_may_be_driven_have_a_duration(client):
+    for feed in (1.0, 6000.0, 99_999.0):
+        rows = [
+            {"x_mm": 10, "y_mm": 10, "z_mm": 100, "dwell_s": 3600},
+            {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
+            {"x_mm": 10, "y_mm": 300, "z_mm": 100},
+        ]
+        answer = client.post("/api/v1/plans:validate", json={"path": rows})
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["duration_s"] > 3600.0
+
+
+def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
+    rows = [
+        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
+    ]
+    address = "/api/v1/plans:validate"
+    assert client.post(address, json={"path": rows}).json()["stays_open"] == ""
+    two = client.post(address, json={"path": rows[:3]})
+    assert two.status_code == 200, two.text
+    assert "do not determine A0Z, B0Z, C0Y" in two.json()["stays_open"]
+    order = {"kind": "measure-otf", "path": rows[:3]}
+    assert client.post("/api/v1/jobs", json=order).status_code == 202
+
+
+def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
+    rows = [
+        {"x_mm": 10, "y_mm": 10, "z_mm": 100},
+        {"x_mm": 400, "y_mm": 300, "z_mm": 100},
+        {"x_mm": 400, "y_mm": 10, "z_mm": 100},
+    ]
+    free = client.post("/api/v1/plans:validate", json={"path": rows})
+    assert free.status_code == 200, free.text
+    assert free.json()["rows"] == 3
+    assert free.json()["duration_s"] > 4.0
+    body = {"path": rows, "workspace": {"keep_out": [BOX]}}
+    refused = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")
+    assert "row 2 enters the keep-out box probe" in refused["detail"]
+    rows[1]["y_mm"] = 401
+    body = {"points": rows}
+    is_problem(client.post("/api/v1/plans:validate", json=body), 422, "out-of-travel")
+    is_problem(client.post("/api/v1/plans:validate", json={}), 422, "validation")
+    assert client.get("/api/v1/jobs").json()["items"] == []

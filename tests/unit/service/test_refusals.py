@@ -1,0 +1,195 @@
+"""What is not as the interface says is refused by name, and changes nothing."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
+FLAT_BOX = {**BOX, "max_mm": BOX["min_mm"]}
+OTF = {"kind": "measure-otf"}
+ANALYSE = {"kind": "analyse", "run_id": "a"}
+ADAPTIVE = {
+    "kind": "measure-adaptive",
+    "target_um": 2.0,
+    "planning": {"mode": "otf", "minutes": 5},
+}
+VERIFY = {"kind": "verify", "result_id": "0190a4a1"}
+REANALYSE = {"kind": "reanalyse"}
+TREND = {"kind": "trend", "run_ids": ["a", "b"]}
+EXTRA = {"kind": "measure-extra", "discovery_id": "a"}
+SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
+JSON = {"content-type": "application/json"}
+
+
+def measure_at(*places, **more):
+    rows = [{"x_mm": x, "y_mm": x, "z_mm": x} for x in places]
+    rows[-1] |= more
+    return rows
+
+
+NAMED = [
+    ("jobs", {"kind": "analyse"}, "", "needs a run_id"),
+    ("jobs", {**ANALYSE, "run_ids": ["b"]}, "", "stands beside run_ids"),
+    ("jobs", {"kind": "analyse", "run_ids": ["a", "a"]}, "", "names a Run twice"),
+    ("jobs", {"kind": "analyse", "run_id": "../etc"}, "run_id", "holds"),
+    ("jobs", {**OTF, "points": [{}]}, "", "points is not for"),
+    ("jobs", {**OTF, "hurry": 1}, "hurry", "Extra inputs"),
+    ("jobs", {**OTF, "path": [{"x_mm": "a"}, {}]}, "path.0.x_mm", "valid number"),
+    ("jobs", {**OTF, "plan_rows": 9}, "", "plan_rows needs a plan_id"),
+    (
+        "plans:validate",
+        {"path": measure_at(10, 400, feed_mm_min=5e-324)},
+        "path.1.feed_mm_min",
+        "",
+    ),
+    *(
+        (address, order, where, "to 1" if feed < 1 else "than")
+        for feed in (5e-324, 0.99, 100_000.0)
+        for address, order, where in (
+            ("plans", {"feeds_mm_min": [6000, feed]}, "feeds_mm_min.1"),
+            ("plans", {"max_feed_mm_min": feed}, "max_feed_mm_min"),
+            ("jobs", {**OTF, "feed_mm_min": feed}, "feed_mm_min"),
+        )
+    ),
+]
+
+
+def test_a_body_that_is_not_as_documented_is_named(client, is_problem):
+    for address, body, where, text in NAMED:
+        answer = client.post(f"/api/v1/{address}", json=body)
+        error = is_problem(answer, 422, "validation")["errors"][0]
+        assert ".".join(error["location"]) == f"body.{where}".rstrip("."), body
+        assert text in error["message"], body
+        assert set(error) == {"location", "message", "type"}
+    assert client.get("/api/v1/jobs").json()["items"] == []
+
+
+SENSELESS = [
+    *(
+        ("jobs", VERIFY, change)
+        for change in (
+            {"tolerance_um": "5"},
+            {"seed": True},
+            {"keep_out": [{"min_mm": [0, 0, 9], "max_mm": [9, 9, 9]}]},
+            {"keep_out_replaces": True},
+            {"what": ["circles", "circles"]},
+            {"run_id": "0" * 8},
+            {"result_id": None},
+            {"compensation_id": ".."},
+        )
+    ),
+    ("jobs", OTF, {"target_um": 0}),
+    ("jobs", OTF, {"monte_carlo": {}}),
+    ("jobs", {**OTF, "path": measure_at(10, 400, 90)}, {"plan_id": "019a3f5e"}),
+    ("jobs", ANALYSE, {"target_um": 1.0}),
+    ("jobs", ADAPTIVE, {"planning": {"target_um": 1.0}}),
+    ("jobs", ADAPTIVE, {"planning": {"corner_path": True}}),
+    ("jobs", ADAPTIVE, {"path": [{"x_mm": 1}, {"x_mm": 2}]}),
+    ("jobs", ADAPTIVE, {"kind": "measure-otf"}),
+    ("jobs", REANALYSE, {}),
+    ("jobs", REANALYSE, {"run_ids": ["a"], "machine": "default"}),
+    ("jobs", REANALYSE, {"run_id": "a"}),
+    ("jobs", TREND, {"run_ids": ["a"]}),
+    ("jobs", TREND, {"run_ids": ["a", "a"]}),
+    ("jobs", TREND, {"target_um": 1.0}),
+    ("jobs", TREND, {"horizon_h": 0}),
+    ("jobs", {"kind": "discover"}, {}),
+    ("jobs", {"kind": "discover", "run_id": "a"}, {"target_um": 1.0}),
+    ("jobs", EXTRA, {"discovery_id": None}),
+    ("jobs", EXTRA, {"path": measure_at(10, 400)}),
+    ("plans", SHORT, {"minutes": 1e9}),
+    ("plans", SHORT, {"corner_path": True}),
+    ("plans", SHORT, {"workspace": {"blocks_sight": [BOX]}}),
+    ("plans", SHORT, {"workspace": {"keep_out": [FLAT_BOX]}}),
+    ("plans:validate", {}, {}),
+    ("jobs/any/certificates", {}, {"identity": {"operator": "A\nB"}}),
+    ("jobs/any/certificates", {}, {"compensation_id": "../../x"}),
+    ("jobs/any/compensations", {"format": "linuxcnc"}, {"spacing_mm": 0}),
+]
+
+
+def test_an_order_that_makes_no_sense_is_refused_at_once(client, is_problem):
+    for address, order, change in SENSELESS:
+        answer = client.post(f"/api/v1/{address}", json={**order, **change})
+        problem = is_problem(answer, 422, "validation")
+        said = str(problem)
+        assert any(name in said for name in change) or not change, (order, change, said)
+    assert client.get("/api/v1/jobs").json()["items"] == []
+
+
+def test_a_body_that_is_not_json_or_infinite_is_a_problem(client, is_problem):
+    for body in (
+        b"{",
+        b"\xff\xfe",
+        b'{"kind": NaN}',
+        b"[" * 5000,
+        b'{"kind":"analyse"',
+    ):
+        answer = client.post("/api/v1/jobs", content=body, headers=JSON)
+        assert answer.status_code in (400, 422)
+        assert answer.headers["content-type"] == "application/problem+json"
+    body = b'{"kind": "measure-otf", "feed_mm_min": 1e999}'
+    answer = client.post("/api/v1/jobs", content=body, headers=JSON)
+    is_problem(answer, 422, "validation")
+
+
+@pytest.mark.database
+def test_a_query_that_is_not_as_documented_is_named(client, is_problem):
+    for query in (
+        "limit=0",
+        "after=%0a",
+        "since=yesterday",
+        "until=2026-01-31T08:00:00",
+    ):
+        problem = is_problem(client.get(f"/api/v1/jobs?{query}"), 422, "validation")
+        name = query.partition("=")[0]
+        assert problem["errors"][0]["location"][:2] == ["query", name]
+    for after in ("czpub25l", "bm9wZQ==", "Zm9vOjE=", "====", "_"):  # somebody else's
+        is_problem(client.get(f"/api/v1/jobs?after={after}"), 422, "bad-input")
+
+
+@pytest.mark.database
+def test_a_time_outside_the_years_of_utc_is_refused(client, is_problem):
+    for name, at in (
+        ("until", "9999-12-31T23:59:59-14:00"),
+        ("since", "0001-01-01T00:00:00+14:00"),
+    ):
+        for path in ("jobs", "runs"):
+            answer = client.get(f"/api/v1/{path}", params={name: at})
+            is_problem(answer, 422, "validation")
+        body = {"kind": "reanalyse", "since": at}
+        is_problem(client.post("/api/v1/jobs", json=body), 422, "validation")
+
+
+@pytest.mark.parametrize(
+    ("key", "places", "said"),
+    [
+        ("path", [10, 200], "the path has the target stand at 2 places"),
+        ("path", [10, 200, 90], "the path lies on one straight line"),
+        ("points", [10], "stand at 1 place; .* add rows"),
+        ("points", [10, 90, 200], "points lies on one straight"),
+    ],
+)
+def test_rows_that_no_analysis_could_take_are_refused_by_check_and_order(
+    client, is_problem, key, places, said
+):
+    kind = "measure-otf" if key == "path" else "measure-standstill"
+    rows = {key: measure_at(*places)}
+    checked = is_problem(client.post("/api/v1/plans:validate", json=rows), 422, "plan")
+    assert re.search(said, checked["detail"])
+    order = {"kind": kind, **rows}
+    ordered = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
+    assert ordered["detail"] == checked["detail"]
+    assert client.get("/api/v1/jobs").json()["items"] == []
+
+
+def test_a_row_out_of_travel_or_without_an_axis_is_named(client, order, is_problem):
+    order["path"][1] = {**order["path"][1], "y_mm": 401}
+    problem = is_problem(client.post("/api/v1/jobs", json=order), 422, "out-of-travel")
+    assert "row 2: Y = 401 mm exceeds 400 mm" in problem["detail"]
+    order["path"] = [{"x_mm": 1, "y_mm": 1, "z_mm": 1}, {"x_mm": 2, "y_mm": 2}]
+    problem = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
+    assert problem["detail"] == "row 2: z_mm is missing"
+    assert client.get("/api/v1/jobs").json()["items"] == []

@@ -1,0 +1,101 @@
+"""Many Runs over REST: a machine over time, and analyses that are made again."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from truepath_simulators.scenario import load_machine
+
+pytestmark = pytest.mark.database
+JOBS = "/api/v1/jobs"
+
+
+@pytest.fixture
+def upload_at(upload):
+    """Take in a Run that begins at some time of the tracker's clock."""
+
+    def taken(begin_s, name="mill.zip", **members):
+        rows = "".join(f"{begin_s + n / 500:.3f},{n},0,0\n" for n in range(100))
+        stream = "t_s,x_mm,y_mm,z_mm\n" + rows
+        return upload(name, tracker_csv=stream, **members)["id"]
+
+    return taken
+
+
+@pytest.fixture
+def ask(client):
+    def asked(*run_ids, **more):
+        order = {"kind": "trend", "run_ids": list(run_ids), **more}
+        return client.post(JOBS, json=order)
+
+    return asked
+
+
+def test_a_trend_links_to_its_answer_and_report(client, upload_at, take, follower):
+    runs = [upload_at(0.0), upload_at(3600.0)]
+    asked = {"limit_um": 5.0, "later_h": [1.0], "temperature_degC": {"X": 21.5}}
+    job = take(kind="trend", run_ids=runs, **asked)
+    assert (job["run_ids"], job["verdict"]) == (runs, "usable")
+    assert job["result"] is None
+    assert client.get(job["trend"]["trend"]).json()["schema"] == "trend/1"
+    report = client.get(job["trend"]["report_html"])
+    assert report.headers["content-type"].startswith("text/html")
+    assert "sandbox" in report.headers["content-security-policy"]
+    ((files, names, told),) = follower.calls
+    assert (len(files), names) == (2, ["mill", "mill"])
+    assert {key: told[key] for key in asked} == asked
+
+
+def test_the_same_run_or_one_of_another_machine_has_no_trend(
+    upload_at, ask, is_problem
+):
+    first = upload_at(0.0, "monday.zip")
+    again = upload_at(0.0, "tuesday.zip")
+    said = is_problem(ask(first, again, at_h=[0, 1]), 422, "bad-input")["detail"]
+    assert "monday (" in said
+    assert "tuesday (" in said
+    assert "same Run" in said
+    is_problem(ask(first, "no-such-run"), 404, "not-found")
+    demo = load_machine("demo")
+    shorter = {"axes": {**demo["axes"], "X": {**demo["axes"]["X"], "max_mm": 450.0}}}
+    for change, field in (
+        ({"name": "lathe"}, "name"),
+        ({"tool_offset_mm": [0.0, 0.0, -151.0]}, "another tool"),
+        (shorter, "axes.X.max_mm"),
+    ):
+        other = upload_at(3600.0, machine_json=json.dumps({**demo, **change}))
+        answer = ask(first, other)
+        assert answer.status_code == 422, answer.text
+        assert field in answer.json()["detail"]
+
+
+def test_runs_whose_order_of_time_is_not_known_are_refused(upload_at, ask, is_problem):
+    early, anew = upload_at(5.0), upload_at(0.0)
+    assert "at_h" in is_problem(ask(early, anew), 422, "bad-input")["detail"]
+    assert ask(early, anew, at_h=[8.0, 9.5]).status_code == 202
+    for times, said in (([8.0], "1 times"), ([9.5, 8.0], "do not increase")):
+        problem = is_problem(ask(early, anew, at_h=times), 422, "bad-input")
+        assert said in problem["detail"]
+
+
+def test_a_reanalysis_links_to_its_summary_and_results(client, take, reanalysed):
+    job = take(kind="reanalyse", run_ids=reanalysed)
+    assert job["progress"]["unit"] == "runs"
+    summary = client.get(job["reanalysis"]["reanalysis"]).json()
+    assert (summary["schema"], summary["analysed"]) == ("reanalysis/1", 2)
+    assert [one["name"] for one in summary["analyses"]] == ["run-0", "run-1"]
+    at = f"{JOBS}/{job['id']}/reanalysis/runs"
+    assert client.get(f"{at}/{reanalysed[0]}").json()["schema"] == "result/1"
+    other = "019a0000-0000-7000-8000-000000000000"
+    assert client.get(f"{at}/{other}").status_code == 404
+
+
+def test_only_a_reanalysis_takes_more_than_50_runs(client):
+    ids = [f"019a0000-0000-7000-8000-{n:012d}" for n in range(51)]
+    answer = client.post(JOBS, json={"kind": "analyse", "run_ids": ids})
+    assert answer.status_code == 422
+    assert "more than 50" in answer.text
+    answer = client.post(JOBS, json={"kind": "reanalyse", "run_ids": ids})
+    assert answer.status_code == 404

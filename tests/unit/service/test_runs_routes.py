@@ -1,0 +1,383 @@
+"""Runs that are taken in, named, noted, and deleted as jobs are."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import zipfile
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from truepath.catalogue.job import Stage
+from truepath.errors import BundleError
+from truepath.jobs.dispatch.reconciliation import reconcile
+from truepath.jobs.dispatch.retention import Retention, RetentionRules
+from truepath.service.api.routes import runs as run_routes
+
+pytestmark = pytest.mark.database
+JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
+
+
+def send(client, content, name="from shop.zip"):
+    return client.post(RUNS, files={"bundle": (name, content, "application/zip")})
+
+
+def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent(
+    client, bundle, take
+):
+    sent = bundle()
+    answer = send(client, sent)
+    assert answer.status_code == 201, answer.text
+    run = answer.json()
+    assert answer.headers["location"] == f"{RUNS}/{run['id']}"
+    assert (run["name"], run["origin"], run["mode"]) == ("from shop", "uploaded", "otf")
+    assert (run["samples"], run["lost_samples"]) == (100, 0)
+    back = client.get(run["links"]["bundle"])
+    assert back.content == sent
+    assert f'filename="run-{run["id"]}.zip"' in back.headers["content-disposition"]
+    order = {"kind": "analyse", "run_id": run["id"]}
+    job = take(**order, perpendicular_only=True, monte_carlo={"seed": 7})
+    assert (job["run_id"], job["perpendicular_only"]) == (run["id"], True)
+    assert job["monte_carlo"] == {"seed": 7, "interval": "symmetric"}
+    plan = client.get(job["links"]["plan"]).json()
+    assert plan["position"] == [[10, 10, 10], [400, 300, 200]]
+    assert take(**order)["monte_carlo"] is None
+
+
+def test_several_runs_are_listed_in_pages_and_analysed_together(
+    client, upload, take, is_problem
+):
+    ids = [upload()["id"] for _ in range(3)]
+    first = client.get(f"{RUNS}?limit=2").json()
+    second = client.get(f"{RUNS}?limit=2&after={first['next']}").json()
+    assert [run["id"] for run in first["items"] + second["items"]] == ids[::-1]
+    assert second["next"] is None
+    assert client.get(f"{RUNS}/{ids[0]}").json()["id"] == ids[0]
+    job = take(kind="analyse", run_ids=ids)
+    assert (job["run_id"], job["run_ids"]) == (ids[0], ids)
+    unknown = {"kind": "analyse", "run_ids": [ids[0], "nowhere"]}
+    is_problem(client.post(JOBS, json=unknown), 404, "not-found")
+    for path in ("/nowhere", "/nowhere/bundle", "/..%2f..%2fetc"):
+        is_problem(client.get(RUNS + path), 404, "not-found")
+
+
+def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
+    client, service, bundle, is_problem
+):
+    for members, file, column, text in (
+        ({"tracker_csv": None}, "tracker.parquet", None, "missing"),
+        ({"tracker_csv": "t_s,x_mm,y_mm\n0,1,2\n"}, "tracker.csv", "z_mm", "missing"),
+        ({"machine_json": "{}"}, "machine.json", None, "schema"),
+    ):
+        problem = is_problem(send(client, bundle(**members)), 422, "bundle")
+        assert text in problem["detail"]
+        assert (problem["file"], problem["column"]) == (file, column)
+    for content in (b"", b"not a zip", b"PK\x03\x04 truncated"):
+        answer = send(client, content, "C:\\data\\mill 3.zip")
+        problem = is_problem(answer, 422, "bundle")
+        assert not content or problem["file"] == "mill 3.zip"  # as it was sent
+        assert ".upload" not in str(problem)
+    assert client.get(RUNS).json()["items"] == []
+    assert list(service.runs._folder.iterdir()) == []
+
+
+def test_an_upload_that_is_too_large_or_is_none_is_refused(
+    client, bundle, is_problem, monkeypatch
+):
+    is_problem(send(client, b"0" * (4 << 20)), 413, "too-large")
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tracker.csv", b"0" * (17 << 20))
+    problem = is_problem(send(client, packed.getvalue()), 422, "bundle")
+    assert "unpacks to 17 MiB" in problem["detail"]
+    answer = client.post(RUNS, files={"other": b"x"})
+    problem = is_problem(answer, 422, "validation")
+    assert problem["errors"][0]["location"] == ["body", "bundle"]
+    headers = {"content-type": "multipart/form-data; boundary=x"}
+    answer = client.post(RUNS, content=b"--x\r\ngarbage", headers=headers)
+    assert answer.status_code in (400, 422)
+    assert answer.headers["content-type"] == "application/problem+json"
+    headers = {"content-type": "application/json"}  # where no large body belongs
+    answer = client.post(JOBS, content=b" " * (2 << 20), headers=headers)
+    is_problem(answer, 413, "too-large")
+    monkeypatch.setattr(run_routes, "LEAST_FREE_BYTES", 1 << 60)
+    is_problem(send(client, bundle()), 507, "disk-full")
+
+
+def test_the_name_of_a_file_is_for_people_only():
+    for filename, name in (
+        ("mill.zip", "mill"),
+        ("../../etc/passwd", "passwd"),
+        (r"C:\data\run 7.zip", "run 7"),
+        ("a\x00b\n<script>.zip", "a_b_script"),
+        ("", "bundle"),
+        (None, "bundle"),
+        ("...", "bundle"),
+        ("x" * 300, "x" * 100),
+    ):
+        assert run_routes.clean_run_name(filename) == name
+
+
+def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
+    at = f"{JOBS}/{ready['id']}"
+    assert (ready["name"], ready["note"]) == ("", "")
+    event = service.store.read_last_event_id()
+    named = client.patch(at, json={"name": "As found, Müller"})
+    assert named.status_code == 200, named.text
+    noted = client.patch(at, json={"note": "Warm since 8:00.\nDoor open."}).json()
+    assert noted["name"] == "As found, Müller"
+    assert noted == client.get(at).json()
+    assert noted["version"] == ready["version"]
+    assert service.store.read_last_event_id() == event + 2
+    client.patch(at, json={"name": "As found, Müller"})
+    assert service.store.read_last_event_id() == event + 2
+    newest = client.get("/api/v1/audit").json()["items"]
+    changed = [one for one in newest if one["what"] == f"PATCH {at}"]
+    assert changed[1]["new"] == {"note": noted["note"]}
+    # Who changes the job as it was before leaves its name.
+    service.store.change(ready["id"], lambda job: replace(job, name="", note="old"))
+    job = client.get(at).json()
+    assert (job["name"], job["note"]) == (noted["name"], noted["note"])
+
+
+def test_a_run_is_renamed_and_noted_and_keeps_a_name(client, run, is_problem):
+    at = f"{RUNS}/{run['id']}"
+    named = client.patch(at, json={"name": "Before", "note": "as found"}).json()
+    assert (named["name"], named["note"]) == ("Before", "as found")
+    assert client.get(at).json() == named
+    assert named["sha256"] == run["sha256"]
+    for name, wrong in (
+        ("", "at least 1 character"),
+        ("line\tbreak", r"holds '\t' (U+0009)"),
+    ):
+        answer = client.patch(at, json={"name": name})
+        detail = is_problem(answer, 422, "validation")["detail"]
+        assert wrong in detail
+        assert "pattern" not in detail
+
+
+def test_names_are_short_and_of_letters(client, ready, run, is_problem):
+    for body in (
+        {"name": "a\x00b"},
+        {"name": "two\nlines"},
+        {"name": "\u202egnp.exe"},
+        {"note": "\x1b[2J"},
+        {"name": 200 * "ab"},
+        {"note": 2001 * "n"},
+        {"owner": "bert"},
+    ):
+        for at in (f"{JOBS}/{ready['id']}", f"{RUNS}/{run['id']}"):
+            is_problem(client.patch(at, json=body), 422, "validation")
+
+
+def test_jobs_and_runs_are_listed_by_a_part_of_their_name(client, ready, run):
+    for at, named in ((JOBS, ready), (RUNS, run)):
+        name = {"name": "Vor der Spindel ÄÖ 100%_a"}
+        client.patch(f"{at}/{named['id']}", json=name)
+        for part, count in (("SPINDEL äö", 1), ("0%_", 1), ("0_", 0), ("%x", 0)):
+            found = client.get(at, params={"name": part}).json()["items"]
+            assert len(found) == count, part
+
+
+def test_runs_are_listed_by_machine_mode_and_time_in_pages_that_lead_on(
+    client, run, upload
+):
+    for asked, count in (
+        ({"machine": run["machine"]}, 1),
+        ({"machine": "default"}, 1),
+        ({"machine": "another"}, 0),
+        ({"mode": "otf"}, 1),
+        ({"mode": "standstill"}, 0),
+        ({"since": run["created"]}, 1),
+        ({"until": run["created"]}, 0),
+    ):
+        assert len(client.get(RUNS, params=asked).json()["items"]) == count, asked
+    for number in range(5):
+        upload(f"run {number % 2}.zip")
+    first = client.get(RUNS, params={"name": "RUN 0", "limit": 2})
+    assert "name=RUN" in first.headers["Link"]
+    after = {"name": "RUN 0", "limit": 2, "after": first.json()["next"]}
+    second = client.get(RUNS, params=after).json()
+    assert [len(first.json()["items"]), len(second["items"])] == [2, 1]
+    assert second["next"] is None
+
+
+LATER = datetime.now(UTC) + timedelta(days=25)
+
+
+@pytest.fixture
+def analyse(take):
+    return lambda run, **more: take(kind="analyse", run_id=run["id"], **more)
+
+
+@pytest.fixture
+def kept(service, analyse, run):
+    """A job whose answer stands in its folder."""
+    job = analyse(run)
+    folder = service.results / job["id"]
+    folder.mkdir(exist_ok=True)
+    (folder / "result.json").write_text(json.dumps({"job": job["id"]}))
+    return job
+
+
+@pytest.fixture
+def retention(service):
+    rows = []
+    context = service.dispatcher._context
+    made = Retention(
+        context,
+        service.calibrations,
+        service.deletion,
+        RetentionRules(keep_runs_days=20, keep_results_days=20),
+        lambda _, deleted: rows.append((deleted.kind, deleted.id)),
+        lambda: False,
+    )
+    made.rows = rows
+    return made
+
+
+def test_a_job_goes_with_its_answer_and_its_run_stays(
+    client, service, kept, run, take, order, is_problem
+):
+    at = f"{JOBS}/{kept['id']}"
+    assert client.delete(at).status_code == 204
+    assert client.get(at).status_code == 404
+    assert not (service.results / kept["id"]).exists()
+    assert client.get(f"{RUNS}/{run['id']}/bundle").status_code == 200
+    newest = client.get("/api/v1/audit").json()["items"][0]
+    assert newest["what"] == f"DELETE {at}"
+    assert len(newest["old"][f"results/{kept['id']}/result.json"]) == 64
+    assert client.delete(at).status_code == 404
+    ready = take("ready", **order)  # it is under way
+    is_problem(client.delete(f"{JOBS}/{ready['id']}"), 409, "in-use")
+
+
+def test_what_others_depend_on_is_not_deleted(
+    client, service, kept, analysed, analyse, run, is_problem
+):
+    shutil.copytree(analysed, service.results / kept["id"], dirs_exist_ok=True)
+    user = analyse(run, model_id=kept["id"])
+    said = is_problem(client.delete(f"{JOBS}/{kept['id']}"), 409, "in-use")
+    assert said["dependents"] == [user["id"]]
+    client.delete(f"{JOBS}/{user['id']}")
+    client.patch("/api/v1/machines/default", json={"reference_job": kept["id"]})
+    said = is_problem(client.delete(f"{JOBS}/{kept['id']}"), 409, "in-use")
+    assert said["dependents"] == ["machine default"]
+
+
+def test_the_result_of_a_certificate_stays_and_one_unreadable_holds_no_other_job(
+    client, service, kept, run, analyse, is_problem
+):
+    other = analyse(run)
+    at = f"{JOBS}/{kept['id']}"
+    for text in ('{"sources_sha256": {}}', '{"place": "a\\u0000b"}'):
+        folder = service.results / kept["id"] / "certificates" / "TP-1"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "certificate.json").write_text(text)
+        is_problem(client.delete(at), 409, "in-use")
+        asked = {"with_results": True}
+        answer = client.delete(f"{RUNS}/{run['id']}", params=asked)
+        is_problem(answer, 409, "in-use")
+        assert (folder / "certificate.json").is_file()
+    assert client.delete(f"{JOBS}/{other['id']}").status_code == 204
+
+
+def test_a_sweep_goes_on_behind_a_job_that_cannot_be_deleted(
+    analyse, run, retention, service, monkeypatch
+):
+    good, bad, _ = (analyse(run) for _ in range(3))  # the newest is history
+    delete_job = service.deletion.delete_job
+
+    def refuse_one(job_id, note):
+        if job_id == bad["id"]:
+            raise BundleError("is not JSON", file="certificate.json")
+        return delete_job(job_id, note)
+
+    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
+    retention.sweep(LATER)
+    rows = {i for kind, i in retention.rows if kind == "job"}
+    assert good["id"] in rows
+    assert bad["id"] not in rows
+
+
+def test_a_run_goes_with_its_results_only_when_that_is_asked(
+    client, service, kept, run, is_problem
+):
+    at = f"{RUNS}/{run['id']}"
+    said = is_problem(client.delete(at), 409, "in-use")
+    assert said["dependents"] == [kept["id"]]
+    assert client.delete(at, params={"with_results": True}).status_code == 204
+    assert client.get(at).status_code == 404
+    assert client.get(f"{JOBS}/{kept['id']}").status_code == 404
+    assert not list(service.results.parent.glob(f"runs/**/{run['id']}*"))
+
+
+def test_a_job_without_an_answer_forgets_its_run(client, service, armed, until):
+    client.post(f"{JOBS}/{armed['id']}/abort")
+    job = until(armed, "aborted", "faulted")
+    (run_id,) = service.runs.find([job["id"]])
+    assert client.delete(f"{RUNS}/{run_id}").status_code == 204
+    assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
+
+
+def test_a_run_stays_while_its_measurement_can_go_on_from_it(
+    client, service, armed, make_cell, until, is_problem
+):
+    make_cell.cell.fault()
+    make_cell.cell.end("faulted")
+    job = until(armed, "faulted")
+    at = f"{RUNS}/{job['run_id']}"
+    for asked in ({}, {"with_results": True}):
+        said = is_problem(client.delete(at, params=asked), 409, "in-use")
+        assert said["dependents"] == [job["id"]]
+    assert "acknowledge" in job["links"]["verbs"]
+    change = {"stage": Stage.ESTIMATING}
+    service.store.change(job["id"], lambda one: replace(one, **change))
+    now = client.get(f"{JOBS}/{job['id']}").json()
+    assert "acknowledge" not in now["links"]["verbs"]
+    assert f'"run_ids": ["{job["run_id"]}"]' in now["error"]["action"]
+    assert client.delete(at).status_code == 204
+
+
+def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
+    client, service, finished, monkeypatch
+):
+    """The rows are gone and the file is not: as if the power had failed between."""
+    file = service.runs.file(finished["run_id"])
+
+    def fail(*_):
+        raise OSError("the disk refuses")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(service.runs), "remove_files", fail)
+        at = f"{RUNS}/{finished['run_id']}"
+        assert client.delete(at, params={"with_results": True}).status_code == 204
+    assert file.is_file()
+    assert file.suffix == ".sqlite"
+    reconcile(service.dispatcher._context)
+    assert not service.runs.find([finished["run_id"]])
+    service.deletion.remove_files()
+    assert not file.exists()
+    assert service.runs.list_left_behind() == []
+
+
+def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
+    client, service, kept, run, analyse, retention, upload
+):
+    loose = upload("loose.zip")
+    again = analyse(run)  # stands for the earlier one in the history of the machine
+    assert (kept["machine"], again["machine"]) == ("default", "default")
+    (service.results / again["id"]).mkdir(exist_ok=True)
+    (service.results / again["id"] / "result.json").write_text("{}")
+    assert retention.sweep() == 0
+    for years in (10, -10):  # a clock that does not go with the newest job
+        assert retention.sweep(datetime.now(UTC) + timedelta(days=365 * years)) == 0
+    assert retention.rows == []
+    retention.sweep(LATER)
+    assert set(retention.rows) == {("job", kept["id"]), ("run", loose["id"])}
+    assert not service.runs.find([loose["id"]])
+    assert service.runs.find([run["id"]])  # an answer was made from it
+    assert client.get(f"{JOBS}/{again['id']}").status_code == 200

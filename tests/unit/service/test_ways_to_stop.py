@@ -1,0 +1,133 @@
+"""A stop comes through from anywhere; what is told or changed comes from this site."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from scripted_cell import wait_until
+from truepath.service.api.application import create_application
+from truepath.service.page import pages
+
+API = "/api/v1"
+ELSEWHERE = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
+MEGABYTE = b"x" * (1 << 20)
+
+
+def send_bytes(count):
+    yield from (MEGABYTE for _ in range(count))
+
+
+@pytest.mark.fault_row(47)
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"headers": ELSEWHERE},
+        {"headers": {"origin": "null"}},
+        {"headers": {"host": "evil.example"}},
+        {"headers": {"host": "truepath_upstream", **ELSEWHERE}},
+        {"headers": {"host": ""}},
+        {"content": MEGABYTE + b"x", "headers": {"content-type": "text/plain"}},
+        {"content": b"{", "headers": {"content-type": "application/json; x=="}},
+        {"content": [MEGABYTE, MEGABYTE]},
+        {"files": {"bundle": ("a.zip", b"PK")}},
+        {"behind": "/"},
+        {"before": "/"},
+        {"before": "/cell-7", "behind": "//"},
+    ],
+    ids=str,
+)
+def test_a_stop_is_taken_whoever_sends_it_and_however(client, armed, until, odd):
+    place = str(client.base_url).rstrip("/") + odd.get("before", "")
+    sent = {key: odd[key] for key in ("headers", "content", "files") if key in odd}
+    for verb in (f"/jobs/{armed['id']}/abort", "/machines/default/stop", "/stop"):
+        path = f"{place}{API}{verb}{odd.get('behind', '')}"
+        answer = client.post(path, follow_redirects=False, **sent)
+        assert answer.status_code == 202, answer.text
+    until(armed, "aborted")
+
+
+@pytest.mark.fault_row(47)
+def test_a_check_goes_the_way_of_a_stop_and_stops_nothing(client, armed, service):
+    for path in ("/stop:check", "/machines/default/stop:check/"):
+        answer = client.post(
+            API + path, headers={"host": "a", **ELSEWHERE}, content="x"
+        )
+        assert answer.status_code == 200, answer.text
+        assert [one["machine"] for one in answer.json()["machines"]] == ["default"]
+    assert client.get(f"{API}/jobs/{armed['id']}").json()["state"] == "running"
+    service.access.close()
+    told = [row.entry.what for row in service.access.audit_log.read()]
+    assert not [what for what in told if "check" in what]
+
+
+PROXY = "192.0.2.7"
+
+
+def behind(service, *, peer=PROXY, **setup):
+    """A client of the service as it is asked by a proxy."""
+    app = create_application(
+        service, pages=pages.router, trusted_proxies=(PROXY,), **setup
+    )
+    app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
+    return TestClient(app, base_url="http://127.0.0.1:8411", client=(peer, 5000))
+
+
+@pytest.mark.fault_row(47)
+@pytest.mark.parametrize("is_cut_off", [True, False])
+@pytest.mark.parametrize("root", ["/truepath", "/api", "/docs/a.b"])
+def test_every_address_is_below_the_path_at_which_a_proxy_shows_the_service(
+    service, order, root, is_cut_off
+):
+    before = "" if is_cut_off else root
+    with behind(service, root_path=root) as client:
+        page = client.get(f"{before}/").text
+        assert f'action="{root}{API}/stop"' in page
+        assert f'src="{root}/static/' in page
+        assert client.get(f"{before}/static/icons.svg").status_code == 200
+        made = client.post(f"{before}{API}/jobs", json=order)
+        assert made.status_code == 202
+        address = made.headers["location"]
+        assert address == f"{root}{API}/jobs/{made.json()['id']}"
+        job = client.get(before + address.removeprefix(root)).json()
+        assert job["links"]["self"] == address
+        listed = client.get(f"{before}{API}/jobs?limit=1").headers.get("link", "")
+        assert f"<{root}{API}/" in f"<{root}{API}/{listed}"
+        wait_until(lambda: client.post(f"{before}{API}/stop").status_code == 202)
+        with client.websocket_connect(f"{before}{API}/stop") as channel:
+            channel.send_text("check")
+            assert "machines" in channel.receive_json()
+
+
+@pytest.mark.fault_row(47)
+@pytest.mark.parametrize(
+    ("peer", "named", "shown"),
+    [
+        (PROXY, "/cell-7", "/cell-7/"),
+        (PROXY, "/cell-7/", "/cell-7/"),
+        (PROXY, "//evil.example", ""),
+        (PROXY, '/"><script>', ""),
+        (PROXY, "https://evil.example", ""),
+        ("192.0.2.8", "/cell-7", ""),
+    ],
+)
+def test_a_prefix_counts_if_a_trusted_proxy_names_one(service, peer, named, shown):
+    with behind(service, peer=peer) as client:
+        page = client.get("/", headers={"x-forwarded-prefix": named}).text
+        assert f'action="{shown}api/v1/stop"' in page
+
+
+def test_who_is_not_logged_in_can_stop_by_the_channel_and_hear_nothing(service, access):
+    app = create_application(replace(service, access=access))
+    with TestClient(app, base_url="http://localhost") as client:
+        with client.websocket_connect(f"{API}/stop") as channel:
+            channel.send_text("stop")
+            assert channel.receive_json()["jobs"] == []
+        with (
+            pytest.raises(WebSocketDisconnect),
+            client.websocket_connect(f"{API}/events"),
+        ):
+            pass

@@ -1,0 +1,405 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from truepath_drivers.cnc.modbus import registers as regmap
+from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
+from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
+from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
+from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
+from truepath_simulators.machine_file import MachineFile
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.timeline import Timeline
+
+LEAD_S = 0.02
+
+
+class Master:
+    """A CNC without a wire, and someone who reads and writes its registers."""
+
+    def __init__(self, machine: MachineFile) -> None:
+        self.now_s = 0.0
+        self.timelines: list[Timeline] = []
+        self.published_at: list[float] = []
+        self.controller = Controller(machine, Limits(), self._publish, LEAD_S)
+        clocks = Clocks(lambda: self.now_s, lambda: self.now_s)
+        self.registers = CncRegisters(self.controller, clocks, "SIM-1")
+        self.number = 0
+
+    def _publish(self, timeline: Timeline) -> None:
+        self.timelines.append(timeline)
+        self.published_at.append(self.now_s)
+
+    def value(self, name: str, k: int = 0) -> int:
+        register = BY_NAME[name]
+        words = self.registers.read(register.address, register.words)
+        block = regmap.Block(register.address, register.words)
+        return decode(name, words, block)[k]
+
+    def write(self, name: str, value: int) -> None:
+        self.registers.write(BY_NAME[name].address, encode(name, value))
+
+    @property
+    def state(self) -> MotionState:
+        return regmap.STATES[self.value("state")]
+
+    @property
+    def hold_reason(self) -> HoldReason:
+        return HoldReason(self.value("hold_reason"))
+
+    @property
+    def position(self) -> np.ndarray:
+        return np.array([self.value("position", k) for k in range(3)]) / 1e4
+
+    def command(
+        self,
+        verb: Command | int,
+        first_row: int = 0,
+        row_count: int = 0,
+        crc: int = 0,
+        rows: np.ndarray | None = None,
+    ) -> Result:
+        self.number += 1
+        if verb is Command.START:
+            row_count, crc = self.value("path_rows"), self.value("path_crc")
+        if verb in (Command.MOVE_TO, Command.PUT_ROWS) and rows is None:
+            rows = np.zeros(regmap.ROWS_A_BLOCK * regmap.ROW_WORDS, np.uint16)
+        words = [self.number, int(verb), first_row, row_count, crc >> 16, crc & 0xFFFF]
+        if rows is not None:
+            words += rows.ravel().tolist()
+        self.registers.write(BY_NAME["command_sequence"].address, words)
+        assert self.value("command_ack") == self.number
+        return Result(self.value("command_result"))
+
+    def load(self, position: list[list[float]], feed: float = 6000.0) -> Result:
+        words = row_words(position, feed)
+        for first in range(0, len(words), regmap.ROWS_A_BLOCK):
+            block = words[first : first + regmap.ROWS_A_BLOCK]
+            result = self.command(Command.PUT_ROWS, first, len(block), rows=block)
+            if result is not Result.DONE:
+                return result
+        return self.command(Command.COMMIT, row_count=len(words), crc=path_crc(words))
+
+    def move_to(self, position: list[float], feed: float = 6000.0) -> Result:
+        return self.command(Command.MOVE_TO, rows=row_words([position], feed))
+
+    def wait(self, duration_s: float, *, beating: bool = True) -> None:
+        end_s = self.now_s + duration_s
+        while self.now_s < end_s:
+            self.now_s += 0.05
+            if beating:
+                self.write("heartbeat", (self.value("heartbeat") + 1) & 0xFFFF)
+            self.controller.update(self.now_s)
+            self.registers.watch()
+
+    def wait_still(self) -> MotionState:
+        while self.state is MotionState.RUNNING:
+            self.wait(0.1)
+            assert self.now_s < 1000.0
+        return self.state
+
+
+def row_words(position: list[list[float]], feed: float = 6000.0) -> np.ndarray:
+    n = len(position)
+    return path_words(
+        Path(("X", "Y", "Z"), np.array(position), np.full(n, feed), np.full(n, 0.2))
+    )
+
+
+LINE = [[100.0, 100.0, 100.0], [400.0, 100.0, 100.0]]
+
+
+@pytest.fixture
+def master(machine):
+    return Master(machine)
+
+
+@pytest.fixture
+def moving(master):
+    assert master.load(LINE) is Result.DONE
+    assert master.command(Command.START) is Result.DONE
+    master.wait(3.0)
+    assert master.state is MotionState.RUNNING
+    assert master.value("line") == 1
+    feed = master.value("feed") / regmap.FEED_COUNTS
+    assert feed == pytest.approx(6000.0, abs=0.01)
+    return master
+
+
+def test_a_path_is_driven_from_start_to_end(master):
+    assert master.load(LINE) is Result.DONE
+    assert master.state is MotionState.READY
+    assert master.value("path_rows") == 2
+    assert master.value("path_crc") == path_crc(row_words(LINE))
+    assert master.command(Command.START) is Result.DONE
+    assert master.state is MotionState.RUNNING
+    assert master.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(master.position, LINE[-1])
+    assert master.value("line") == 1
+    assert master.command(Command.START) is Result.DONE
+
+
+def test_a_long_path_goes_over_in_blocks(master, rng):
+    corners = rng.uniform(0.0, 300.0, (4096, 3)).round(4).tolist()
+    assert master.load(corners) is Result.DONE
+    assert master.value("path_rows") == 4096
+    assert master.command(Command.START) is Result.DONE
+    assert master.timelines[-1].end_s > 4096
+
+
+def test_a_hold_brakes_and_a_resume_goes_on(moving):
+    assert moving.command(Command.HOLD) is Result.DONE
+    assert moving.hold_reason is HoldReason.NONE
+    moving.wait(0.5)
+    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.COMMAND)
+    rest = moving.position
+    assert 100.0 < rest[0] < 400.0
+    moving.wait(5.0)
+    np.testing.assert_array_equal(moving.position, rest)
+    assert moving.command(Command.RESUME) is Result.DONE
+    assert moving.hold_reason is HoldReason.NONE
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
+def test_a_resume_while_still_braking_is_not_lost(moving):
+    moving.command(Command.HOLD)
+    assert moving.command(Command.RESUME) is Result.DONE
+    moving.wait(0.5)
+    assert moving.state is MotionState.RUNNING
+    assert moving.wait_still() is MotionState.FINISHED
+
+
+def test_an_abort_while_braking_for_a_hold_wins(moving):
+    moving.command(Command.HOLD)
+    moving.command(Command.ABORT)
+    assert moving.wait_still() is MotionState.ABORTED
+    assert moving.hold_reason is HoldReason.NONE
+
+
+def test_an_abort_stops_and_forgets_the_path(moving):
+    assert moving.command(Command.ABORT) is Result.DONE
+    assert moving.wait_still() is MotionState.ABORTED
+    assert moving.position[0] < 400.0
+    assert moving.value("path_rows") == 0
+    assert moving.command(Command.START) is Result.NO_PATH
+
+
+@pytest.mark.fault_row(23)
+def test_silence_in_motion_is_held_by_the_watchdog(moving):
+    moving.wait(0.9, beating=False)
+    assert moving.state is MotionState.RUNNING
+    moving.wait(0.4, beating=False)
+    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.WATCHDOG)
+    moving.wait(1.0)
+    assert moving.state is MotionState.HELD
+    assert moving.command(Command.RESUME) is Result.DONE
+    assert moving.wait_still() is MotionState.FINISHED
+
+
+@pytest.mark.parametrize("asked_ms", [0, 99, 10_001])
+def test_an_unreasonable_patience_is_not_taken(master, asked_ms):
+    master.write("watchdog", asked_ms)
+    assert master.value("watchdog") == 1000
+
+
+def test_the_patience_of_the_watchdog_can_be_written(moving):
+    moving.write("watchdog", 300)
+    moving.wait(0.6, beating=False)
+    assert moving.hold_reason is HoldReason.WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("position", "feed", "result"),
+    [
+        ([500.1, 0.0, 0.0], 1000.0, Result.OUT_OF_TRAVEL),
+        ([0.0, -0.1, 0.0], 1000.0, Result.OUT_OF_TRAVEL),
+        ([0.0, 0.0, 0.0], 0.0, Result.BAD_ARGUMENT),
+        ([0.0, 0.0, 0.0], MAX_FEED_MM_MIN + 1.0, Result.BAD_ARGUMENT),
+    ],
+)
+def test_what_the_machine_cannot_do_is_refused(master, position, feed, result):
+    assert master.move_to(position, feed) is result
+    assert master.load([position], feed) is result
+    assert master.state is MotionState.IDLE
+
+
+def test_a_move_to_the_ends_of_the_travel_keeps_the_committed_path(master):
+    master.load(LINE)
+    assert master.move_to([500.0, 400.0, 300.0]) is Result.DONE
+    assert master.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(master.position, [500.0, 400.0, 300.0])
+    assert master.value("path_rows") == 2
+    assert master.value("line") == 0
+    assert master.command(Command.START) is Result.DONE
+
+
+def test_a_running_machine_takes_no_other_motion(moving):
+    for verb in (Command.MOVE_TO, Command.PUT_ROWS, Command.COMMIT, Command.START):
+        assert moving.command(verb) is Result.WRONG_STATE
+
+
+def test_the_same_number_runs_nothing_twice(master):
+    assert master.move_to([100.0, 0.0, 0.0]) is Result.DONE
+    published = len(master.timelines)
+    master.number -= 1
+    master.move_to([100.0, 0.0, 0.0])
+    assert len(master.timelines) == published
+
+
+def test_orders_that_mean_nothing_do_nothing(master):
+    for verb in (Command.HOLD, Command.RESUME):  # nothing runs
+        assert master.command(verb) is Result.DONE
+        assert master.state is MotionState.IDLE
+    assert master.command(99) is Result.UNKNOWN_COMMAND
+    master.registers.write(BY_NAME["command_sequence"].address, [0, Command.ABORT])
+    assert master.state is MotionState.IDLE
+
+
+def test_a_path_that_is_not_what_was_meant_is_refused(master):
+    rows = row_words(LINE)
+    master.command(Command.PUT_ROWS, 0, 2, rows=rows)
+    wrong = path_crc(rows) ^ 1
+    assert master.command(Command.COMMIT, row_count=2, crc=wrong) is Result.CRC_MISMATCH
+    assert master.command(Command.COMMIT, row_count=0) is Result.BAD_ARGUMENT
+    for first, count in ((0, 0), (0, 8), (4090, 7)):  # beyond the map
+        assert master.command(Command.PUT_ROWS, first, count) is Result.BAD_ARGUMENT
+    assert master.state is MotionState.IDLE
+
+
+def test_rows_from_the_first_on_forget_the_path(master):
+    master.load(LINE)
+    master.command(Command.PUT_ROWS, 0, 1, rows=row_words(LINE)[:1])
+    assert master.state is MotionState.IDLE
+    assert master.command(Command.START) is Result.NO_PATH
+
+
+def test_an_alarm_stops_is_told_and_stays(moving):
+    moving.controller.alarm(1001, "Servo alarm", moving.now_s)
+    assert moving.wait_still() is MotionState.ALARM
+    assert moving.value("alarm_code") == 1001
+    words = moving.registers.read(BY_NAME["alarm_text"].address, 32)
+    assert decode_text("alarm_text", words, regmap.ALARM_TEXT) == "Servo alarm"
+    assert moving.move_to([0.0, 0.0, 0.0]) is Result.IN_ALARM
+    assert moving.command(Command.ABORT) is Result.DONE
+    assert moving.state is MotionState.ALARM
+    moving.registers.staying_cause = MotionState.ALARM
+    assert moving.command(Command.RESET) is Result.NOT_READY
+    moving.registers.staying_cause = None
+    assert moving.command(Command.RESET) is Result.DONE
+    assert moving.state is MotionState.IDLE
+    assert moving.value("path_rows") == 0
+
+
+def test_an_override_changes_the_feed_under_way(moving):
+    moving.controller.override(0.5, moving.now_s)
+    moving.wait(0.5)
+    assert moving.value("feed") / regmap.FEED_COUNTS == pytest.approx(3000.0, abs=0.01)
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
+@pytest.mark.parametrize("begin", ["moving", "at 0 %"])
+def test_at_an_override_of_nothing_it_says_that_it_runs_and_stands(moving, begin):
+    if begin == "at 0 %":
+        moving.command(Command.ABORT)
+        moving.wait_still()
+        moving.controller.override(0.0, moving.now_s)
+        moving.move_to(LINE[-1])
+    else:
+        moving.controller.override(0.0, moving.now_s)
+        moving.wait(1.0)
+    here = moving.position
+    moving.wait(60.0)
+    assert moving.state is MotionState.RUNNING
+    np.testing.assert_array_equal(moving.position, here)
+    assert moving.value("feed") == 0
+    moving.controller.override(1.0, moving.now_s)
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
+def test_a_hold_at_an_override_of_nothing_is_a_hold(moving):
+    moving.controller.override(0.0, moving.now_s)
+    moving.wait(1.0)
+    moving.command(Command.HOLD)
+    assert moving.wait_still() is MotionState.HELD
+    moving.command(Command.RESUME)
+    moving.wait(60.0)
+    assert moving.state is MotionState.RUNNING
+    moving.controller.override(1.0, moving.now_s)
+    assert moving.wait_still() is MotionState.FINISHED
+    np.testing.assert_allclose(moving.position, LINE[-1])
+
+
+def test_no_change_reaches_into_what_was_already_seen(moving):
+    """Whoever took the timeline before a change has seen nothing that was not so."""
+    moving.command(Command.HOLD)
+    moving.wait(0.5)
+    moving.command(Command.RESUME)
+    moving.wait_still()
+    for before, after, at_s in zip(
+        moving.timelines, moving.timelines[1:], moving.published_at[1:], strict=False
+    ):
+        t = np.linspace(after.start_s[0], at_s, 200)
+        np.testing.assert_allclose(before.positions(t), after.positions(t), atol=1e-9)
+
+
+def test_what_is_not_in_the_map_cannot_be_read_nor_what_is_only_told_written(master):
+    for address, count in ((78, 1), (70, 10), (318, 1), (900, 1)):
+        with pytest.raises(ModbusError, match="2"):
+            master.registers.read(address, count)
+    for name in ("magic", "state", "position", "path_crc"):
+        with pytest.raises(ModbusError, match="2"):
+            master.registers.write(BY_NAME[name].address, [1])
+
+
+def test_a_number_alone_never_replays_a_verb_with_edited_arguments(master):
+    assert master.move_to([20.0, 0.0, 0.0]) is Result.DONE
+    assert master.wait_still() is MotionState.FINISHED
+    here = master.value("position")
+    rows = BY_NAME["rows"].address
+    master.registers.write(rows + 1, [0])  # another goal in the arguments
+    with pytest.raises(ModbusError) as refused:
+        master.write("command_sequence", master.number + 1)
+    assert refused.value.code == ILLEGAL_VALUE
+    assert master.state is MotionState.FINISHED
+    assert master.value("position") == here
+    assert master.value("command_ack") == master.number
+
+
+def test_a_verb_without_all_its_arguments_is_refused(master):
+    address = BY_NAME["command_sequence"].address
+    for verb, words in (
+        (Command.MOVE_TO, 21),
+        (Command.PUT_ROWS, 21),
+        (Command.COMMIT, 5),
+        (Command.START, 5),
+        (Command.RESUME, 1),
+        (Command.HOLD, 1),
+    ):
+        request = [master.number + 1, int(verb), 0, 1, *[0] * 40][:words]
+        master.write("command", int(verb))
+        with pytest.raises(ModbusError):
+            master.registers.write(address, request)
+        assert master.value("command_ack") == master.number
+
+
+def test_readiness_tells_reference_and_compensation(master):
+    assert master.value("readiness") == regmap.IS_REFERENCED
+    master.controller.is_compensating = True
+    both = regmap.IS_REFERENCED | regmap.IS_COMPENSATING
+    assert master.value("readiness") == both
+    for lose in (
+        lambda: master.controller.disable(MotionState.UNHOMED, master.now_s),
+        lambda: setattr(master.controller, "is_referenced", False),
+    ):
+        lose()
+        assert master.value("readiness") == regmap.IS_COMPENSATING
+        assert master.command(Command.HOME) is Result.DONE
+        assert master.value("readiness") == both
+        assert master.state is MotionState.IDLE

@@ -1,0 +1,306 @@
+"""Hidden effects: each moves what its physics says, the same at any speed of asking."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.hidden.dynamics import ReversalSpike, ServoMismatch, Vibration
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.effects_by_name import (
+    CATALOGUED,
+    EFFECTS,
+    as_json,
+    draw,
+    from_json,
+    parse_hidden,
+)
+from truepath_simulators.hidden.guides import ElasticSag, Squareness
+from truepath_simulators.hidden.motion import Motion, continue_from
+from truepath_simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic
+from truepath_simulators.hidden.setup import SetupStep, TableDrift
+from truepath_simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
+from truepath_simulators.hidden.warming import SpindleGrowth, ThermalGrowth
+from truepath_simulators.machine.tracker_head import TrackerClock
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import Recording
+from truepath_simulators.worlds.synthetic import Setting, record
+
+FEED_MM_S = 100.0
+CLOCK = TrackerClock(100.0, 0.0)
+CONTENT = load_machine("demo")
+MACHINE = parse_machine(CONTENT)
+QUIET = {"error_scale": 0.0, "noise_scale": 0.0, "clock": CLOCK}
+
+
+def program(rows: list[tuple[float, float, float]]) -> Program:
+    n = len(rows)
+    return Program(np.array(rows), np.full(n, FEED_MM_S), np.full(n, 0.2))
+
+
+THERE_AND_BACK = program(
+    [(50, 50, 50), (250, 50, 50), (50, 50, 50), (50, 200, 50), (150, 200, 50)]
+)
+CHORDS = paths.chord_path(MACHINE, 2, 12, 60.0 * FEED_MM_S)
+
+
+@cache
+def spoil(is_long: bool, *hidden: HiddenEffect) -> Recording:
+    way, rate_hz = (CHORDS, 100.0) if is_long else (THERE_AND_BACK, 500.0)
+    setting = Setting(**QUIET, hidden=hidden, rate_hz=rate_hz)
+    return record(CONTENT, way, 1, setting=setting)
+
+
+def moved_um(
+    effect: HiddenEffect, *, is_long: bool = False
+) -> tuple[np.ndarray, Recording]:
+    """How far a perfect machine's target is from where it would be without."""
+    plain, spoilt = spoil(is_long), spoil(is_long, effect)
+    off = spoilt.position_mm - plain.position_mm
+    return 1e3 * off @ plain.pose.rotation.T, spoilt
+
+
+def middle_of(recording: Recording, row: int) -> slice:
+    """The samples in the middle half of the way to a row."""
+    at = np.flatnonzero(recording.row == row)
+    return slice(int(at[len(at) // 4]), int(at[3 * len(at) // 4]))
+
+
+def test_lost_motion_stays_half_a_width_behind():
+    off, recording = moved_um(Backlash("X", 8.0))
+    there, back = (off[middle_of(recording, row), 0] for row in (1, 2))
+    np.testing.assert_allclose(there, -4.0, atol=1e-6)
+    np.testing.assert_allclose(back, 4.0, atol=1e-6)
+    # What crosses the play first is the first hundredths of a second of the motion.
+    np.testing.assert_allclose(off[middle_of(recording, 3), 0], 4.0, atol=1e-6)
+    assert np.abs(off[:, 1:]).max() < 1e-6
+
+
+def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked():
+    timeline = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    motion = Motion(MACHINE, timeline)
+    time_s = np.linspace(0.0, timeline.end_s + 1.0, 40_001)
+    table = motion.play_mm("X", 0.5, time_s)
+    stepped, state = np.empty(len(time_s)), 50.0
+    for k, screw in enumerate(motion.position_mm("X", time_s)):
+        state = min(max(state, screw - 0.5), screw + 0.5)
+        stepped[k] = state
+    np.testing.assert_allclose(table, stepped, atol=1e-9)
+    some = np.sort(np.random.default_rng(1).choice(len(time_s), 50))
+    np.testing.assert_array_equal(motion.play_mm("X", 0.5, time_s[some]), table[some])
+
+
+def test_a_motion_that_goes_on_remembers_what_was_before():
+    first = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    way = program([(150, 200, 90)])
+    later = first.end_s + 5.0
+    new = (
+        first.since(later)
+        .cut(later)
+        .then(follow(way, THERE_AND_BACK.position[-1], later, Limits()))
+    )
+    time_s = np.linspace(later, later + 1.0, 50)
+    forgot, knows = Motion(MACHINE, new), Motion(MACHINE, continue_from(first, new))
+    assert forgot.play_mm("X", 0.5, time_s)[-1] == pytest.approx(150.0)
+    assert knows.play_mm("X", 0.5, time_s)[-1] == pytest.approx(149.5)
+    assert knows.since_reversal_mm("X", time_s)[0][-1] == pytest.approx(100.0)
+    np.testing.assert_allclose(
+        knows.position_mm("Z", time_s), forgot.position_mm("Z", time_s)
+    )
+
+
+def test_a_carriage_leans_to_the_side_it_comes_from_and_about_an_axis_by_the_arm():
+    off, recording = moved_um(LateralBacklash("X", "EYX", 3.0))
+    np.testing.assert_allclose(off[middle_of(recording, 1), 1], 3.0, atol=1e-6)
+    np.testing.assert_allclose(off[middle_of(recording, 2), 1], -3.0, atol=1e-6)
+    off, recording = moved_um(LateralBacklash("X", "EAX", 10.0))
+    _, y, z = MACHINE.reflector().offset_mm
+    there = middle_of(recording, 1)
+    arm = np.array([0.0, -(50.0 + z), 50.0 + y])  # w-X-b-Y-Z-t: Y and Z are beyond X
+    np.testing.assert_allclose(off[there].mean(axis=0), 10e-3 * arm, atol=1e-4)
+
+
+def test_a_screw_errs_alike_every_turn():
+    off, recording = moved_um(ScrewCyclic("X", 10.0, 3.0, 0.5))
+    there = middle_of(recording, 1)
+    x = recording.commanded_mm[there, 0]
+    np.testing.assert_allclose(
+        off[there, 0], 3.0 * np.sin(2 * np.pi * x / 10.0 + 0.5), atol=1e-6
+    )
+
+
+def test_a_scale_grows_as_it_warms_and_its_sensor_lags():
+    effect = ThermalGrowth("X", 10.0, 2.0, 10.0, 5.0)
+    off, recording = moved_um(effect)
+    true_s = CLOCK.true_s(recording.time_s)
+    expected = 10.0 * 2.0 * -np.expm1(-true_s / 10.0) * recording.commanded_mm[:, 0]
+    np.testing.assert_allclose(off[:, 0], 1e-3 * expected, atol=1e-6)
+    told = recording.temperatures
+    assert told is not None
+    rise = told.celsius[:, 0] - 20.0
+    np.testing.assert_allclose(told.celsius[:, 1:], 20.0, atol=0.1)
+    steps = np.linspace(0.0, 20.0, 20_001)
+    scale = -2.0 * np.expm1(-steps / 10.0)
+    sensor = np.zeros(len(steps))
+    for k in range(1, len(steps)):
+        sensor[k] = sensor[k - 1] + 1e-3 / 5.0 * (scale[k - 1] - sensor[k - 1])
+    at = CLOCK.true_s(told.time_s)
+    assert np.abs(rise - np.interp(at, steps, sensor))[at < 20.0].max() < 0.1
+
+
+def test_a_creeping_table_and_a_knock_shift_all_axes_alike():
+    off, recording = moved_um(TableDrift((0.1, 0.0, -0.2)))
+    true_s = CLOCK.true_s(recording.time_s)
+    np.testing.assert_allclose(off, np.outer(true_s, [0.1, 0.0, -0.2]), atol=1e-6)
+    knock = SetupStep(4.0, (3.0, 2.0, 1.0))
+    off, recording = moved_um(knock)
+    after = CLOCK.true_s(recording.time_s) >= 4.0
+    np.testing.assert_allclose(off[after], np.tile([3.0, 2.0, 1.0], (after.sum(), 1)))
+    np.testing.assert_allclose(off[~after], 0.0, atol=1e-9)
+    assert knock.truth(CLOCK)["parameters"]["t_s"]["value"] == 104.0
+
+
+def test_a_spindle_that_warms_moves_the_tool_along_itself_fast_at_first():
+    off, recording = moved_um(SpindleGrowth(10.0, 5.0))
+    true_s = CLOCK.true_s(recording.time_s)
+    np.testing.assert_allclose(off[:, 2], 10.0 * (1.0 - np.exp(-true_s / 5.0)))
+    assert np.abs(off[:, :2]).max() < 1e-9
+
+
+def test_a_guide_bends_by_what_it_bears_and_an_axis_out_of_square_by_its_travel():
+    off, recording = moved_um(ElasticSag("X", "Y", "Z", 12.0))
+    u, v = recording.commanded_mm[:, 0] / 500.0, recording.commanded_mm[:, 1] / 400.0
+    np.testing.assert_allclose(off[:, 2], -12.0 * 4 * u * (1 - u) * v, atol=1e-6)
+    off, recording = moved_um(Squareness("C0Y", 50.0))
+    y_mm = recording.commanded_mm[:, 1]
+    np.testing.assert_allclose(off[:, 0], -50e-3 * y_mm, atol=1e-5)
+    assert np.abs(off[:, 1:]).max() < 1e-3
+
+
+def test_a_slow_servo_lags_by_its_speed_in_ramps_too():
+    effect = ServoMismatch("X", 1.0)
+    off, recording = moved_um(effect)
+    np.testing.assert_allclose(off[middle_of(recording, 1), 0], -100.0, atol=1e-3)
+    np.testing.assert_allclose(off[middle_of(recording, 2), 0], 100.0, atol=1e-3)
+    motion = Motion(MACHINE, recording.timeline)
+    time_s = np.arange(0.9, 4.5, 5e-5)
+    command = motion.position_mm("X", time_s)
+    servo = np.empty(len(time_s))
+    servo[0] = command[0]
+    for k in range(1, len(time_s)):
+        mean = 0.5 * (command[k] + command[k - 1])
+        servo[k] = mean + (servo[k - 1] - mean) * np.exp(-5e-5 / 1e-3)
+    found = effect.carry(motion, time_s)["X"][:, 0]
+    np.testing.assert_allclose(found, servo - command, atol=5e-5)
+
+
+def test_a_spike_fades_with_the_travel_since_the_reversal():
+    off, recording = moved_um(ReversalSpike("X", "Z", 5.0, 20.0))
+    assert np.abs(off[recording.row <= 1]).max() < 1e-9
+    back = recording.row == 2
+    gone = 250.0 - recording.commanded_mm[back, 0]
+    moving = gone > 0.0
+    expected = -5.0 * np.exp(-gone / 20.0)
+    np.testing.assert_allclose(off[back, 2][moving], expected[moving], atol=1e-6)
+
+
+def test_the_tracker_misreads_what_its_circles_and_home_distance_say():
+    off, recording = moved_um(TrackerRangeOffset(30.0))
+    beam = (recording.position_mm @ recording.pose.rotation.T) / np.linalg.norm(
+        recording.position_mm, axis=1, keepdims=True
+    )
+    np.testing.assert_allclose(off, 30.0 * beam, atol=0.01)
+    off, recording = moved_um(TrackerEccentricity("azimuth", 20.0, 0.3))
+    x, y, _ = recording.position_mm.T
+    turn = 20e-6 * np.sin(np.arctan2(y, x) + 0.3)
+    expected = 1e3 * turn * np.hypot(x, y)
+    np.testing.assert_allclose(
+        np.linalg.norm(off, axis=1), np.abs(expected), rtol=1e-3, atol=1e-3
+    )
+
+
+def test_a_vibration_keeps_its_frequency_on_the_trackers_clock():
+    off, recording = moved_um(Vibration("Y", 12.5, 2.0))
+    time_s = recording.time_s - recording.time_s[0]
+    share = np.exp(-2j * np.pi * 12.5 * time_s) @ off[:, 1] / len(time_s)
+    assert 2.0 * abs(share) == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_is_drawn_alike_by_its_seed_and_travels_as_text(name):
+    occasion = Occasion(MACHINE, 3.0, 60.0, FEED_MM_S, 700.0)
+    effect = draw(name, 4, occasion)
+    assert draw(name, 4, occasion) == effect
+    assert from_json(json.loads(json.dumps(as_json(effect)))) == effect
+    assert any(draw(name, seed, occasion) != effect for seed in range(5, 9))
+    truth = effect.truth(CLOCK)
+    assert truth["name"] == name
+    assert all("value" in entry for entry in truth["parameters"].values())
+    off, _ = moved_um(effect, is_long=True)
+    off -= off.mean(axis=0)
+    assert 0.3 < np.linalg.norm(off, axis=1).max() < 40.0
+
+
+def test_an_effect_is_given_by_name_and_size_or_by_its_numbers():
+    with pytest.raises(SimulatorError, match="backlsh"):
+        parse_hidden("backlsh", 1, MACHINE)
+    with pytest.raises(SimulatorError, match="size_um"):
+        parse_hidden("backlash*big", 1, MACHINE)
+    with pytest.raises(SimulatorError, match="depth"):
+        from_json({"name": "backlash", "depth": 3})
+    assert parse_hidden("backlash*2", 1, MACHINE).parameters(CLOCK) == {"width_um": 4.0}
+    text = json.dumps(as_json(ServoMismatch("X", 0.06)))
+    assert parse_hidden(text, 1, MACHINE) == ServoMismatch("X", 0.06)
+    step = '{"name": "setup-step", "time_s": 3, "step_um": [1, 2, 3]}'
+    assert parse_hidden(step, 1, MACHINE) == SetupStep(3.0, (1.0, 2.0, 3.0))
+    assert len(CATALOGUED) == 13
+    assert "squareness" not in CATALOGUED  # a model fitted to the recording has it
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ('{"name": "backlash"', "not JSON"),
+        ('{"name": "backlash", "axis": "Q", "width_um": 8}', "demo cannot have it"),
+        ('{"name": "backlash", "axis": "X", "width_um": "big"}', "big"),
+        ('{"name": "squareness", "symbol": "D0Y", "value_urad": 8}', "D0Y"),
+        (
+            '{"name": "lateral-backlash", "axis": "X", "motion": "EYC", '
+            '"half_width": 5}',
+            "no axis C",
+        ),
+    ],
+)
+def test_numbers_that_the_machine_cannot_have_are_refused(text, names):
+    with pytest.raises(SimulatorError, match=names):
+        parse_hidden(text, 1, MACHINE)
+
+
+def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path):
+    out = tmp_path / "bundle"
+    options = ["--rows", "5", "--hide", "backlash*3", "--hide", "table-drift"]
+    assert synthetic.main([str(out), "--seed", "2", *options]) == 0
+    effects = json.loads((out / "truth.json").read_text())["effects"]
+    assert [e["name"] for e in effects] == ["backlash", "table-drift"]
+    assert effects[0]["parameters"]["width_um"]["value"] == 6.0
+    assert synthetic.main([str(out), "--hide", "nothing-known"]) == 2
+
+
+def test_a_bench_knows_what_it_hides():
+    bench = Bench(seed=5, hidden=(Backlash("Y", 6.0), "table-drift*3"))
+    names = [e["name"] for e in bench.hidden_truth()]
+    assert names == ["backlash", "table-drift"]
+    assert bench.hidden[1] == parse_hidden("table-drift*3", 5, MACHINE)
+    with pytest.raises(SimulatorError, match="poltergeist"):
+        Bench(hidden=["poltergeist"])

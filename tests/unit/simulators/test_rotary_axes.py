@@ -1,0 +1,248 @@
+"""Rotary axes of the truth machine, their paths and recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.message_codec import encode_message
+from truepath_drivers.tracker.streaming.messages import Start
+from truepath_simulators.errors import SimulatorError
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.rotary_joint import RotaryJoint
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
+from truepath_simulators.machine.truth_machine import perfect
+from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import path_length
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.tracker.tracker_device import TrackerDevice
+from truepath_simulators.tracker.tracker_sight import TrackerParts
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.bundle_files import write_bundle_files
+
+BUNDLED = ("head-table", "trunnion")
+
+
+@pytest.fixture(params=BUNDLED)
+def five_axes(request):
+    return parse_machine(load_machine(request.param))
+
+
+def head_table(**axis: Any) -> MachineFile:
+    content = load_machine("head-table")
+    content["axes"]["C"] |= axis
+    return parse_machine(content)
+
+
+def test_a_table_turns_the_workpiece_and_a_head_the_tool():
+    truth = perfect(head_table(origin_mm=[0.0, 0.0, 0.0]))
+    tool, part = (
+        Reflector("", "tool", (0, 0, -100)),
+        Reflector("", "workpiece", (9, 0, 0)),
+    )
+    turned = np.array([[10.0, 20.0, 30.0, 90.0, 0.0], [10.0, 20.0, 30.0, 0.0, 90.0]])
+    np.testing.assert_allclose(
+        truth.nominal_point_mm(turned, tool),
+        # About +Y the tool swings towards -X; a part turned by +90 deg sees it by -90.
+        [[10.0 - 100.0, 20.0, 30.0], [20.0, -10.0, 30.0 - 100.0]],
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        truth.nominal_point_mm(turned, part, "base"),
+        [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
+        atol=1e-9,
+    )
+
+
+def test_without_errors_every_target_is_where_it_should_be(five_axes, rng):
+    q = rng.uniform(five_axes.low, five_axes.high, (50, 5))
+    truth = perfect(five_axes)
+    for reflector in five_axes.reflectors:
+        np.testing.assert_allclose(
+            truth.locate_target_mm(q, reflector.name),
+            truth.nominal_point_mm(q, reflector, "base"),
+            atol=1e-9,
+        )
+
+
+def test_the_location_is_where_the_axis_is():
+    """A point on the axis as it is rests while the axis turns."""
+    machine = head_table()
+    axis = machine.rotary_axes[1]
+    joint = perfect(machine).joints["C"]
+    assert isinstance(joint, RotaryJoint)
+    joint = replace(joint, shift_mm=(0.05, -0.02, 0.0), tilt_rad=(3e-5, 1e-5, 0.0))
+    turns = joint.actual(np.linspace(0.0, 360.0, 13))
+    base = np.append(np.add(axis.origin_mm, (0.05, -0.02, 0.0)), 1.0)
+    above = np.add(base, (1e-5 * 400.0, -3e-5 * 400.0, 400.0, 0.0))
+    for point, slack in ((base, 1e-9), (above, 1e-6)):
+        moved = turns @ point - point
+        np.testing.assert_allclose(moved, 0.0, atol=slack)
+    away = turns @ np.add(base, (100.0, 0.0, 0.0, 0.0))
+    assert np.ptp(away[:, 0]) == pytest.approx(200.0, rel=1e-6)
+
+
+def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
+    """At the axis zero of all others, a displacement of any axis is one of the tool."""
+    truth = perfect(five_axes)
+    tool = Reflector("", "tool", (10.0, 20.0, 30.0))
+    for name in five_axes.rotary_axes:
+        motion = replace(
+            random_machine(five_axes, 1).error_motions()[f"EX{name.name}"],
+            amplitude=(),
+            phase=(),
+            offset=0.01,
+            bend=0.0,
+        )
+        joint = truth.joints[name.name]
+        assert isinstance(joint, RotaryJoint)
+        moved = replace(joint, translation=(motion, *joint.translation[1:]))
+        shift = replace(truth, joints={**truth.joints, name.name: moved})
+        np.testing.assert_allclose(
+            shift.point_mm(np.zeros((1, 5)), tool) - [tool.offset_mm],
+            [[0.01, 0.0, 0.0]],
+            atol=1e-12,
+        )
+
+
+def test_motions_are_zero_at_zero_and_across_the_axis_in_the_mean(five_axes):
+    truth = random_machine(five_axes, 4)
+    for axis in five_axes.rotary_axes:
+        along = {"A": "XA", "B": "YB", "C": "ZC"}[axis.name]
+        grid = np.linspace(axis.min_deg, axis.max_deg, 20_001)
+        for letter in "XYZABC":
+            motion = truth.error_motions()[f"E{letter}{axis.name}"]
+            size = np.abs(motion.at(grid)).max()
+            assert abs(motion.at(np.array(0.0))) < 1e-12
+            assert 1e-6 < size < 0.06
+            if letter not in along:
+                weight = np.ones(len(grid))
+                weight[[0, -1]] = 0.5
+                assert abs(weight @ motion.at(grid)) < 1e-4 * size * len(grid)
+    assert len(truth.locations()) == 8
+
+
+def test_a_full_turn_repeats(rng):
+    truth = random_machine(head_table(), 2)
+    q = rng.uniform(0.0, 100.0, (20, 5))
+    once = q.copy()
+    q[:, 4], once[:, 4] = 0.0, 360.0
+    np.testing.assert_allclose(
+        truth.point_mm(once, truth.machine.reflector()),
+        truth.point_mm(q, truth.machine.reflector()),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 1, 1), (1, 2, 3), (0, 0, -1)])
+def test_the_axis_turns_about_its_direction(direction):
+    machine = head_table(direction=list(direction))
+    axis = machine.rotary_axes[1]
+    joint = perfect(machine).joints["C"]
+    on_axis = [*(np.array(axis.origin_mm) + 70.0 * np.array(axis.direction)), 1.0]
+    turned = joint.nominal(np.array([10.0, 100.0, 200.0])) @ on_axis
+    np.testing.assert_allclose(turned, np.tile(on_axis, (3, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "on"), [("C", "workpiece"), ("B", "tool")])
+def test_what_an_axis_turns_too_far_it_turns_about_itself(name, on):
+    machine = parse_machine(load_machine("head-table"))
+    axis = next(axis for axis in machine.rotary_axes if axis.name == name)
+    origin, too_far = np.array(axis.origin_mm), 1e-4
+    away = origin + 100.0 * np.roll(axis.direction, 1)
+    motions = np.zeros((1, 6))
+    motions[0, 3:] = too_far * np.array(axis.direction)
+    q, truth = np.array([[10.0, 20.0, 30.0, 25.0, 70.0]]), perfect(machine)
+    for place, moved_mm in ((origin, 0.0), (away, 100.0 * too_far)):
+        target = Reflector("", on, tuple(place))
+        still = truth.point_mm(q, target, "base", {})
+        turned = truth.point_mm(q, target, "base", {name: motions})
+        assert np.linalg.norm(turned - still) == pytest.approx(moved_mm, abs=1e-6)
+
+
+def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
+    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
+    timeline = follow(program, program.position[0], 1.0, Limits())
+    time_s = np.linspace(1.0, timeline.end_s, 4000)
+    row, place = timeline.rows(time_s), timeline.positions(time_s)
+    begin, end = program.position[row - 1], program.position[row]
+    step = end - begin
+    share = np.einsum("na,na->n", place - begin, step) / np.maximum(
+        np.einsum("na,na->n", step, step), 1e-9
+    )
+    inside = row > 0
+    straight = begin + share[:, None] * step
+    np.testing.assert_allclose(place[inside], straight[inside], atol=1e-6)
+    rate = np.abs(np.diff(place[:, 3:], axis=0)) / np.diff(time_s)[:, None]
+    assert rate.max() < 41.0
+    # The feed is that of the straight axes, else of the rotary ones.
+    step = np.array([[3.0, 4.0, 0.0, 90.0, 0.0], [0.0, 0.0, 0.0, 30.0, 40.0]])
+    np.testing.assert_allclose(path_length(step), [5.0, 50.0])
+
+
+def test_each_row_measures_its_own_target(five_axes):
+    name = {"head and table": "head-table"}.get(five_axes.name, five_axes.name)
+    program = turning_paths.turning_path(five_axes, 3, 10, 8000.0)
+    quiet = synthetic.Setting(noise_scale=0.0, rate_hz=50.0)
+    made = synthetic.record(load_machine(name), program, 5, setting=quiet)
+    assert set(program.target) == {r.name for r in five_axes.reflectors}
+    for target in program.target:
+        mine = np.array(program.target)[made.row] == target
+        seen = made.truth.locate_target_mm(made.commanded_mm[mine], target)
+        expected = made.pose.from_table(seen)
+        np.testing.assert_allclose(made.position_mm[mine], expected, atol=1e-9)
+
+
+def test_a_bundle_states_axes_in_deg_and_the_target(tmp_path):
+    content = load_machine("head-table")
+    program = turning_paths.turning_points(parse_machine(content), 3, 4)
+    made = synthetic.record(content, program, 5, "standstill")
+    write_bundle_files(tmp_path, made, csv=True)
+    header, first, *_ = (tmp_path / "points.csv").read_text().splitlines()
+    assert header.startswith("x_mm,y_mm,z_mm,")
+    assert header.endswith("c_deg,dwell_s,target")
+    assert first.endswith(",T1")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"type": "linear"}, r"axes\.C\.type"),
+        ({"max_deg": -5.0}, "min_deg"),
+        ({"direction": [0, 0, 0]}, "direction"),
+        ({"origin_mm": [0, 0]}, "three coordinates"),
+    ],
+)
+def test_a_bad_rotary_axis_is_refused_by_name(change, said):
+    with pytest.raises(SimulatorError, match=said):
+        head_table(**change)
+
+
+def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
+    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
+    orders = turning_paths.looking_at(five_axes, program.target)
+    assert len(orders) == 5
+    truth, pose = perfect(five_axes), random_pose(five_axes, 1)
+    device = TrackerDevice(
+        TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1),
+        Schedule(map(parse_fault, orders)),
+    )
+    timeline = follow(program, program.position[0], 0.0, Limits())
+    device.receive(encode_message(Start(1, 50.0)), 0.0, 0.0)
+    frames = device.due(timeline, timeline.end_s, 0.1)
+    samples = StreamDecoder().feed(frames).samples
+    row = timeline.rows(samples.device_time_s)
+    position = timeline.positions(samples.device_time_s)
+    for name in dict.fromkeys(program.target):
+        mine = np.array(program.target)[row] == name
+        expected = pose.from_table(truth.locate_target_mm(position[mine], name))
+        assert mine.any()
+        np.testing.assert_allclose(samples.position_mm[mine], expected, atol=0.1)

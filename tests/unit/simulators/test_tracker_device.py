@@ -1,0 +1,324 @@
+"""The simulated tracker without a link, and clocks that do not always run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.tracker.streaming.codec import StreamDecoder
+from truepath_drivers.tracker.streaming.framing import encode_frame
+from truepath_drivers.tracker.streaming.measurements import StatusBit
+from truepath_drivers.tracker.streaming.message_codec import encode_message
+from truepath_drivers.tracker.streaming.messages import (
+    VERSION,
+    Ack,
+    DeviceInfo,
+    Event,
+    EventCode,
+    Format,
+    Hello,
+    Message,
+    Nak,
+    NakCode,
+    Ping,
+    Start,
+    Status,
+    Stop,
+    StreamInfo,
+)
+from truepath_simulators.faults import Schedule, parse_fault
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
+from truepath_simulators.machine_clock import AwakeClock
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Program
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.timeline import Timeline, standing
+from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
+from truepath_simulators.tracker.tracker_sight import TrackerParts
+
+MACHINE = parse_machine(load_machine("demo"))
+CLOCK = TrackerClock(100.0, 1e-5)
+
+
+class Wire:
+    """A device, its clocks and a host that decodes what comes."""
+
+    def __init__(self, *faults: str) -> None:
+        self.parts = TrackerParts(
+            random_machine(MACHINE, 1), random_pose(MACHINE, 1), CLOCK, Air(), 1
+        )
+        self.schedule = Schedule(map(parse_fault, faults))
+        self.device = TrackerDevice(self.parts, self.schedule)
+        self.timeline: Timeline = standing([100.0, 100.0, 100.0], 0.0, 0)
+        self.decoder = StreamDecoder()
+        self.now_s = 1.0
+        self.samples: list[TrackerSamples] = []
+        self.messages: list[Message] = []
+        self.waiting_bytes = 0
+
+    def ask(self, message: Message) -> Message | None:
+        reply = self.device.receive(encode_message(message), self.now_s, self.now_s)
+        answers = self._take(reply)
+        return answers[-1] if answers else None
+
+    def stream(self, duration_s: float, step_s: float = 0.05) -> TrackerSamples:
+        first = len(self.samples)
+        for _ in range(round(duration_s / step_s)):
+            self.now_s += step_s
+            self.device.receive(encode_message(Ping(9)), self.now_s, self.now_s)
+            self.tick()
+        return TrackerSamples.join(self.samples[first:])
+
+    def tick(self) -> None:
+        self._take(
+            self.device.due(self.timeline, self.now_s, self.now_s, self.waiting_bytes)
+        )
+
+    def _take(self, data: bytes) -> list[Message]:
+        decoded = self.decoder.feed(data)
+        self.samples.append(decoded.samples)
+        self.messages += decoded.messages
+        return list(decoded.messages)
+
+
+def stream_of(*faults: str) -> Wire:
+    """A device that streams at 500 Hz."""
+    wire = Wire(*faults)
+    wire.ask(Start(1, 500.0))
+    return wire
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """A stream of two seconds without faults."""
+    return stream_of().stream(2.0)
+
+
+def test_it_streams_from_start_to_stop():
+    device = Wire()
+    hello = device.ask(Hello(7))
+    assert isinstance(hello, Ack)
+    assert isinstance(hello.detail, DeviceInfo)
+    assert (hello.transaction, hello.detail.maker) == (7, "Truepath")
+    assert hello.detail.serial_number == "SIM-000001"
+    assert len(device.stream(0.5)) == 0
+    started = device.ask(Start(1, 500.0))
+    assert isinstance(started, Ack)
+    assert isinstance(started.detail, StreamInfo)
+    assert (started.detail.rate_hz, started.detail.next_sequence) == (500.0, 0)
+    before = device.stream(1.0)
+    assert abs(len(before) - 500) <= 10
+    other_rate = device.ask(Start(2, 1000.0))  # is no restart
+    assert isinstance(other_rate, Nak)
+    assert other_rate.code == NakCode.BUSY
+    assert isinstance(device.ask(Start(3, 500.0)), Ack)
+    after = device.stream(0.5)
+    assert after.sequence[0] == before.sequence[-1] + 1
+    assert device.decoder.health.lost_samples == 0
+    assert device.ask(Stop(4)) == Ack(4, 0x22)
+    assert len(device.stream(0.5)) == 0
+
+
+def test_samples_are_whole_and_evenly_timed_on_the_devices_own_clock():
+    device = stream_of()
+    samples = device.stream(1.5)
+    np.testing.assert_array_equal(np.diff(samples.sequence), 1)
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)
+    assert not samples.status.any()
+    assert samples.device_time_s[0] == pytest.approx(CLOCK.device_s(1.0), abs=2e-6)
+    assert samples.device_time_s[-1] <= CLOCK.device_s(device.now_s)
+    assert CLOCK.device_s(device.now_s) - samples.device_time_s[-1] < 0.0021
+    told = [m for m in device.messages if isinstance(m, Status)]
+    assert len(told) == 3  # twice a second
+    assert told[-1].frames_sent == pytest.approx(500, abs=30)
+
+
+def test_it_sees_the_machine_move():
+    device = stream_of()
+    path = Program(np.array([[200.0, 150, 75]]), np.array([100.0]), np.zeros(1))
+    device.timeline = follow(path, np.full(3, 100.0), 1.0, Limits())
+    samples = device.stream(2.0)
+    parts = device.parts
+    moments = CLOCK.true_s(samples.device_time_s)
+    seen = parts.truth.locate_target_mm(device.timeline.positions(moments))
+    off = samples.position_mm - parts.pose.from_table(seen)
+    assert 1e-3 < off.std() < 6e-3
+    assert np.abs(off).max() < 0.03
+
+
+@pytest.mark.parametrize("step_s", [0.05, 0.008, 0.5])
+def test_samples_are_those_of_the_seed_however_often_it_is_asked(clean, step_s):
+    again = stream_of().stream(1.0, step_s)
+    n = len(again)
+    assert n > 200
+    np.testing.assert_allclose(again.position_mm, clean.position_mm[:n], atol=1e-9)
+    if step_s == 0.05:
+        np.testing.assert_array_equal(again.position_mm, clean.position_mm[:n])
+
+
+def test_each_stream_has_noise_of_its_own():
+    device = stream_of()
+    first = device.stream(2.0).position_mm
+    device.ask(Stop(2))
+    device.ask(Start(3, 500.0))
+    second = device.stream(2.0).position_mm
+    off = [part[:900] - part[:900].mean(0) for part in (first, second)]
+    # It stands: what is left of a mean is noise, with the correlation of its air.
+    alike = (off[0] * off[1]).sum() / np.sqrt((off[0] ** 2).sum() * (off[1] ** 2).sum())
+    assert abs(alike) < 0.3
+    assert off[0].std() == pytest.approx(off[1].std(), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        (bytes([VERSION, 0x77, 5]), NakCode.UNKNOWN_COMMAND),
+        (bytes([VERSION + 1, 0x20, 5]), NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x20, 5, 9]), NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x21, 5, 1]), NakCode.BAD_ARGUMENT),
+        (bytes([VERSION, 0x21, 5, 0x20, 0xA1, 7, 0, 9]), NakCode.BAD_ARGUMENT),
+        (Start(5, 0.0), NakCode.RATE_NOT_POSSIBLE),
+        (Start(5, 5001.0), NakCode.RATE_NOT_POSSIBLE),
+    ],
+)
+def test_what_it_does_not_know_or_cannot_do_it_says_so(body, code):
+    device = Wire()
+    frame = encode_frame(body) if isinstance(body, bytes) else encode_message(body)
+    reply = device.device.receive(frame, 1.0, 1.0)
+    (nak,) = device.decoder.feed(reply).messages
+    assert isinstance(nak, Nak)
+    assert (nak.transaction, nak.code) == (5, code)
+
+
+def test_short_frames_on_request():
+    device = Wire()
+    device.ask(Start(1, 500.0, Format.MEAS))
+    samples = device.stream(0.5)
+    assert len(samples) > 200
+    assert not samples.status.any()
+
+
+def test_without_a_ping_the_stream_ends():
+    device = stream_of()
+    for _ in range(60):
+        device.now_s += 0.1
+        device.tick()
+    assert not device.device.streaming
+    stopped = [m for m in device.messages if isinstance(m, Event)]
+    assert [m.code for m in stopped] == [EventCode.STREAM_STOPPED_NO_PING]
+    total = sum(len(block) for block in device.samples)
+    assert total == pytest.approx(2500, abs=55)
+
+
+def test_an_overflow_is_told_with_the_next_sample():
+    device = stream_of()
+    device.stream(0.5)
+    device.waiting_bytes = BUFFER_BYTES + 1
+    assert len(device.stream(0.2)) == 0
+    device.waiting_bytes = 0
+    samples = device.stream(0.5)
+    assert len(samples) > 0
+    health = device.decoder.health
+    assert health.device_overflows == 1
+    assert health.lost_samples == pytest.approx(100, abs=20)
+
+
+def test_silence_loses_its_samples_and_no_more_and_a_delay_none():
+    device = stream_of("tracker:silence@0.5s+0.5s")
+    steps = np.diff(device.stream(1.2).sequence)
+    assert np.count_nonzero(steps > 1) == 1
+    assert steps.max() == pytest.approx(251, abs=2)
+    assert device.decoder.health.lost_samples == steps.max() - 1
+    late = stream_of("tracker:delay@0.5s+0.5s")
+    np.testing.assert_array_equal(np.diff(late.stream(1.2).sequence), 1)
+    assert max(len(block) for block in late.samples) > 240
+
+
+@pytest.mark.parametrize(
+    ("fault", "lost", "crc_errors"),
+    [
+        ("tracker:drop@1s", 1, 0),
+        ("tracker:bit-flip@1s", 1, 1),
+        ("tracker:lost-bytes@1s", 1, 1),
+        ("tracker:duplicate@1s", 0, 0),
+    ],
+)
+def test_one_bad_frame_costs_at_most_one_sample(clean, fault, lost, crc_errors):
+    device = stream_of(fault)
+    samples = device.stream(1.3)
+    health = device.decoder.health
+    assert health.lost_samples <= lost
+    assert health.crc_errors <= crc_errors
+    if lost:
+        assert health.lost_samples + health.crc_errors + health.skipped_bytes >= 1
+    kept = np.isin(clean.sequence, samples.sequence)
+    np.testing.assert_array_equal(clean.position_mm[kept], samples.position_mm)
+
+
+def test_a_share_of_frames_is_damaged_and_noise_costs_the_neighbours_at_most():
+    device = stream_of("tracker:bit-flip@0s+2s*0.05")
+    device.stream(2.5)
+    assert 30 < device.decoder.health.lost_samples < 70
+    noisy = stream_of("tracker:noise@0.5s*2000")
+    noisy.stream(1.0)
+    assert noisy.decoder.health.lost_samples <= 1
+    assert noisy.decoder.health.skipped_bytes > 1000
+
+
+def test_a_broken_beam_makes_samples_invalid_and_is_told():
+    device = stream_of("tracker:beam-break@0.5s+0.2s")
+    samples = device.stream(1.0)
+    broken = samples.status == StatusBit.BEAM_BROKEN
+    assert broken.sum() == pytest.approx(100, abs=2)
+    events = [m.code for m in device.messages if isinstance(m, Event)]
+    assert events == [EventCode.BEAM_BROKEN, EventCode.BEAM_LOCKED]
+    added = parse_fault("tracker:beam-break+0.1s")  # strikes now
+    device.schedule.add(added, device.now_s)
+    assert (device.stream(0.5).status != 0).sum() == pytest.approx(50, abs=2)
+
+
+def test_a_spike_is_one_valid_sample_off(clean):
+    spiky = stream_of("tracker:spike@600n*0.3").stream(1.5)
+    off = np.linalg.norm(spiky.position_mm - clean.position_mm[: len(spiky)], axis=1)
+    assert np.flatnonzero(off > 1e-9).tolist() == [600]
+    assert off[600] == pytest.approx(0.3)
+    assert spiky.status[600] == 0
+
+
+def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():
+    other = Wire("tracker:wrong-identity").ask(Hello(1)).detail
+    assert other.maker == "Nobody"
+    assert other.version != VERSION
+    assert Wire("tracker:silence").ask(Hello(1)) is None
+
+
+class HandClock:
+    """A clock that stands until the test lets time pass."""
+
+    now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_a_device_that_runs_counts_all_of_the_time():
+    hand = HandClock()
+    clock = AwakeClock(0.1, hand)
+    begin_s = clock()
+    for _ in range(300):
+        hand.now_s += 0.01
+        clock()
+    assert clock() - begin_s == pytest.approx(3.0)
+
+
+def test_a_device_that_was_suspended_counts_a_moment_of_it():
+    hand = HandClock()
+    clock = AwakeClock(0.1, hand)
+    begin_s = clock()
+    hand.now_s += 3600.0
+    assert clock() - begin_s == pytest.approx(0.1)
+    assert clock() - begin_s == pytest.approx(0.1)

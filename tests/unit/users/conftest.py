@@ -1,0 +1,78 @@
+"""Users in a catalogue of their own."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import pytest
+from argon2 import PasswordHasher
+
+from truepath.catalogue.store.database import Database
+from truepath.users import passwords
+from truepath.users.accounts import Accounts
+from truepath.users.audit import AuditLog
+from truepath.users.boot_clock import Moment
+from truepath.users.roles import Role
+from truepath.users.tokens import Tokens
+
+PASSWORD = "a long sentence is easy"
+
+
+@pytest.fixture
+def database(empty_catalogue, tmp_path):
+    shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", patience_s=0.2)
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def quick_hasher(monkeypatch):
+    """Hash passwords in no time."""
+    quick = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+    monkeypatch.setattr(passwords, "_hasher", quick)
+
+
+@pytest.fixture
+def accounts(database, quick_hasher):
+    """Anna, who administers."""
+    accounts = Accounts(database)
+    accounts.add("anna", Role.ADMINISTRATOR, PASSWORD)
+    return accounts
+
+
+class Clock:
+    """Both clocks of a computer, turned by hand."""
+
+    def __init__(self):
+        self.now = Moment(wall_s=1e9, boot_s=100.0, boot_id="first")
+
+    def read(self):
+        return self.now
+
+    def pass_s(self, seconds):
+        wall_s, boot_s = self.now.wall_s + seconds, self.now.boot_s + seconds
+        self.now = replace(self.now, wall_s=wall_s, boot_s=boot_s)
+
+    def jump_s(self, seconds):
+        self.now = replace(self.now, wall_s=self.now.wall_s + seconds)
+
+    def reboot(self, *, down_s):
+        wall_s = self.now.wall_s + down_s
+        self.now = Moment(wall_s=wall_s, boot_s=5.0, boot_id=self.now.boot_id + "+")
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def tokens(database, clock):
+    return Tokens(database, session_s=3600.0, read_moment=clock.read)
+
+
+@pytest.fixture
+def audit_log(database):
+    return AuditLog(database)

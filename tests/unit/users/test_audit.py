@@ -1,0 +1,175 @@
+"""The audit log: only added to; what was changed or taken out is named."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import text
+from structlog.testing import capture_logs
+
+from truepath.users import audit_writer
+from truepath.users.audit import Entry
+from truepath.users.audit_writer import AuditWriter
+
+ENTRY = Entry(
+    "anna",
+    "operator",
+    "192.0.2.17",
+    "6f0e4c1b9a7d4e52",
+    "POST /api/v1/jobs",
+    "202",
+    old={"version": "3"},
+    new={"made": "ä"},
+)
+
+
+def append_five(audit_log):
+    for number in range(5):
+        audit_log.append(replace(ENTRY, outcome=f"20{number}"))
+    return audit_log
+
+
+@pytest.fixture
+def five(audit_log):
+    return append_five(audit_log)
+
+
+@pytest.fixture
+def writer(audit_log):
+    writer = AuditWriter(audit_log)
+    yield writer
+    writer.close()
+
+
+@contextmanager
+def locked(database):
+    """Let nobody else write to the catalogue."""
+    with (
+        database.engine.connect() as raw,
+        raw.execution_options(truepath_writes=True).begin(),
+    ):
+        yield
+
+
+def tamper(database, *statements):
+    """Change the file as somebody would who has it in hand."""
+    with database.engine.begin() as connection:
+        for verb in ("update", "delete"):
+            connection.execute(text(f"DROP TRIGGER audit_no_{verb}"))
+        for statement in statements:
+            connection.execute(text(statement))
+
+
+def test_what_was_written_is_whole(audit_log):
+    assert audit_log.verify() == []
+    five = append_five(audit_log)
+    assert five.verify() == []
+    assert [row.entry.outcome for row in five.read()] == [f"20{n}" for n in range(5)]
+    assert [row.seq for row in five.read(after=2, limit=2)] == [3, 4]
+    assert [row.seq for row in five.read_newest(before=4, limit=2)] == [3, 2]
+    (first,) = five.read(limit=1)
+    assert replace(first.entry, at="") == replace(ENTRY, outcome="200")
+
+
+@pytest.mark.parametrize(
+    "column", ["at", "who", "role", "source", "request_id", "what", "outcome"]
+)
+def test_a_row_that_was_changed_is_named(five, database, column):
+    tamper(database, f"UPDATE audit SET {column} = 'x' WHERE seq = 3")
+    assert five.verify() == ["row 3 has been changed"]
+
+
+@pytest.mark.parametrize(
+    ("gone", "said"),
+    [
+        ("seq = 3", "row 3 is missing"),
+        ("seq = 1", "row 1 is missing"),
+        ("seq = 5", "row 5 is missing"),
+        ("seq > 3", "rows 4 to 5 are missing"),
+        ("seq > 0", "rows 1 to 5 are missing"),
+    ],
+)
+def test_a_row_that_was_taken_out_is_named(five, database, gone, said):
+    tamper(database, f"DELETE FROM audit WHERE {gone}")
+    assert five.verify() == [said]
+
+
+def test_a_row_with_a_hash_made_anew_is_found_by_the_next(five, database):
+    hashes = {row.seq: row.hash for row in five.read()}
+    forged = hashes[3][::-1]
+    tamper(database, f"UPDATE audit SET hash = '{forged}' WHERE seq = 3")
+    assert five.verify() == ["row 3 has been changed", "row 4 has been changed"]
+
+
+def test_entries_wait_for_a_locked_catalogue_in_their_order(
+    audit_log, database, writer
+):
+    with locked(database):
+        begun = time.monotonic()
+        done = [writer.record(replace(ENTRY, outcome=str(n))) for n in range(3)]
+        assert time.monotonic() - begun < 0.1
+        assert not done[0].done()
+    for entry in done:
+        entry.result(timeout=10)
+    writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["0", "1", "2"]
+    assert audit_log.verify() == []
+
+
+STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
+
+
+def test_what_a_stranger_repeats_is_counted_in_few_rows(audit_log, writer):
+    for _ in range(5000):
+        writer.record(STRANGER, may_repeat=True)
+    writer.record(ENTRY).result(timeout=10)
+    writer.record(replace(STRANGER, outcome="401"), may_repeat=True)
+    writer.close()
+    rows = [row.entry for row in audit_log.read()]
+    of_stops = [one for one in rows if one.outcome == "202" and not one.who]
+    assert len(of_stops) < 20
+    assert sum((one.new or {"times": 1})["times"] for one in of_stops) == 5000
+    (change,) = (one for one in rows if one.who)
+    assert replace(change, at="") == ENTRY, "a change stays as it is"
+    assert rows.index(of_stops[0]) < rows.index(change)
+    assert audit_log.verify() == []
+
+
+def test_strangers_of_many_kinds_are_counted_together(audit_log, writer):
+    for number in range(1000):
+        what = f"POST /api/v1/{number}"
+        writer.record(replace(STRANGER, what=what), may_repeat=True)
+    writer.close()
+    assert len(list(audit_log.read())) <= audit_writer.MOST_KINDS + 20
+
+
+def test_what_could_not_be_written_is_counted_at_the_end(database, writer, monkeypatch):
+    monkeypatch.setattr(audit_writer, "MOST_WAITING", 3)
+    monkeypatch.setattr(audit_writer, "_CLOSE_S", 0.1)
+    with locked(database), capture_logs() as logs:
+        for _ in range(5):
+            writer.record(ENTRY)
+        writer.close()
+    (said,) = (one for one in logs if "complete" in one["event"])
+    assert said["not_written"] == 5
+
+
+def test_an_unforeseen_error_costs_one_row_and_not_the_writer(
+    audit_log, writer, monkeypatch
+):
+    append = audit_log.append
+
+    def fail_once(entry):
+        monkeypatch.setattr(audit_log, "append", append)
+        raise ValueError(entry.what)
+
+    monkeypatch.setattr(audit_log, "append", fail_once)
+    for outcome in ("1", "2"):
+        writer.record(replace(ENTRY, outcome=outcome)).result(timeout=10)
+    with capture_logs() as logs:
+        writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["2"]
+    assert logs[-1]["not_written"] == 1
