@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truepath.errors import PlanningError
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 from truepath.planning.plan_making import make_plan

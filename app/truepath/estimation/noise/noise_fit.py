@@ -195,9 +195,8 @@ def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
         count = min(_NEIGHBOURS, len(own))
         _, near = cKDTree(at.position_mm[own]).query(at.position_mm[own], k=count)
         other = seen.row[own[near]] != seen.row[own][:, None]
-        has = other.any(axis=1)
-        first = own[near[np.arange(len(own)), other.argmax(axis=1)]]
-        found.append(np.stack([own, first], axis=1)[has])
+        nearest = np.take_along_axis(near, other.argmax(axis=1)[:, None], axis=1)[:, 0]
+        found.append(np.stack([own, own[nearest]], axis=1)[other.any(axis=1)])
     return np.concatenate(found)
 
 

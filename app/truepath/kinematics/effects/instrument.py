@@ -1,4 +1,4 @@
-"""What a tracker in order adds to every measurement, known no better than its maker says.
+"""What a tracker in order adds to every measurement, known as its maker states it.
 
 Every estimate has these terms beside the errors of the machine, each with the standard
 uncertainty of its specification (Hughes et al. 2011; Muralikrishnan et al. 2009).
@@ -124,12 +124,12 @@ class TrackerErrors(Effect):
     elevation: FineCircle
     is_moving: bool
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One a column."""
         return tuple(Parameter(f"tracker[{k}]", "1") for k in range(self._count))
 
-    @property
+    @cached_property
     def _count(self) -> int:
         s = self.specification
         parts = [
