@@ -193,7 +193,7 @@ def measure(
     made = [record(site, plan, seed, k, faults) for k, plan in enumerate(plans)]
     runs = [run_of(one) for one in made]
     seen = align_all(runs, [f"station {k + 1}" for k in range(len(runs))])
-    models = build_run_models(site.machine, [one.at.offset_mm for one in seen])
+    models = build_run_models(site.machine, [one.at for one in seen])
     return judge(site, estimate(models, seen), made[0])
 
 

@@ -76,10 +76,10 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
     Raises AlignmentError with the name of the Run meant where there are several.
     """
     observed: list[Observations] = []
-    for name, run in zip(names, runs, strict=True):
+    for number, (name, run) in enumerate(zip(names, runs, strict=True)):
         try:
             seen = align(run)
-            seen = add_surroundings(seen, run.commanded, run.temperature)
+            seen = add_surroundings(seen, run.commanded, run.temperature, number)
         except AlignmentError as error:
             if len(runs) == 1:
                 raise

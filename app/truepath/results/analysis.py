@@ -30,7 +30,6 @@ from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_r
 from truepath.files.bundle.sample_sketch import share_samples
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.machine.machine import Machine
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
 from truepath.planning.grade import Grade, SetUp, grade_together
@@ -81,12 +80,7 @@ def analyse(
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
     checked = estimate_checked(
-        build_run_models(
-            machine,
-            [each.at.offset_mm for each in observed],
-            known.effects,
-            list_instrument_errors([each.at for each in observed]),
-        ),
+        build_run_models(machine, [each.at for each in observed], known.effects),
         observed,
         known=known,
         perpendicular_only=perpendicular_only,

@@ -263,7 +263,7 @@ def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
     effects: list[Effect] = [
         TrackerErrors(specification, azimuth, elevation, is_moving)
     ]
-    for number, at in enumerate(runs):
+    for at in runs:
         begin, end = float(at.time_s.min()), float(at.time_s.max())
-        effects.append(EffectOfRun(SetUpErrors(specification, begin, end), number))
+        effects.append(EffectOfRun(SetUpErrors(specification, begin, end), at.run))
     return tuple(effect for effect in effects if effect.parameters)
