@@ -76,30 +76,29 @@ class FineCircle:
         return FineCircle(middle + float(off.min()), middle + float(off.max()))
 
     @cached_property
-    def _shapes(self) -> tuple[Float64[np.ndarray, " g"], Float64[np.ndarray, "g k"]]:
-        grid = np.linspace(self.low_rad, self.high_rad, _GRID)
-        value, vector = np.linalg.eigh(_correlate(grid, grid))
+    def _shapes(self) -> Float64[np.ndarray, "w k"]:
+        """The waves that each shape is made of."""
+        grid = _waves(np.linspace(self.low_rad, self.high_rad, _GRID))
+        value, vector = np.linalg.eigh(grid @ grid.T)
         value, vector = value[::-1], vector[:, ::-1]
         left = 1.0 - np.cumsum(value) / value.sum()
         count = int(np.count_nonzero(left > _LEFT_OUT)) + 1
-        return grid, vector[:, :count] / np.sqrt(value[:count])
+        return grid.T @ vector[:, :count] / np.sqrt(value[:count])
 
     @property
     def count(self) -> int:
         """How many shapes."""
-        return self._shapes[1].shape[1]
+        return self._shapes.shape[1]
 
     def rows(self, angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
         """Return the shapes at angles, of standard deviation 1 together."""
-        grid, weight = self._shapes
-        return _correlate(angle_rad, grid) @ weight
+        return _waves(angle_rad) @ self._shapes
 
 
-def _correlate(
-    a: Float64[np.ndarray, " n"], b: Float64[np.ndarray, " m"]
-) -> Float64[np.ndarray, "n m"]:
-    apart = a[:, None] - b[None, :]
-    return np.mean([np.cos(k * apart) for k in _CYCLES], axis=0)
+def _waves(angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n w"]:
+    """Return cosines and sines; their products are the process' correlation."""
+    turns = np.multiply.outer(angle_rad, _CYCLES)
+    return np.hstack([np.cos(turns), np.sin(turns)]) / len(_CYCLES) ** 0.5
 
 
 class _Terms:
@@ -248,6 +247,12 @@ def _turn_back(terms: _Terms, recorded: RecordedState) -> Float64[np.ndarray, "n
 
 def _known(count: int) -> QuadraticPrior:
     return QuadraticPrior(np.eye(count), count, float(count), is_known=True)
+
+
+def is_of_instrument(effect: Effect) -> bool:
+    """Return whether an effect is what the tracker may be off by."""
+    inner = effect.effect if isinstance(effect, EffectOfRun) else effect
+    return isinstance(inner, TrackerErrors | SetUpErrors)
 
 
 def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
