@@ -76,10 +76,10 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
     Raises AlignmentError with the name of the Run meant where there are several.
     """
     observed: list[Observations] = []
-    for number, (name, run) in enumerate(zip(names, runs, strict=True)):
+    for name, run in zip(names, runs, strict=True):
         try:
             seen = align(run)
-            seen = add_surroundings(seen, run.commanded, run.temperature, number)
+            seen = add_surroundings(seen, run.commanded, run.temperature)
         except AlignmentError as error:
             if len(runs) == 1:
                 raise

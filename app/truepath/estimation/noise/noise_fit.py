@@ -49,7 +49,7 @@ _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
 _LONGEST_S = 60.0
-_FEWEST_TRIPLES = 30
+_FEWEST_TRIPLES = 100
 _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # times what samples scatter, of their means
 _LOW = 0.3  # quantile of differences
@@ -127,22 +127,22 @@ def _fit_noise(
     about, seen = run.linearisation, run.observations
     theta = evidence.solve(noise)[: design.fixed]
     rest = about.build(seen, solved=theta).residual
-    louder = _raise_white(seen, noise, rest)
+    louder = _raise_fast(seen, noise, rest)
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
     return replace(noise, shown=_find_shown(design.observations, noise, rest))
 
 
-def _raise_white(
+def _raise_fast(
     seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> NoiseModel | None:
-    """Return the noise with what is fast as white; None where there is none of it.
+    """Return the noise with what is fast in its cells; None where there is none of it.
 
     Samples scatter less than their means where noise lasts for some samples: a swing of
     some hertz. Second differences of neighbours show it, which slow noise leaves small.
     """
-    time_s, white = seen.at.time_s, np.array(noise.white)
+    time_s, before = seen.at.time_s, np.array(noise.fast)
     sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
@@ -158,8 +158,8 @@ def _raise_white(
     raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
     if not (raised > _FAST).any():
         return None
-    along, across = (white * np.where(raised > _FAST, raised, 1.0)).tolist()
-    return replace(noise, white=(along, across))
+    along, across = (before * np.where(raised > _FAST, raised, 1.0)).tolist()
+    return replace(noise, fast=(along, across))
 
 
 def _find_shown(

@@ -24,6 +24,7 @@ class NoiseModel:
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
         speed; infinite where only deviations across the path are used, as on ramps
+    fast : (2,) how much more the mean of a cell scatters than its samples tell
     shown : (3,) how large the Ornstein–Uhlenbeck part is by most neighbours in space
     ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
     """
@@ -33,6 +34,7 @@ class NoiseModel:
     ou_time_s: float
     along_sigma_mm: float
     ramp_sigma_mm: float = 0.0
+    fast: tuple[float, float] = (1.0, 1.0)
     shown: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -87,7 +89,7 @@ def split_sigma_mm(
     tracker = observations.at.machine.tracker
     distance = np.linalg.norm(observations.tracker_mm, axis=1)
     stated = tracker.sigma_mm(distance)[:, [0, 1, 1]]
-    beam, across = noise.white
+    beam, across = np.multiply(noise.white, noise.fast).tolist()
     white = stated * [beam, across, across] / np.sqrt(observations.count)[:, None]
     on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
     return np.hypot(white, on_ramp[:, None]), stated * np.array(noise.ou)

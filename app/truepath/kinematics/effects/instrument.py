@@ -6,6 +6,7 @@ uncertainty of its specification (Hughes et al. 2011; Muralikrishnan et al. 2009
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +17,6 @@ from jaxtyping import Float64
 from truepath.kinematics.conditions import Conditions, RecordedState
 from truepath.kinematics.effects.base import (
     Effect,
-    EffectOfRun,
     Parameter,
     QuadraticPrior,
     Role,
@@ -114,7 +114,10 @@ class _Terms:
 
 @dataclass(frozen=True)
 class TrackerErrors(Effect):
-    """Errors that the tracker takes along from place to place; θ in their sizes."""
+    """Errors that the tracker takes along from place to place; θ in their sizes.
+
+    set_ups : of this tracker, as `name_set_up` tells them apart; all where empty
+    """
 
     kind = "tracker-errors"
     role = Role.NUISANCE
@@ -122,6 +125,12 @@ class TrackerErrors(Effect):
     azimuth: FineCircle
     elevation: FineCircle
     is_moving: bool
+    set_ups: tuple[str, ...] = ()
+
+    def compose_name(self, digits: str) -> str:
+        """Return it with the first of its set-ups."""
+        del digits
+        return "-".join((self.kind, *self.set_ups[:1]))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -146,7 +155,7 @@ class TrackerErrors(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the columns where the observer stands."""
-        recorded = at.recorded
+        recorded = _find_recorded(at, self.set_ups)
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
         s, b, terms = self.specification, _Beam.of(recorded), _Terms()
@@ -192,13 +201,22 @@ class TrackerErrors(Effect):
 
 @dataclass(frozen=True)
 class SetUpErrors(Effect):
-    """Errors of a tracker that are others after a new set-up, lock or weather."""
+    """Errors of a tracker that are others after a new set-up, lock or weather.
+
+    set_up : as `name_set_up` tells it from others; any where empty
+    """
 
     kind = "set-up-errors"
     role = Role.NUISANCE
     specification: TrackerSpecification
     begin_s: float
     end_s: float
+    set_up: str = ""
+
+    def compose_name(self, digits: str) -> str:
+        """Return it with its set-up."""
+        del digits
+        return "-".join(filter(None, (self.kind, self.set_up)))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -218,7 +236,7 @@ class SetUpErrors(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the columns where the observer stands."""
-        recorded = at.recorded
+        recorded = _find_recorded(at, (self.set_up,) if self.set_up else ())
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
         s, b, terms = self.specification, _Beam.of(recorded), _Terms()
@@ -238,6 +256,22 @@ class SetUpErrors(Effect):
         return _known(self._count)
 
 
+def name_set_up(recorded: RecordedState) -> str:
+    """Return what tells a set-up from others: how the tracker stands, to the last bit.
+
+    Runs that are solved together may have no numbers, or the same clock.
+    """
+    return format(zlib.crc32(recorded.rotation.tobytes()), "08x")
+
+
+def _find_recorded(at: Conditions, set_ups: Sequence[str]) -> RecordedState | None:
+    """Return what was recorded in one of the set-ups; None where it was in none."""
+    recorded = at.recorded
+    if recorded is None or (set_ups and name_set_up(recorded) not in set_ups):
+        return None
+    return recorded
+
+
 def _turn_back(terms: _Terms, recorded: RecordedState) -> Float64[np.ndarray, "n 3 p"]:
     if not terms.columns:
         return np.zeros((len(recorded.tracker_mm), 3, 0))
@@ -251,24 +285,37 @@ def _known(count: int) -> QuadraticPrior:
 
 def is_of_instrument(effect: Effect) -> bool:
     """Return whether an effect is what the tracker may be off by."""
-    inner = effect.effect if isinstance(effect, EffectOfRun) else effect
-    return isinstance(inner, TrackerErrors | SetUpErrors)
+    return isinstance(effect, TrackerErrors | SetUpErrors)
 
 
 def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
-    """Return what the tracker of Runs adds to them. runs : with what was recorded."""
-    specification = runs[0].machine.tracker.systematic
-    points = [at.recorded.tracker_mm for at in runs if at.recorded is not None]
-    if not points:
-        return ()
-    x, y, z = np.concatenate(points).T
+    """Return what trackers add to Runs that know what was recorded.
+
+    Runs whose files state one specification have one tracker.
+    """
+    trackers: dict[TrackerSpecification, dict[str, Conditions]] = {}
+    for at in runs:
+        if at.recorded is not None:
+            set_ups = trackers.setdefault(at.machine.tracker.systematic, {})
+            set_ups[name_set_up(at.recorded)] = at
+    effects: list[Effect] = []
+    for specification, set_ups in trackers.items():
+        own = () if len(trackers) == 1 else tuple(set_ups)
+        effects.append(_share_errors(specification, list(set_ups.values()), own))
+        for name, at in set_ups.items():
+            begin, end = float(at.time_s.min()), float(at.time_s.max())
+            effects.append(SetUpErrors(specification, begin, end, name))
+    return tuple(effect for effect in effects if effect.parameters)
+
+
+def _share_errors(
+    specification: TrackerSpecification,
+    runs: Sequence[Conditions],
+    own: tuple[str, ...],
+) -> TrackerErrors:
+    seen = [at.recorded.tracker_mm for at in runs if at.recorded is not None]
+    x, y, z = np.concatenate(seen).T
     azimuth = FineCircle.over(np.arctan2(y, x))
     elevation = FineCircle.over(np.arctan2(z, np.hypot(x, y)))
     is_moving = any((at.line >= 0).any() for at in runs)
-    effects: list[Effect] = [
-        TrackerErrors(specification, azimuth, elevation, is_moving)
-    ]
-    for at in runs:
-        begin, end = float(at.time_s.min()), float(at.time_s.max())
-        effects.append(EffectOfRun(SetUpErrors(specification, begin, end), at.run))
-    return tuple(effect for effect in effects if effect.parameters)
+    return TrackerErrors(specification, azimuth, elevation, is_moving, own)

@@ -131,7 +131,8 @@ class StationJudge:
             FineCircle(-0.5 * np.pi, 0.5 * np.pi),
             isinstance(survey.commanded, Path),
         )
-        set_up = SetUpErrors(specification, -1.0, 1.0)
+        takes_s = float(row_times_s(survey.commanded, survey.feed_mm_min).sum())
+        set_up = SetUpErrors(specification, 0.0, takes_s)
         return StationJudge(
             survey,
             assumed,
