@@ -37,7 +37,7 @@ from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 5
-TRAVEL_MM = 200.0
+TRAVEL_MM = 400.0
 CONTENT = load_machine("demo")
 for one in CONTENT["axes"].values():
     one["max_mm"] = TRAVEL_MM

@@ -111,7 +111,7 @@ def test_metres_are_refused_by_name(polled):
 
 @pytest.mark.long
 def test_a_reflector_that_moved_is_told_and_solved_with_both_places(polled):
-    moved = move(polled, np.arange(34, 68), [0.3, 0.1, 0.0])
+    moved = move(polled, np.arange(34, 68), [0.1, 0.03, 0.0])
     found = analyse(moved)
     kinds = {reason.kind for reason in found.verdict.reasons}
     assert "set-up-moved" in kinds

@@ -13,12 +13,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as NotYet
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar, cast
 
 import structlog
 from distributed import Client, KilledWorker
+from distributed.client import ClosedClientError
 from distributed.comm.core import CommClosedError
 
 from truepath.catalogue.errors import WorkersAway
@@ -29,6 +30,7 @@ log = structlog.get_logger(__name__)
 T = TypeVar("T")
 _RETRIES = 2
 _LOOK_S = 1.0
+_AWAY = (OSError, TimeoutError, RuntimeError, ClosedClientError)
 
 
 class ClusterLost(Exception):
@@ -113,7 +115,7 @@ class _Cluster:
     def _is_there(self) -> bool:
         try:
             return self.count_threads() > 0
-        except (OSError, TimeoutError, RuntimeError):
+        except _AWAY:
             return False
 
 
@@ -157,7 +159,7 @@ class _Blocks:
         if self._home is None:
             try:
                 return self._cluster.executor.submit(function, number)
-            except (OSError, TimeoutError, RuntimeError, CancelledError):
+            except (*_AWAY, CancelledError):
                 self._home = self._open()
         return self._submit_home(self._home, function, number)
 
@@ -217,7 +219,8 @@ class _SentOnce(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Let go of what was sent and of what is under way."""
         self._sent.clear()
-        self._executor.shutdown(wait=wait and not cancel_futures)
+        with suppress(ClosedClientError):  # it gives up a scheduler that is away
+            self._executor.shutdown(wait=wait and not cancel_futures)
 
     def _bound(self, fn: partial[Any]) -> list[Any]:
         if id(fn) not in self._sent:
