@@ -9,8 +9,12 @@ from pathlib import Path
 import pytest
 from tests.unit.alignment.test_arcs import random_path
 
+from recorded import record_run
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
 
 BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
 
@@ -80,10 +84,10 @@ def test_a_recording_of_another_path_is_not_blamed_on_the_chain(command, tmp_pat
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
-def test_another_order_of_linear_axes_is_no_wrong_home_distance(
-    command, record, tmp_path
-):
-    made, _ = record(1, rows=40)
+def test_another_order_of_linear_axes_is_no_wrong_home_distance(command, tmp_path):
+    content = load_machine("demo") | {"kinematic_chain": "w-b-X-Y-Z-t"}
+    program = paths.chord_path(parse_machine(content), 1, 40, 10_000.0)
+    made, _ = record_run(content, program, 1)
     write_bundle(made, tmp_path / "bundle")
     change(tmp_path / "bundle", chain("w-b-Z-Y-X-t"))
     out = tmp_path / "out"

@@ -95,7 +95,7 @@ def test_the_error_left_is_near_the_information_bound(validation):
 def test_gantries_reach_the_information_bound(validation):
     script = validation("large_machines")
     gantry = next(world for world in script.WORLDS if world.travel_mm[0] == 3000.0)
-    found = [script.outcome(gantry, seed) for seed in range(1, 7)]
+    found = [script.outcome(gantry, seed) for seed in range(1, 5)]
     left, bound = (
         np.sqrt(np.mean([getattr(o, key) ** 2 for o in found]))
         for key in ("left", "bound")
